@@ -1,0 +1,1 @@
+"""The robot cell: scene, MuJoCo, Embree, scanners, run folders and the command line (the composition root)."""

@@ -1,0 +1,1 @@
+"""Wires to robot controllers: joint set-points and a speed go out, states come back. No geometry, no engine."""

@@ -1,0 +1,232 @@
+"""What the planner cannot know, it asks through these protocols; `cell` implements them, tests implement toys.
+
+Frames: `base` (robot foot, z up), `flange`, `scanner` (origin at the laser source, +z viewing direction, +x from source
+to sensor), `object` (the mesh file's axes, metres). `T_a_b` maps b-coordinates to a.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.readonly import readonly
+
+Floats = NDArray[np.float64]
+
+
+class Rejection(IntEnum):
+    """Why a ray of a scan, or an aimed sample, gives no point. The first condition that fails is kept, in this order."""
+
+    MEASURED = 0
+    NO_HIT = 1
+    OUT_OF_FOV = 2
+    OUT_OF_RANGE = 3
+    GRAZING_SOURCE = 4
+    GRAZING_SENSOR = 5
+    SOURCE_BLOCKED = 6
+    SENSOR_BLOCKED = 7
+
+    @property
+    def sentence(self) -> str:
+        """The reason in words, for reports."""
+        return _REJECTION_SENTENCES[self]
+
+
+_REJECTION_SENTENCES = {
+    Rejection.MEASURED: "measured",
+    Rejection.NO_HIT: "the ray meets no surface",
+    Rejection.OUT_OF_FOV: "outside the field of view",
+    Rejection.OUT_OF_RANGE: "nearer or farther than the scanner's range",
+    Rejection.GRAZING_SOURCE: "the laser grazes the surface beyond the limit",
+    Rejection.GRAZING_SENSOR: "the sensor sees the surface beyond its grazing limit",
+    Rejection.SOURCE_BLOCKED: "something stands between laser source and surface",
+    Rejection.SENSOR_BLOCKED: "something stands between surface and sensor (shadow effect)",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """First intersections of a bundle of rays.
+
+    Attributes:
+        face: (N,) int32 index of the face that is hit, -1 where the ray meets nothing.
+        distance: (N,) distance along the unit direction [m], inf where the ray meets nothing.
+    """
+
+    face: NDArray[np.int32]
+    distance: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "face", readonly("face", self.face, (None,), np.int32))
+        object.__setattr__(self, "distance", readonly("distance", self.distance, (len(self.face),)))
+
+
+class RayCaster(Protocol):
+    """First hit, and blocked or not, on one fixed set of triangles."""
+
+    def first_hit(self, origins: Floats, directions: Floats) -> Hits:
+        """First intersection of each ray.
+
+        Args:
+            origins: (N, 3) [m], in the frame of the triangles.
+            directions: (N, 3) unit vectors.
+        """
+        ...
+
+    def blocked(self, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
+        """Whether any triangle stands between origin and target.
+
+        The segment ends a documented hair short of the target, so that the surface on which the target lies does not
+        block it.
+
+        Args:
+            origins: (N, 3) [m], free positions (a source or a sensor).
+            targets: (N, 3) [m], points on a surface.
+
+        Returns:
+            (N,) True where something is in the way.
+        """
+        ...
+
+
+class Scanner(Protocol):
+    """The law of a triangulation sensor, in its own frame; it knows no part and casts no ray."""
+
+    @property
+    def source(self) -> Floats:
+        """(3,) position of the laser source [m], scanner frame (its origin)."""
+        ...
+
+    @property
+    def sensor(self) -> Floats:
+        """(3,) position of the sensor [m], scanner frame: the baseline along +x."""
+        ...
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """(n_v, n_h) rays of one scan: n = round(FOV / resolution) per axis (Eq. 1)."""
+        ...
+
+    def ray_directions(self) -> Floats:
+        """(n_v * n_h, 3) unit directions of a scan's rays in the scanner frame, row by row."""
+        ...
+
+    def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
+        """The first condition that needs no ray and fails: FOV, range, grazing at source and sensor, in this order.
+
+        Every limit is inclusive.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame.
+
+        Returns:
+            (N,) `Rejection` values; MEASURED where every condition holds.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointLimits:
+    """What the axes can do; q in KUKA signs.
+
+    Attributes:
+        lower: (6,) smallest joint angles [rad].
+        upper: (6,) largest joint angles [rad].
+        velocity: (6,) largest joint speeds [rad/s].
+        acceleration: (6,) largest joint accelerations [rad/s^2].
+    """
+
+    lower: Floats
+    upper: Floats
+    velocity: Floats
+    acceleration: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
+
+
+class Kinematics(Protocol):
+    """Forward and closed-form inverse kinematics of the arm."""
+
+    @property
+    def limits(self) -> JointLimits:
+        """Limits of the axes."""
+        ...
+
+    def forward(self, q: Floats) -> Floats:
+        """Flange poses.
+
+        Args:
+            q: (N, 6) joint angles [rad], KUKA signs.
+
+        Returns:
+            (N, 4, 4) T_base_flange [m].
+        """
+        ...
+
+    def inverse(self, T_base_flange: Floats) -> Floats:
+        """All eight branches of each pose, not limited to the joint range.
+
+        Args:
+            T_base_flange: (N, 4, 4) [m].
+
+        Returns:
+            (N, 8, 6) joint angles [rad] in (-pi, pi]; NaN where a branch has no real solution.
+        """
+        ...
+
+
+class CollisionChecker(Protocol):
+    """Collision of arm and tool with the cell, the part and themselves, at a fixed placement and clearance."""
+
+    @property
+    def clearance(self) -> float:
+        """Distance [m] that a free configuration keeps from everything it must not touch."""
+        ...
+
+    def free(self, q: Floats) -> NDArray[np.bool_]:
+        """Whether every guarded pair is at least the clearance apart.
+
+        Args:
+            q: (N, 6) joint angles [rad].
+
+        Returns:
+            (N,) True where the configuration is free.
+        """
+        ...
+
+    def contacts(self, q: Floats) -> tuple[str, ...]:
+        """Names of what is nearer than the clearance at one configuration, nearest first ("housing with part").
+
+        Args:
+            q: (6,) joint angles [rad].
+        """
+        ...
+
+    def distance(self, q: Floats) -> tuple[Floats, tuple[str, ...]]:
+        """Smallest distance of any guarded pair, and which pair.
+
+        Args:
+            q: (N, 6) joint angles [rad].
+
+        Returns:
+            (N,) distance [m] (negative in contact) and N names such as "housing with part".
+        """
+        ...
+
+    def travel(self, q_from: Floats, q_to: Floats) -> Floats:
+        """An upper bound on how far any point of arm or tool moves along the straight joint segment.
+
+        Args:
+            q_from: (N, 6) [rad].
+            q_to: (N, 6) [rad].
+
+        Returns:
+            (N,) length [m]; never smaller than the true displacement of any point between any two configurations of
+            the segment.
+        """
+        ...
