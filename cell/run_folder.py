@@ -1,0 +1,207 @@
+"""The run folder: an immutable plan on disk, written as `<name>.part` and renamed when it is finished.
+
+Every artefact is on disk as soon as its stage is done, so that a killed run keeps what it had finished; the manifest always
+tells the stage. Artefacts hold no clock value and no machine path: equal inputs and seed give equal bytes. Nothing is
+pickled. The layout is described in docs/run_folder.md and versioned by `SCHEMA`.
+"""
+
+import errno
+import hashlib
+import json
+import platform
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError
+from planner.surface import TriangleMesh
+
+SCHEMA = "scan-cell/run/1"
+"""Version of the layout; it changes together with a line in CHANGELOG.md."""
+
+_VERSIONS_OF = ("scan-cell", "numpy", "scipy", "mujoco", "embreex", "trimesh", "fast-simplification", "networkx")
+
+
+@dataclass(slots=True)
+class RunFolder:
+    """An open run folder. Use `create`, the `stage` context, the writers, and `finish` or `fail`.
+
+    Attributes:
+        target: where the finished folder will be.
+        path: where it is now (`target` with `.part` behind until it is finished).
+    """
+
+    target: Path
+    path: Path
+    manifest: dict[str, Any]
+    _stage: str = "start"
+    _artefacts: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def create(
+        cls, out: Path | None, argv: list[str], seed: int, inputs: Mapping[str, str], now: datetime
+    ) -> "RunFolder":
+        """Make the folder.
+
+        Args:
+            out: the folder to make; None makes `sim_runs/<UTC>-<hash>` below the working directory.
+            argv: the command line, kept in the manifest.
+            seed: seed of every random choice.
+            inputs: sha256 per input (part, scene, settings).
+            now: time of the start (UTC).
+
+        Raises:
+            FileError: if it exists already or cannot be made.
+        """
+        digest = hashlib.sha256(json.dumps([dict(inputs), seed], sort_keys=True).encode()).hexdigest()
+        target = out if out is not None else Path("sim_runs") / f"{now:%Y%m%dT%H%M%SZ}-{digest[:8]}"
+        path = target.with_name(target.name + ".part")
+        for taken in (target, path):
+            if taken.exists():
+                raise FileError(
+                    f"the run folder {taken} exists already and is never overwritten; choose another --out or remove it"
+                )
+        try:
+            path.mkdir(parents=True)
+        except OSError as error:
+            raise FileError(
+                f"the run folder {path} cannot be made: {_reason(error)}; choose a writable --out"
+            ) from error
+        folder = cls(
+            target,
+            path,
+            {
+                "schema": SCHEMA,
+                "status": "running",
+                "stage": "start",
+                "started": now.isoformat(timespec="seconds"),
+                "argv": argv,
+                "seed": seed,
+                "inputs": dict(inputs),
+                "versions": _versions(),
+                "seconds": {},
+            },
+        )
+        folder._write_manifest()
+        return folder
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Name the stage that runs and record its seconds; a failure inside is reported under this name."""
+        self._stage = self.manifest["stage"] = name
+        self._write_manifest()
+        start = perf_counter()
+        try:
+            yield
+        finally:
+            seconds = self.manifest["seconds"]
+            seconds[name] = round(seconds.get(name, 0.0) + perf_counter() - start, 3)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a text artefact (UTF-8, as given)."""
+        self._write(name, text.encode())
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write a JSON artefact; `schema` is put in front."""
+        self.write_text(name, json_text({"schema": SCHEMA, **content}))
+
+    def write_arrays(self, name: str, **arrays: NDArray[Any]) -> None:
+        """Write a compressed .npz without pickled objects."""
+        with self._writing(name):
+            np.savez_compressed(self.path / name, allow_pickle=False, **arrays)
+        self.adopt(name)
+
+    def write_mesh(self, name: str, mesh: TriangleMesh) -> None:
+        """Write a mesh as binary PLY in millimetres.
+
+        Vertices are doubles, so that the file holds exactly what was used; trimesh's writer would round to float32.
+        """
+        vertices = np.ascontiguousarray(mesh.vertices * 1000.0, dtype="<f8")
+        faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3)])
+        faces["n"], faces["v"] = 3, mesh.faces
+        header = (
+            "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres\n"
+            f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+            f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+        self._write(name, header.encode() + vertices.tobytes() + faces.tobytes())
+
+    def adopt(self, name: str) -> None:
+        """Record the sha256 of an artefact that another function has written into the folder."""
+        with self._writing(name):
+            self._artefacts[name] = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
+
+    def finish(self, exit_code: int, status: str = "finished") -> Path:
+        """Complete the manifest and rename the folder to its final name.
+
+        Returns:
+            The final path.
+        """
+        self._close(status, exit_code)
+        with self._writing(self.target.name):
+            self.path.rename(self.target)
+        self.path = self.target
+        return self.target
+
+    def fail(self, status: str, exit_code: int, reason: str) -> None:
+        """Keep the unfinished folder with status, stage and reason; never raises, because another error is on its way."""
+        self.manifest["reason"] = reason
+        try:
+            self._close(status, exit_code)
+        except FileError:
+            # The disk that failed the run may refuse the last manifest as well; the earlier one still names the stage.
+            return
+
+    def _close(self, status: str, exit_code: int) -> None:
+        self.manifest.update(status=status, exit_code=exit_code, artefacts=dict(sorted(self._artefacts.items())))
+        self._write_manifest()
+
+    def _write_manifest(self) -> None:
+        # Through a temporary file, so that a full disk leaves the last good manifest in place.
+        temporary = self.path / "manifest.json.tmp"
+        with self._writing("manifest.json"):
+            temporary.write_text(json_text(self.manifest), encoding="utf-8")
+            temporary.replace(self.path / "manifest.json")
+
+    def _write(self, name: str, content: bytes) -> None:
+        with self._writing(name):
+            (self.path / name).write_bytes(content)
+        self._artefacts[name] = hashlib.sha256(content).hexdigest()
+
+    @contextmanager
+    def _writing(self, name: str) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise FileError(
+                f"{self.path / name} cannot be written: {_reason(error)}; what was finished before stays in {self.path}"
+            ) from error
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """JSON with two-space indent, a final newline and no NaN."""
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def _reason(error: OSError) -> str:
+    if error.errno == errno.ENOSPC:
+        return "the disk is full"
+    return (error.strerror or str(error)).lower() if error.errno is not None else str(error)
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in _VERSIONS_OF:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
