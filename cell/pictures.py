@@ -1,0 +1,194 @@
+"""The report's pictures, drawn with matplotlib's Agg canvas: no display, no pyplot, no global state.
+
+Every function takes arrays in SI units and writes one PNG; labels carry units. Equal input gives equal bytes.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from numpy.typing import NDArray
+
+from planner.ports import Floats, JointLimits
+from planner.reach import Verdict
+from planner.surface import TriangleMesh, face_normals
+
+_UNSEEN = "#b03a2e"
+_SEEN = ("#d4e6f1", "#a9cce3", "#7fb3d5", "#5499c7", "#2471a3", "#1a5276", "#154360")
+_VERDICT_COLOURS = {
+    Verdict.REACHABLE: "#2471a3",
+    Verdict.OUT_OF_REACH: "#b03a2e",
+    Verdict.JOINT_LIMIT: "#ca6f1e",
+    Verdict.COLLISION: "#7d3c98",
+}
+_LIGHT = np.array([0.35, -0.45, 0.82])
+
+
+def part_and_views(
+    path: Path, planning: TriangleMesh, views_per_face: Floats, T_object_scanner: Floats, fov_rad: tuple[float, float]
+) -> None:
+    """The part coloured by how many views measure each planning face, with the views as frustums round it.
+
+    Args:
+        path: PNG to write.
+        planning: mesh in the object frame [m].
+        views_per_face: (F,) number of views that measure the face, averaged over its samples.
+        T_object_scanner: (n, 4, 4) views in visiting order.
+        fov_rad: horizontal and vertical field of view [rad].
+    """
+    figure = Figure(figsize=(13.0, 6.2), dpi=110, layout="constrained")
+    most = max(len(_SEEN), 1)
+    colours = ListedColormap([_UNSEEN, *_SEEN])
+    norm = BoundaryNorm(np.arange(-0.5, most + 1), most + 1)
+    # A face of which some sample is measured is not red: rounding up, the picture shows where nothing at all is seen.
+    shade = colours(norm(np.clip(np.ceil(views_per_face), 0, most)))
+    light = 0.62 + 0.38 * np.clip(face_normals(planning) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
+    shade[:, :3] *= light[:, None]
+    triangles = planning.vertices[planning.faces] * 1000.0
+    positions = T_object_scanner[:, :3, 3] * 1000.0
+    for index, azimuth in enumerate((-60, 120)):
+        axes = figure.add_subplot(1, 2, index + 1, projection="3d")
+        axes.add_collection3d(Poly3DCollection(triangles, facecolors=shade, edgecolors="none", antialiased=False))
+        axes.add_collection3d(
+            Line3DCollection(_frustums(T_object_scanner, fov_rad), colors="#444444", linewidths=0.7, alpha=0.8)
+        )
+        for number, place in enumerate(positions, start=1):
+            axes.text(*place, str(number), fontsize=9, color="#111111", ha="center", va="center")
+        _equal_box(axes, np.concatenate([triangles.reshape(-1, 3), positions]))
+        axes.view_init(elev=22, azim=azimuth)
+        axes.set_title("from the front right" if index == 0 else "from the back left", fontsize=10)
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=figure.axes, shrink=0.7, ticks=range(most + 1))
+    bar.ax.set_yticklabels([str(k) for k in range(most)] + [f"{most} or more"])
+    bar.set_label("views that measure the face")
+    _save(figure, path)
+
+
+def cover_curve(path: Path, marginal_area: Floats, coverable: float, total: float, lower_bound: int) -> None:
+    """Covered share over number of views, with the lower bound on the number of views.
+
+    Args:
+        path: PNG to write.
+        marginal_area: (n,) area that each view adds [m^2], in order of selection.
+        coverable: area that reachable candidates can measure [m^2].
+        total: area of the surface [m^2].
+        lower_bound: no plan of these candidates and samples needs fewer views.
+    """
+    figure = Figure(figsize=(6.4, 4.2), dpi=110, layout="constrained")
+    axes = figure.add_subplot()
+    share = 100.0 * np.concatenate([[0.0], np.cumsum(marginal_area)]) / total
+    axes.plot(range(len(share)), share, "o-", color="#2471a3", label="covered by the first n views")
+    axes.axhline(100.0 * coverable / total, color="#ca6f1e", ls="--", lw=1, label="coverable by reachable candidates")
+    axes.axvline(lower_bound, color="#7d3c98", ls=":", lw=1.5, label=f"lower bound: {lower_bound} views")
+    axes.set(xlabel="number of views", ylabel="covered area [% of surface]", ylim=(0, 103), xlim=(0, None))
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize=8)
+    _save(figure, path)
+
+
+def reach_map(
+    path: Path,
+    T_base_scanner: Floats,
+    verdict: NDArray[np.uint8],
+    part_corners: Floats,
+    chosen: NDArray[np.int64],
+    envelope: Floats,
+) -> None:
+    """Candidate viewpoints from above and from the side, coloured by verdict, with part, robot and envelope.
+
+    Args:
+        path: PNG to write.
+        T_base_scanner: (V, 4, 4) candidates in the base frame [m].
+        verdict: (V,) `Verdict` values.
+        part_corners: (8, 3) corners of the part's bounding box in base [m].
+        chosen: (n,) indices of the views of the plan.
+        envelope: (E, 2) outline of the wrist centre's envelope, radius and height [m].
+    """
+    figure = Figure(figsize=(12.0, 5.6), dpi=110, layout="constrained")
+    places = T_base_scanner[:, :3, 3] * 1000.0
+    corners = part_corners * 1000.0
+    outline = envelope * 1000.0
+    for index, (a, b, labels) in enumerate(((0, 1, "xy"), (0, 2, "xz"))):
+        axes = figure.add_subplot(1, 2, index + 1)
+        for kind in Verdict:
+            here = verdict == kind
+            if here.any():
+                axes.scatter(
+                    places[here, a], places[here, b], s=7, lw=0, color=_VERDICT_COLOURS[kind],
+                    label=f"{kind.name.lower().replace('_', ' ')} ({here.sum()})",
+                )  # fmt: skip
+        axes.scatter(places[chosen, a], places[chosen, b], s=46, facecolors="none", edgecolors="k", label="chosen")
+        low, high = corners[:, (a, b)].min(axis=0), corners[:, (a, b)].max(axis=0)
+        axes.fill([low[0], high[0], high[0], low[0]], [low[1], low[1], high[1], high[1]], color="#999999", alpha=0.6)
+        if labels == "xy":
+            turn = np.linspace(0, 2 * np.pi, 181)
+            reach = outline[:, 0].max()
+            axes.plot(reach * np.cos(turn), reach * np.sin(turn), color="#bbbbbb", lw=1)
+        else:
+            axes.plot(outline[:, 0], outline[:, 1], color="#bbbbbb", lw=1)
+        axes.plot(0, 0, "k+", ms=12)
+        axes.annotate("robot base", (0, 0), textcoords="offset points", xytext=(6, 6), fontsize=8)
+        axes.set(xlabel=f"{labels[0]} in base [mm]", ylabel=f"{labels[1]} in base [mm]", aspect="equal")
+        axes.set_title("from above" if labels == "xy" else "from the side (y projected)", fontsize=10)
+        axes.grid(alpha=0.25)
+    figure.axes[0].legend(loc="upper left", fontsize=8)
+    _save(figure, path)
+
+
+def joint_motion(path: Path, t: Floats, q: Floats, qd: Floats, limits: JointLimits, stops: Floats) -> None:
+    """Joint angles and joint speeds over time; vertical lines are the stops at the views.
+
+    Args:
+        path: PNG to write.
+        t: (M,) [s].
+        q: (M, 6) [rad].
+        qd: (M, 6) [rad/s].
+        limits: joint limits, for the speeds' scale.
+        stops: (n,) times at which the arm stands at a view [s].
+    """
+    figure = Figure(figsize=(10.5, 6.0), dpi=110, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for joint in range(6):
+        upper.plot(t, np.degrees(q[:, joint]), lw=1.2, label=f"A{joint + 1}")
+        lower.plot(t, 100.0 * qd[:, joint] / limits.velocity[joint], lw=1.0)
+    for axes in (upper, lower):
+        for stop in stops:
+            axes.axvline(stop, color="#bbbbbb", lw=0.8, zorder=0)
+        axes.grid(alpha=0.25)
+    upper.set_ylabel("joint angle [deg]")
+    upper.legend(ncols=6, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.14), frameon=False)
+    lower.set(ylabel="joint speed [% of limit]", xlabel="time [s]", ylim=(-108, 108))
+    _save(figure, path)
+
+
+def _frustums(T_object_scanner: Floats, fov_rad: tuple[float, float]) -> Floats:
+    """(n * 8, 2, 3) line segments of small pyramids [mm]: four edges and the base of each view."""
+    size = 0.18 * np.median(np.linalg.norm(T_object_scanner[:, :3, 3] - T_object_scanner[:, :3, 3].mean(0), axis=1))
+    h, v = np.tan(np.asarray(fov_rad) / 2.0)
+    corners = max(float(size), 1e-3) * np.array([[-h, -v, 1], [h, -v, 1], [h, v, 1], [-h, v, 1]])
+    rotation, origin = T_object_scanner[:, :3, :3], T_object_scanner[:, None, :3, 3]
+    base = (np.einsum("nij,kj->nki", rotation, corners) + origin) * 1000.0
+    apex = np.broadcast_to(origin * 1000.0, base.shape)
+    edges = np.stack([apex, base], axis=2)
+    rims = np.stack([base, np.roll(base, -1, axis=1)], axis=2)
+    segments: Floats = np.concatenate([edges, rims], axis=1).reshape(-1, 2, 3)
+    return segments
+
+
+def _equal_box(axes: Axes, points: Floats) -> None:
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2, (high - low).max() / 2
+    for name, value in zip("xyz", middle, strict=True):
+        getattr(axes, f"set_{name}lim")(value - half, value + half)
+        getattr(axes, f"set_{name}label")(f"{name} [mm]", fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.set_box_aspect((1, 1, 1))  # type: ignore[arg-type]  # the 3D axes' signature differs from Axes'
+
+
+def _save(figure: Figure, path: Path) -> None:
+    FigureCanvasAgg(figure).print_png(path, metadata={"Software": "scan-cell"})
