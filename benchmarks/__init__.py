@@ -1,0 +1,1 @@
+"""Benchmarks: time and accuracy in one row, through the public interfaces. Run `python -m benchmarks --help`."""

@@ -1,0 +1,78 @@
+"""The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
+
+Every benchmark is a module of this folder with `run() -> list[dict]`; a `chart(rows, folder)` beside it draws its picture.
+Timings are of this machine and this moment: compare rows of one run, not runs.
+"""
+
+import json
+import os
+import platform
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+REGISTRY = {
+    "kinematics": "inverse kinematics: poses per second beside the round-trip error",
+    "collision": "collision checks per second beside disagreements with python-fcl",
+    "fill": "seconds to fill the measurability matrix beside the error of predicted coverage",
+    "cover": "view selection: seconds, views, lower bound, gap per solver",
+    "motion": "order and path: cycle time over the Christofides baseline",
+    "plan": "the main job as a whole process: stages, memory, prediction error on every part",
+    "table5": "the paper's Table 5 on the built-in Mseke",
+    "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",
+}
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def main(
+    names: Annotated[list[str] | None, typer.Argument(help="which benchmarks; all when absent")] = None,
+    save: Annotated[Path | None, typer.Option(help="write the rows as JSON")] = None,
+    charts: Annotated[Path | None, typer.Option(help="draw the charts into this folder")] = None,
+) -> None:
+    """Run benchmarks and print one table each."""
+    chosen = names or [name for name in REGISTRY if (Path(__file__).parent / f"{name}.py").exists()]
+    unknown = sorted(set(chosen) - set(REGISTRY))
+    if unknown:
+        raise typer.BadParameter(f"no benchmark named {', '.join(unknown)}; there are {', '.join(REGISTRY)}")
+    console = Console()
+    console.print(
+        f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()}; "
+        + ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco", "embreex"))
+    )
+    results: dict[str, list[dict[str, Any]]] = {}
+    for name in chosen:
+        module = import_module(f"benchmarks.{name}")
+        results[name] = rows = module.run()
+        _print(console, name, rows)
+        if charts is not None and hasattr(module, "chart"):
+            charts.mkdir(parents=True, exist_ok=True)
+            module.chart(rows, charts)
+    if save is not None:
+        save.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+def _print(console: Console, name: str, rows: list[dict[str, Any]]) -> None:
+    table = Table(title=f"{name}: {REGISTRY[name]}", title_justify="left")
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(_cell(row, column) for column in columns))
+    console.print(table)
+
+
+def _cell(row: Mapping[str, Any], column: str) -> str:
+    value = row.get(column, "")
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    app()
