@@ -1,0 +1,161 @@
+"""Candidate viewpoints: the geometry of Section 3.4 and the meaning of roll."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner.errors import PlannerError
+from planner.surface import TriangleMesh, face_centres, face_normals
+from planner.viewpoints import Viewpoints, enclosing_radius, optimal_scanning_zone, view_sphere
+
+
+def ball(subdivisions: int = 2) -> TriangleMesh:
+    """A turned icosphere of radius 0.1 m off the origin."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
+    turned = trimesh.transformations.rotation_matrix(0.3, [1, 2, 3])[:3, :3]
+    return TriangleMesh(mesh.vertices @ turned.T + [0.5, -0.2, 0.1], mesh.faces)
+
+
+def assert_proper(viewpoints: Viewpoints) -> None:
+    """Every pose is a rotation and a translation."""
+    R = viewpoints.T_object_scanner[:, 0, :3, :3]
+    assert np.abs(np.einsum("vji,vjk->vik", R, R) - np.eye(3)).max() < 1e-12
+    assert np.linalg.det(R) == pytest.approx(1.0, abs=1e-12)
+    assert (viewpoints.T_object_scanner[:, 0, 3] == [0, 0, 0, 1]).all()
+
+
+def test_each_face_is_looked_at_from_its_standoff_against_its_normal() -> None:
+    """Source = centre + standoff x normal, viewing direction = -normal, for every face, standoff and roll in order."""
+    mesh = ball()
+    viewpoints = optimal_scanning_zone(mesh, [0.3, 0.1], [0.0, np.pi / 2, 1.0])
+    assert len(viewpoints) == len(mesh.faces) * 6
+    assert_proper(viewpoints)
+    face = np.repeat(np.arange(len(mesh.faces)), 6)
+    assert (viewpoints.face == face).all()
+    assert (viewpoints.standoff == np.tile([0.3, 0.3, 0.3, 0.1, 0.1, 0.1], len(mesh.faces))).all()
+    assert (viewpoints.roll == np.tile([0.0, np.pi / 2, 1.0], len(mesh.faces) * 2)).all()
+    normals, centres = face_normals(mesh)[face], face_centres(mesh)[face]
+    T = viewpoints.T_object_scanner[:, 0]
+    assert np.abs(T[:, :3, 2] + normals).max() < 1e-12
+    assert np.abs(T[:, :3, 3] - (centres + viewpoints.standoff[:, None] * normals)).max() < 1e-12
+
+
+def test_at_roll_zero_no_other_roll_is_more_parallel_to_z() -> None:
+    """The baseline's z component at roll 0 is the largest over all rolls."""
+    rolls = np.linspace(0, 2 * np.pi, 73)[:-1]
+    viewpoints = optimal_scanning_zone(ball(1), [0.3], list(rolls))
+    z = viewpoints.T_object_scanner[:, 0, 2, 0].reshape(-1, len(rolls))
+    assert (z[:, 0] >= z.max(axis=1) - 1e-12).all()
+    assert (z[:, 0] > 0).all()
+
+
+def test_a_view_along_z_has_its_baseline_along_x() -> None:
+    """On a box's top and bottom the baseline is the object's +x at roll 0, and +-y at 90 degrees by the right hand."""
+    body = trimesh.creation.box(extents=(0.1, 0.2, 0.3))
+    mesh = TriangleMesh(body.vertices, body.faces)
+    viewpoints = optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
+    normals = face_normals(mesh)[viewpoints.face]
+    baseline = viewpoints.T_object_scanner[:, 0, :3, 0]
+    flat, turned = np.abs(normals[:, 2]) > 0.5, viewpoints.roll > 0
+    assert (flat & ~turned).sum() == 4
+    assert np.abs(baseline[flat & ~turned] - [1, 0, 0]).max() < 1e-12
+    view = -normals[flat & turned]
+    assert np.abs(baseline[flat & turned] - np.cross(view, [1, 0, 0])).max() < 1e-12
+
+
+def test_roll_turns_the_baseline_right_handed_about_the_view() -> None:
+    """The scanner at roll r is the one at roll 0 turned by r about its own viewing axis (Rodrigues' formula)."""
+    roll = 0.4
+    viewpoints = optimal_scanning_zone(ball(1), [0.2], [0.0, roll])
+    T = viewpoints.T_object_scanner[:, 0].reshape(-1, 2, 4, 4)
+    for before, after in T:
+        turn = trimesh.transformations.rotation_matrix(roll, before[:3, 2])[:3, :3]
+        assert np.abs(turn @ before[:3, :3] - after[:3, :3]).max() < 1e-12
+        assert (before[:3, 3] == after[:3, 3]).all()
+
+
+def test_a_nearly_flat_top_does_not_scatter_its_baselines() -> None:
+    """Normals that miss z by float32 rounding all give a baseline along x, not one each by chance."""
+    rng = np.random.default_rng(0)
+    triangles = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) + rng.random((50, 1, 3))
+    triangles[..., 2] += rng.normal(size=(50, 3)) * 1e-6
+    mesh = TriangleMesh(triangles.reshape(-1, 3), np.arange(150).reshape(-1, 3))
+    baseline = optimal_scanning_zone(mesh, [0.3], [0.0]).T_object_scanner[:, 0, :3, 0]
+    assert np.abs(baseline - [1, 0, 0]).max() < 1e-4
+
+
+@given(st.floats(-1e-2, 1e-2), st.floats(-1e-2, 1e-2), st.sampled_from([1.0, -1.0]))
+@settings(max_examples=50, deadline=None)
+def test_rotations_are_proper_near_the_z_axis(x: float, y: float, z: float) -> None:
+    """However close the view is to the z axis, the pose is a rotation to 1e-12 and looks where it should."""
+    normal = np.array([x, y, z]) / np.linalg.norm([x, y, z])
+    first = np.cross(normal, [0, 1, 0])
+    mesh = TriangleMesh(np.stack([np.zeros(3), first, np.cross(normal, first)]), np.array([[0, 1, 2]]))
+    viewpoints = optimal_scanning_zone(mesh, [0.3], [0.0])
+    assert_proper(viewpoints)
+    assert np.abs(viewpoints.T_object_scanner[0, 0, :3, 2] + normal).max() < 1e-12
+
+
+def test_a_face_without_area_gives_no_viewpoint() -> None:
+    """A degenerate face has no normal to look against; the others keep their own number."""
+    mesh = ball(1)
+    with_sliver = TriangleMesh(mesh.vertices, np.vstack([[[0, 0, 1]], mesh.faces]))
+    viewpoints = optimal_scanning_zone(with_sliver, [0.3], [0.0])
+    assert (viewpoints.face == np.arange(1, len(mesh.faces) + 1)).all()
+
+
+def test_the_view_sphere_looks_at_its_centre_from_its_radius() -> None:
+    """Every source is a radius away and the viewing ray passes through the centre."""
+    centre = np.array([0.1, -0.2, 0.3])
+    viewpoints = view_sphere(centre, 0.5, np.deg2rad(30), np.deg2rad(45), [0.0, 0.7])
+    assert_proper(viewpoints)
+    T = viewpoints.T_object_scanner[:, 0]
+    assert np.abs(T[:, :3, 3] + 0.5 * T[:, :3, 2] - centre).max() < 1e-12
+    assert (viewpoints.face == -1).all()
+    assert (viewpoints.standoff == 0.5).all()
+
+
+@pytest.mark.parametrize(("step_deg", "count"), [(45, 26), (30, 62), (15, 266), (90, 6), (180, 2)])
+def test_the_view_sphere_has_no_direction_twice(step_deg: float, count: int) -> None:
+    """The paper's steps give (180 / step - 1) x 360 / step + 2 directions, all different."""
+    viewpoints = view_sphere([0, 0, 0], 1.0, np.deg2rad(step_deg), np.deg2rad(step_deg))
+    directions = viewpoints.T_object_scanner[:, 0, :3, 2]
+    assert len(viewpoints) == count
+    assert len(np.unique(np.round(directions, 9) + 0.0, axis=0)) == count
+
+
+def test_the_view_sphere_leaves_no_gap_wider_than_its_step() -> None:
+    """No direction in space is farther than half a step's diagonal from a viewpoint."""
+    viewpoints = view_sphere([0, 0, 0], 1.0, np.deg2rad(30), np.deg2rad(30))
+    anywhere = np.random.default_rng(0).normal(size=(5000, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
+    nearest = np.arccos(np.clip(anywhere @ -viewpoints.T_object_scanner[:, 0, :3, 2].T, -1, 1)).min(axis=1)
+    assert np.rad2deg(nearest.max()) < 15 * np.sqrt(2)
+
+
+def test_the_enclosing_radius_encloses_and_touches() -> None:
+    """Every vertex is inside, and one is on, the sphere of the radius returned."""
+    mesh = ball()
+    radius = enclosing_radius(mesh, [0.5, -0.2, 0.1])
+    assert radius == pytest.approx(0.1, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: optimal_scanning_zone(ball(1), [], [0.0]), "standoffs is empty"),
+        (lambda: optimal_scanning_zone(ball(1), [0.3, 0.0], [0.0]), "above 0"),
+        (lambda: optimal_scanning_zone(ball(1), [np.inf], [0.0]), "finite"),
+        (lambda: optimal_scanning_zone(ball(1), [0.3], []), "at least one finite angle"),
+        (lambda: view_sphere([0, 0, 0], -1.0, 0.5, 0.5), "radius contains -1 m"),
+        (lambda: view_sphere([0, 0, 0], 1.0, 0.0, 0.5), "step_x is 0"),
+        (lambda: view_sphere([0, 0, 0], 1.0, 0.5, 4.0), "step_y is 4"),
+    ],
+    ids=["no standoff", "standoff 0", "standoff infinite", "no roll", "radius", "step_x", "step_y"],
+)
+def test_impossible_arguments_are_refused(call: object, message: str) -> None:
+    """The sentence names the argument and what would be valid."""
+    with pytest.raises(PlannerError, match=message):
+        call()  # type: ignore[operator]
