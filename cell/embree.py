@@ -1,0 +1,188 @@
+"""Embree behind the planner's `RayCaster` protocol: first hit, and blocked or not, on one fixed set of triangles.
+
+Embree calculates in float32. The triangles are therefore moved to the middle of their own bounding box first (a part that
+stands 10 m from the origin loses nothing), rays start and end in float64, and distances come back as float64 of Embree's
+own. Errors were measured with 10^6 random legs each on spheres of 9 mm, 0.2 m and 5 m: a hit is off by at most 1e-7 of the
+ray's scale (distance plus the half diagonal of the triangles), across the ray, so 1e-7 / cos(grazing angle) along it.
+
+embreex's bindings check no bounds and read foreign memory on a wrong shape or index: everything is validated here.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import CellError
+from planner.ports import Floats, Hits
+
+HAIR = 2e-6
+"""How far short of its target a leg ends, as a share of its scale (length plus the half diagonal of the triangles).
+
+1 um for a part of 0.3 m at 0.3 m. Legs to points of a convex surface under up to 75 degrees are blocked by their own
+surface in 65 % of cases with 0, in 0.3 % with 2.5e-7 and in none of 10^7 with 1e-6 or more; 2e-6 keeps a factor of two. At
+a larger grazing angle the target has to be lifted off its surface as well, see `planner.legs`.
+"""
+
+_SPLIT_ABOVE = 20_000  # rays; about 3 ms of tracing, against 0.1 ms that starting a thread costs
+_OCCLUDED = 0  # what embreex's OCCLUDED query returns for a ray that is blocked; -1 is a free one
+
+
+class EmbreeRayCaster:
+    """First hit, and blocked or not, on one fixed set of triangles, by Embree 4 in its robust mode.
+
+    A bundle of more than 20,000 rays is cut into one piece per core (embreex releases the GIL); each ray is traced on its
+    own, so the result does not depend on the number of cores. Threads live for one call, so a forked process may use a
+    caster that its parent has used.
+
+    Args:
+        vertices: (V, 3) [m], any one frame; rays are given in the same.
+        faces: (F, 3) indices of vertices, F > 0. A face without area is never hit; of two equal faces either is.
+
+    Raises:
+        CellError: if the triangles are not finite, not indexed correctly or none, or if embreex >= 4.4 is missing.
+    """
+
+    def __init__(self, vertices: Floats, faces: NDArray[np.integer]) -> None:
+        vertices = np.asarray(vertices, dtype=np.float64)
+        indices = np.asarray(faces)
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise CellError(f"the vertices to cast rays on have shape {vertices.shape}; it must be (any, 3)")
+        if indices.ndim != 2 or indices.shape[1] != 3 or not len(indices) or indices.dtype.kind not in "iu":
+            raise CellError(
+                f"the faces to cast rays on have shape {indices.shape} and type {indices.dtype}; "
+                "they must be (1 or more, 3) integers"
+            )
+        if indices.min() < 0 or indices.max() >= len(vertices):
+            raise CellError(
+                f"the faces to cast rays on refer to vertices {indices.min()} to {indices.max()}; "
+                f"valid are 0 to {len(vertices) - 1}"
+            )
+        used = vertices[indices.ravel()]
+        if not np.isfinite(used).all():
+            raise CellError("the triangles to cast rays on contain NaN or infinity; every coordinate must be finite")
+        low, high = used.min(axis=0), used.max(axis=0)
+        self._middle: Floats = (low + high) / 2
+        self._half_diagonal = float(np.linalg.norm(high - low)) / 2
+        centred = np.where(np.isfinite(vertices), vertices - self._middle, 0.0)  # a vertex that no face uses may be NaN
+        self._scene = _build(centred.astype(np.float32), indices.astype(np.int32))
+        self._workers = max(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 1)
+
+    def first_hit(self, origins: Floats, directions: Floats) -> Hits:
+        """First intersection of each ray; a triangle is hit from either side.
+
+        Args:
+            origins: (N, 3) [m], in the frame of the triangles.
+            directions: (N, 3) unit vectors.
+
+        Returns:
+            The face, -1 for none, and the distance [m], inf for none.
+
+        Raises:
+            CellError: if the arrays differ in shape, are not finite, or a direction is not a unit vector.
+        """
+        origins, directions = _same_shape("origins", origins, "directions", directions)
+        face = np.empty(len(origins), dtype=np.int32)
+        distance = np.empty(len(origins))
+
+        def trace(piece: slice) -> None:
+            start, along = self._to_float32(origins[piece]), _float32("directions", directions[piece])
+            if (np.abs(np.einsum("ij,ij->i", along, along) - 1) > 1e-4).any():
+                raise CellError("a ray's direction is not a unit vector; distances would not be in metres")
+            found = self._scene.run(start, along, output=True)
+            face[piece] = found["primID"]
+            distance[piece] = np.where(found["primID"] >= 0, found["tfar"], np.inf)
+
+        self._split(trace, len(origins))
+        return Hits(face, distance)
+
+    def blocked(self, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
+        """Whether any triangle stands between origin and target.
+
+        The segment ends `HAIR` x (its length + the half diagonal of the triangles) short of the target. A segment that is
+        shorter than that is free.
+
+        Args:
+            origins: (N, 3) free positions [m], in the frame of the triangles.
+            targets: (N, 3) points on a surface [m], same frame.
+
+        Returns:
+            (N,) True where something is in the way.
+
+        Raises:
+            CellError: if the arrays differ in shape or are not finite.
+        """
+        origins, targets = _same_shape("origins", origins, "targets", targets)
+        result = np.empty(len(origins), dtype=np.bool_)
+
+        def trace(piece: slice) -> None:
+            along = targets[piece] - origins[piece]
+            length = np.sqrt(np.einsum("ij,ij->i", along, along))
+            along /= np.where(length > 0, length, 1.0)[:, None]
+            reach = length - HAIR * (length + self._half_diagonal)
+            start, direction = self._to_float32(origins[piece]), _float32("targets", along)
+            end = np.maximum(reach, 0.0).astype(np.float32)
+            result[piece] = (self._scene.run(start, direction, dists=end, query="OCCLUDED") == _OCCLUDED) & (reach > 0)
+
+        self._split(trace, len(origins))
+        return result
+
+    def _to_float32(self, points: Floats) -> NDArray[np.float32]:
+        return _float32("origins", points - self._middle)
+
+    def _split(self, trace: Callable[[slice], None], count: int) -> None:
+        """Trace all rays: in this thread, or a piece per core."""
+        pieces = self._workers if count > _SPLIT_ABOVE else 1
+        bounds = [count * piece // pieces for piece in range(pieces + 1)]
+        slices = [slice(start, stop) for start, stop in zip(bounds, bounds[1:], strict=False)]
+        if pieces == 1:
+            if count:
+                trace(slices[0])
+            return
+        with ThreadPoolExecutor(pieces - 1) as pool:
+            others = [pool.submit(trace, piece) for piece in slices[1:]]
+            trace(slices[0])
+            for other in others:
+                other.result()
+
+
+def _build(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:
+    """An Embree scene, committed (the first query builds it; afterwards threads may share it)."""
+    try:
+        import embreex
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError as error:
+        raise CellError(
+            f"embreex cannot be imported ({error}); rays are cast with embreex >= 4.4, install it with "
+            "'pip install \"embreex>=4.4,<5\"'"
+        ) from error
+    version = tuple(int(part) for part in embreex.__version__.split(".")[:2])
+    if version < (4, 4):  # older ones wrap Embree 2, return other values and hold the GIL
+        raise CellError(
+            f"embreex {embreex.__version__} is installed; rays are cast with embreex >= 4.4, install it with "
+            "'pip install \"embreex>=4.4,<5\"'"
+        )
+    scene = EmbreeScene(robust=True)
+    TriangleMesh(scene, np.ascontiguousarray(vertices), np.ascontiguousarray(faces))
+    scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+    return scene
+
+
+def _same_shape(name: str, first: Floats, other_name: str, second: Floats) -> tuple[Floats, Floats]:
+    first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if first.ndim != 2 or first.shape[1] != 3 or first.shape != second.shape:
+        raise CellError(f"{name} have shape {first.shape} and {other_name} {second.shape}; both must be (N, 3)")
+    return first, second
+
+
+def _float32(name: str, values: Floats) -> NDArray[np.float32]:
+    """C-contiguous float32; infinite or NaN values, which Embree silently takes for a miss, are refused."""
+    with np.errstate(over="ignore"):
+        cast: NDArray[np.float32] = np.ascontiguousarray(values, dtype=np.float32)
+    if not np.isfinite(cast).all():
+        raise CellError(f"{name} of rays contain NaN or infinity; every coordinate must be finite")
+    return cast

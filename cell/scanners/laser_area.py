@@ -1,0 +1,167 @@
+"""`laser-area`: a bistatic triangulation scanner that sweeps a rectangular grid of rays (Sections 3.3 and 3.6).
+
+The source stands at the origin of the scanner frame and looks along +z; the sensor stands a baseline away along +x. A point
+is inside the frustum (the paper's spherical cone) where its two planar angles are, |atan2(x, z)| <= FOV_h / 2 and
+|atan2(y, z)| <= FOV_v / 2, and where its distance from the source is within the range. The grazing angle is the one between
+the outward normal and the direction to the source (or to the sensor).
+
+Every limit is inclusive. `TOLERANCE` (relative for lengths, absolute for tangents and cosines) covers the rounding of float64
+transforms, so that a point placed exactly on a limit counts: 0.3 nm at 0.3 m, 1e-9 rad at 75 degrees; near 0 degrees, where
+the cosine is flat, 0.003 degrees.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import SceneError
+from planner.ports import Floats, Rejection
+from planner.readonly import readonly
+
+TOLERANCE = 1e-9
+
+_BLOCK = 4096  # points per pass of `reject`: its temporaries then stay in the core's cache, 2.5 times faster
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserArea:
+    """A laser scanner with an area field of view.
+
+    Attributes:
+        fov_deg: (horizontal, vertical) full opening angles [deg], above 0 and below 180.
+        resolution_deg: (horizontal, vertical) angle between neighbouring rays [deg].
+        range_mm: (smallest, largest) distance of a point from the source [mm].
+        baseline_mm: distance of the sensor from the source along +x [mm]; 0 makes the scanner monostatic.
+        grazing_max_deg: largest grazing angle of the active ray, at the source leg [deg], 0 to 90.
+        sensor_grazing_max_deg: the same of the reflected ray, at the sensor leg [deg], 0 to 90.
+    """
+
+    type_name: ClassVar[str] = "laser-area"
+
+    fov_deg: tuple[float, float] = (60.0, 60.0)
+    resolution_deg: tuple[float, float] = (0.25, 0.25)
+    range_mm: tuple[float, float] = (150.0, 450.0)
+    baseline_mm: float = 75.0
+    grazing_max_deg: float = 75.0
+    sensor_grazing_max_deg: float = 90.0
+    _shape: tuple[int, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("fov_deg", "resolution_deg", "range_mm"):
+            object.__setattr__(self, name, _pair(name, getattr(self, name)))
+        for name in ("baseline_mm", "grazing_max_deg", "sensor_grazing_max_deg"):
+            object.__setattr__(self, name, _number(name, getattr(self, name)))
+        if not all(0 < angle < 180 for angle in self.fov_deg):
+            raise SceneError(f"scanner.fov_deg is {list(self.fov_deg)}; each angle must be above 0 and below 180")
+        if not all(angle > 0 for angle in self.resolution_deg):
+            raise SceneError(f"scanner.resolution_deg is {list(self.resolution_deg)}; each angle must be above 0")
+        if not 0 <= self.range_mm[0] < self.range_mm[1]:
+            raise SceneError(f"scanner.range_mm is {list(self.range_mm)}; it must be [min, max] with 0 <= min < max")
+        if self.baseline_mm < 0:
+            raise SceneError(f"scanner.baseline_mm is {self.baseline_mm:g}; it must be 0 or more")
+        for name in ("grazing_max_deg", "sensor_grazing_max_deg"):
+            if not 0 <= getattr(self, name) <= 90:
+                raise SceneError(f"scanner.{name} is {getattr(self, name):g}; it must be from 0 to 90")
+        n_h, n_v = (round(fov / step) for fov, step in zip(self.fov_deg, self.resolution_deg, strict=True))
+        if n_h < 1 or n_v < 1:
+            raise SceneError(
+                f"scanner.resolution_deg {list(self.resolution_deg)} leaves no ray in a field of view of "
+                f"{list(self.fov_deg)}; it must be at most the field of view"
+            )
+        object.__setattr__(self, "_shape", (n_v, n_h))
+
+    @property
+    def source(self) -> Floats:
+        """(3,) the laser source [m], scanner frame: the origin."""
+        return np.zeros(3)
+
+    @property
+    def sensor(self) -> Floats:
+        """(3,) the sensor [m], scanner frame: the baseline along +x."""
+        return np.array([self.baseline_mm / 1000, 0.0, 0.0])
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """(n_v, n_h) rays of one scan, round(FOV / resolution) per axis: their product is Eq. 1's number of rays."""
+        return self._shape
+
+    def parameters(self) -> dict[str, object]:
+        """What defines this scanner, named as in the scene file and the run folder."""
+        return {
+            "type": self.type_name,
+            "fov_deg": list(self.fov_deg),
+            "resolution_deg": list(self.resolution_deg),
+            "range_mm": list(self.range_mm),
+            "baseline_mm": self.baseline_mm,
+            "grazing_max_deg": self.grazing_max_deg,
+            "sensor_grazing_max_deg": self.sensor_grazing_max_deg,
+        }
+
+    def ray_directions(self) -> Floats:
+        """(n_v * n_h, 3) unit directions, scanner frame, row by row; each through the middle of its cell of the FOV."""
+        n_v, n_h = self._shape
+        across, down = (
+            np.tan(np.radians(((np.arange(count) + 0.5) / count - 0.5) * fov))
+            for count, fov in ((n_h, self.fov_deg[0]), (n_v, self.fov_deg[1]))
+        )
+        x, y = np.meshgrid(across, down)
+        directions = np.stack([x.ravel(), y.ravel(), np.ones(n_v * n_h)], axis=1)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return readonly("ray directions", directions, (None, 3))
+
+    def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
+        """The first condition that needs no ray and fails: FOV, range, grazing at source and sensor, in this order.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame; a normal of zero or NaN grazes.
+
+        Returns:
+            (N,) `Rejection` values; MEASURED where every condition holds.
+        """
+        codes = np.empty(len(points), dtype=np.uint8)
+        for start in range(0, len(points), _BLOCK):
+            piece = slice(start, start + _BLOCK)
+            codes[piece] = self._reject(points[piece], normals[piece])
+        return codes
+
+    def _reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
+        x, y, z = points.T
+        n_x, n_y, n_z = normals.T
+        across = y * y + z * z
+        distance = np.sqrt(x * x + across)
+        slack = TOLERANCE * distance
+        tan_h, tan_v = (math.tan(math.radians(fov / 2)) for fov in self.fov_deg)
+        nearest, farthest = self.range_mm[0] / 1000 * (1 - TOLERANCE), self.range_mm[1] / 1000 * (1 + TOLERANCE)
+        cos_source, cos_sensor = (
+            math.cos(math.radians(limit)) - TOLERANCE for limit in (self.grazing_max_deg, self.sensor_grazing_max_deg)
+        )
+        baseline = self.baseline_mm / 1000
+        towards_source = -(n_x * x + n_y * y + n_z * z)  # n . (source - p), |p| x cos of the grazing angle
+        sensor_distance = np.sqrt((x - baseline) ** 2 + across)
+        upright = (np.abs(n_x) + np.abs(n_y) + np.abs(n_z)) > 0  # a face without area has no normal and is not seen
+        # Each condition is written as what holds, so that a NaN fails it.
+        inside = (z > 0) & (np.abs(x) <= tan_h * z + slack) & (np.abs(y) <= tan_v * z + slack)
+        in_range = (distance >= nearest) & (distance <= farthest)
+        source_sees = (towards_source >= cos_source * distance) & upright
+        sensor_sees = towards_source + baseline * n_x >= cos_sensor * sensor_distance
+        codes = np.where(sensor_sees, np.uint8(Rejection.MEASURED), np.uint8(Rejection.GRAZING_SENSOR))
+        codes[~source_sees] = Rejection.GRAZING_SOURCE
+        codes[~in_range] = Rejection.OUT_OF_RANGE
+        codes[~inside] = Rejection.OUT_OF_FOV
+        return codes
+
+
+def _number(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise SceneError(f"scanner.{name} is {value!r}; it must be a finite number")
+    return float(value)
+
+
+def _pair(name: str, value: object) -> tuple[float, float]:
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise SceneError(f"scanner.{name} is {value!r}; it must be a pair of numbers")
+    return _number(name, value[0]), _number(name, value[1])
