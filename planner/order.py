@@ -1,0 +1,242 @@
+"""Visiting order of the views and the joint solution for each, at the shortest motion time.
+
+The baseline is the usual two steps: a Christofides tour (networkx) through the scanner's positions in task space, then the
+best joint solutions along it. The joint-space ordering starts there and solves order and joint solutions together, as the
+generalised travelling salesman that they are (`planner.generalised_tsp`), with the time of the synchronised joint move as
+cost and home at both ends: exactly where that is affordable, else by local search with a lower bound.
+
+Nodes are numbered as `node_offsets` says: 0 is home, then the joint solutions view by view.
+"""
+
+from collections.abc import Callable, Mapping, Sequence as Many
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import generalised_tsp as gtsp
+from planner.errors import PlannerError
+from planner.ports import Floats, JointLimits
+from planner.readonly import readonly
+from planner.timing import check_inside, move_time
+
+EVALUATIONS = 20_000
+"""Default budget of the local search: orders evaluated, each with its exact best joint solutions."""
+
+EXACT_WORK = 400_000_000
+"""Largest price (`generalised_tsp.exact_work`) at which the exact search is run: 12 views of 24 solutions, 0.2 s."""
+
+EdgeTimes = Mapping[tuple[int, int], float]
+
+
+class OrderStatus(IntEnum):
+    """What is known about a sequence."""
+
+    OPTIMAL = 0
+    HEURISTIC = 1
+    NO_TOUR = 2
+
+    @property
+    def sentence(self) -> str:
+        """The status in words, for reports."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    OrderStatus.OPTIMAL: "no order and choice of joint solutions takes less time",
+    OrderStatus.HEURISTIC: "the best order found within the budget",
+    OrderStatus.NO_TOUR: "every order that was found needs a move that cannot be driven",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequence:
+    """Views in visiting order with a joint solution each; home comes before the first and after the last.
+
+    Attributes:
+        order: (n,) views, as indices into the configurations.
+        choice: (n,) joint solution taken for each view of `order`, as an index into that view's configurations.
+        q: (n, 6) joint angles in visiting order [rad].
+        duration: time of all moves [s], standstill not counted; inf where `status` is NO_TOUR.
+        baseline_duration: time along the Christofides tour with its best joint solutions [s]; inf if it cannot be driven.
+        lower_bound: no order of these views through these joint solutions takes less [s].
+        status: what is known about the result.
+        evaluations: orders whose best joint solutions were computed.
+    """
+
+    order: NDArray[np.int64]
+    choice: NDArray[np.int64]
+    q: Floats
+    duration: float
+    baseline_duration: float
+    lower_bound: float
+    status: OrderStatus
+    evaluations: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "order", readonly("order", self.order, (None,), np.int64))
+        object.__setattr__(self, "choice", readonly("choice", self.choice, (len(self.order),), np.int64))
+        object.__setattr__(self, "q", readonly("q", self.q, (len(self.order), 6)))
+
+
+def node_offsets(configurations: Many[Floats]) -> NDArray[np.int64]:
+    """Node numbers: solution i of view k is node `offsets[k] + i`, home is node 0.
+
+    Args:
+        configurations: per view, (n_i, 6) joint solutions [rad].
+
+    Returns:
+        (n + 1,) first node of each view, and the number of nodes.
+    """
+    return np.cumsum([1, *(len(q) for q in configurations)])
+
+
+def sequence(
+    configurations: Many[Floats],
+    home: Floats,
+    limits: JointLimits,
+    *,
+    T_base_scanner: Floats,
+    rng: np.random.Generator,
+    budget: int = EVALUATIONS,
+    edge_time: EdgeTimes | None = None,
+    T_base_home: Floats | None = None,
+) -> Sequence:
+    """Order the views in joint space.
+
+    Args:
+        configurations: per view, (n_i, 6) collision-free joint solutions [rad]; at least one each.
+        home: (6,) joint angles at which the tour begins and ends [rad].
+        limits: limits of the axes; the cost of a move is its time under them.
+        T_base_scanner: (n, 4, 4) scanner pose of each view [m], base frame.
+        rng: source of the local search's kicks.
+        budget: orders that the local search may evaluate; 0 keeps the baseline where the exact search is too dear.
+        edge_time: times [s] of single edges between nodes, in either direction, that replace the straight move's time;
+            inf where no path exists.
+        T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
+
+    Returns:
+        The sequence. Its duration is never above the baseline's.
+
+    Raises:
+        PlannerError: if a view has no joint solution, a joint angle is outside its range, or shapes do not fit.
+    """
+    problem = _instance(configurations, home, limits, edge_time)
+    start = _christofides(problem, T_base_scanner, T_base_home)
+    if gtsp.exact_work(problem) <= EXACT_WORK:
+        found = gtsp.exact(problem)
+    else:
+        found = gtsp.improve(problem, start, rng, budget)
+    return _result(problem, configurations, found, start)
+
+
+def christofides(
+    configurations: Many[Floats],
+    home: Floats,
+    limits: JointLimits,
+    *,
+    T_base_scanner: Floats,
+    rng: np.random.Generator,
+    budget: int = EVALUATIONS,
+    edge_time: EdgeTimes | None = None,
+    T_base_home: Floats | None = None,
+) -> Sequence:
+    """The baseline: a Christofides tour in task space, then its best joint solutions; arguments as in `sequence`.
+
+    The tour's length is at most 1.5 times the shortest in task space (Christofides 1976); its time has no such bound.
+    """
+    problem = _instance(configurations, home, limits, edge_time)
+    start = _christofides(problem, T_base_scanner, T_base_home)
+    cost = float(gtsp.evaluate(problem, start[None])[0])
+    found = gtsp.Found(start, cost, min(gtsp.lower_bound(problem), cost), 1)
+    return _result(problem, configurations, found, start)
+
+
+ORDERINGS: dict[str, Callable[..., Sequence]] = {"joint-space": sequence, "christofides": christofides}
+
+
+def _instance(
+    configurations: Many[Floats], home: Floats, limits: JointLimits, edge_time: EdgeTimes | None
+) -> gtsp.Instance:
+    """The travelling salesman's instance: one cluster per view, straight-move times, single edges replaced."""
+    solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(configurations)]
+    for k, q in enumerate(solutions):
+        if len(q) == 0:
+            raise PlannerError(f"view {k} has no joint solution; drop it before ordering")
+        check_inside(f"joint solution of view {k}: number", q, limits)
+    start = readonly("home", home, (6,))
+    check_inside("home: number", start[None], limits)
+    nodes = np.concatenate([start[None], *solutions])
+    cost = move_time(nodes[:, None], nodes, limits)
+    for (a, b), time in (edge_time or {}).items():
+        if not (0 <= a < len(nodes) and 0 <= b < len(nodes)) or not time >= 0:
+            raise PlannerError(
+                f"edge_time[({a}, {b})] is {time}; nodes are 0 to {len(nodes) - 1} and a time is at least 0 s"
+            )
+        cost[a, b] = cost[b, a] = time
+    return gtsp.instance(cost, node_offsets(solutions))
+
+
+def _christofides(
+    problem: gtsp.Instance, T_base_scanner: Floats, T_base_home: Floats | None
+) -> NDArray[np.int64]:
+    """(n,) order of the views along a Christofides tour through the scanner's positions."""
+    n = problem.n_clusters
+    positions = readonly("T_base_scanner", T_base_scanner, (n, 4, 4))[:, :3, 3]
+    if T_base_home is not None:
+        positions = np.concatenate((readonly("T_base_home", T_base_home, (4, 4))[None, :3, 3], positions))
+    tour = _task_space_tour(positions)
+    if T_base_home is not None:
+        return np.roll(tour, -int(np.flatnonzero(tour == 0)[0]))[1:] - 1
+    if n < 2:
+        return tour
+    cuts = np.array([np.roll(tour, -k) for k in range(n)])
+    return cuts[int(gtsp.evaluate(problem, cuts).argmin())]
+
+
+def _task_space_tour(positions: Floats) -> NDArray[np.int64]:
+    """(m,) cyclic Christofides tour through (m, 3) positions [m]."""
+    m = len(positions)
+    if m < 4:  # every cyclic order has the same length
+        return np.arange(m, dtype=np.int64)
+    import networkx as nx  # 0.1 s that a help text should not cost
+
+    graph = nx.Graph()
+    lengths = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    graph.add_weighted_edges_from((a, b, float(lengths[a, b])) for a in range(m) for b in range(a))
+    return np.array(nx.approximation.christofides(graph)[:-1], dtype=np.int64)
+
+
+def _result(
+    problem: gtsp.Instance, configurations: Many[Floats], found: gtsp.Found, baseline: NDArray[np.int64]
+) -> Sequence:
+    """Take the better of what was found and the baseline, with its best joint solutions."""
+    baseline_cost, baseline_nodes = gtsp.best_nodes(problem, baseline)
+    cost, nodes = gtsp.best_nodes(problem, found.order)
+    order = found.order
+    if baseline_cost < cost:  # by rounding only: both searches begin with the baseline or are exact
+        cost, nodes, order = baseline_cost, baseline_nodes, baseline
+    choice = nodes - problem.offsets[order]
+    q = np.array([configurations[k][i] for k, i in zip(order, choice, strict=True)]).reshape(-1, 6)
+    if cost >= gtsp.BLOCKED:
+        status = OrderStatus.NO_TOUR
+    elif cost <= found.lower_bound * (1 + 1e-9) + 1e-12:
+        status = OrderStatus.OPTIMAL
+    else:
+        status = OrderStatus.HEURISTIC
+    return Sequence(
+        order=order,
+        choice=choice,
+        q=q,
+        duration=_time(cost),
+        baseline_duration=_time(baseline_cost),
+        lower_bound=_time(min(found.lower_bound, cost)),
+        status=status,
+        evaluations=found.evaluations,
+    )
+
+
+def _time(cost: float) -> float:
+    """The cost as a time: infinite where a blocked edge is in it."""
+    return cost if cost < gtsp.BLOCKED else float("inf")
