@@ -1,9 +1,10 @@
 """Embree behind the planner's `RayCaster` protocol: first hit, and blocked or not, on one fixed set of triangles.
 
-Embree calculates in float32. The triangles are therefore moved to the middle of their own bounding box first (a part that
-stands 10 m from the origin loses nothing), rays start and end in float64, and distances come back as float64 of Embree's
-own. Errors were measured with 10^6 random legs each on spheres of 9 mm, 0.2 m and 5 m: a hit is off by at most 1e-7 of the
-ray's scale (distance plus the half diagonal of the triangles), across the ray, so 1e-7 / cos(grazing angle) along it.
+Embree calculates in float32. The triangles are therefore moved to the middle of their own bounding box first (a part
+that stands 10 m from the origin loses nothing), rays start and end in float64, and distances come back as float64 of
+Embree's own. Errors were measured with 10^6 random legs each on spheres of 9 mm, 0.2 m and 5 m: a hit is off by at most
+1e-7 of the ray's scale (distance plus the half diagonal of the triangles), across the ray, so 1e-7 / cos(grazing angle)
+along it.
 
 embreex's bindings check no bounds and read foreign memory on a wrong shape or index: everything is validated here.
 """
@@ -11,6 +12,7 @@ embreex's bindings check no bounds and read foreign memory on a wrong shape or i
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,8 +25,8 @@ HAIR = 2e-6
 """How far short of its target a leg ends, as a share of its scale (length plus the half diagonal of the triangles).
 
 1 um for a part of 0.3 m at 0.3 m. Legs to points of a convex surface under up to 75 degrees are blocked by their own
-surface in 65 % of cases with 0, in 0.3 % with 2.5e-7 and in none of 10^7 with 1e-6 or more; 2e-6 keeps a factor of two. At
-a larger grazing angle the target has to be lifted off its surface as well, see `planner.legs`.
+surface in 65 % of cases with 0, in 0.3 % with 2.5e-7 and in none of 10^7 with 1e-6 or more; 2e-6 keeps a factor of two.
+At a larger grazing angle the target has to be lifted off its surface as well, see `planner.legs`.
 """
 
 _SPLIT_ABOVE = 20_000  # rays; about 3 ms of tracing, against 0.1 ms that starting a thread costs
@@ -34,9 +36,9 @@ _OCCLUDED = 0  # what embreex's OCCLUDED query returns for a ray that is blocked
 class EmbreeRayCaster:
     """First hit, and blocked or not, on one fixed set of triangles, by Embree 4 in its robust mode.
 
-    A bundle of more than 20,000 rays is cut into one piece per core (embreex releases the GIL); each ray is traced on its
-    own, so the result does not depend on the number of cores. Threads live for one call, so a forked process may use a
-    caster that its parent has used.
+    A bundle of more than 20,000 rays is cut into one piece per core (embreex releases the GIL); each ray is traced on
+    its own, so the result does not depend on the number of cores. Threads live for one call, so a forked process may
+    use a caster that its parent has used.
 
     Args:
         vertices: (V, 3) [m], any one frame; rays are given in the same.
@@ -69,7 +71,9 @@ class EmbreeRayCaster:
         self._half_diagonal = float(np.linalg.norm(high - low)) / 2
         centred = np.where(np.isfinite(vertices), vertices - self._middle, 0.0)  # a vertex that no face uses may be NaN
         self._scene = _build(centred.astype(np.float32), indices.astype(np.int32))
-        self._workers = max(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 1)
+        self._workers = max(
+            len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 1
+        )
 
     def first_hit(self, origins: Floats, directions: Floats) -> Hits:
         """First intersection of each ray; a triangle is hit from either side.
@@ -102,8 +106,8 @@ class EmbreeRayCaster:
     def blocked(self, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
         """Whether any triangle stands between origin and target.
 
-        The segment ends `HAIR` x (its length + the half diagonal of the triangles) short of the target. A segment that is
-        shorter than that is free.
+        The segment ends `HAIR` x (its length + the half diagonal of the triangles) short of the target. A segment that
+        is shorter than that is free.
 
         Args:
             origins: (N, 3) free positions [m], in the frame of the triangles.
@@ -137,7 +141,7 @@ class EmbreeRayCaster:
         """Trace all rays: in this thread, or a piece per core."""
         pieces = self._workers if count > _SPLIT_ABOVE else 1
         bounds = [count * piece // pieces for piece in range(pieces + 1)]
-        slices = [slice(start, stop) for start, stop in zip(bounds, bounds[1:], strict=False)]
+        slices = [slice(start, stop) for start, stop in pairwise(bounds)]
         if pieces == 1:
             if count:
                 trace(slices[0])

@@ -1,7 +1,7 @@
 """Scanners by name: plug-ins of the entry-point group `cell.scanners`, imported only when chosen.
 
-A plug-in is a class that implements `planner.ports.Scanner` and takes the keys of the scene's `[scanner]` table (without
-`type`) as keyword arguments. Another distribution adds one with
+A plug-in is a class that implements `planner.ports.Scanner` and takes the keys of the scene's `[scanner]` table
+(without `type`) as keyword arguments. Another distribution adds one with
 
     [project.entry-points."cell.scanners"]
     laser-line = "my_package.my_module:LaserLine"

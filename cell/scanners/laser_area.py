@@ -1,13 +1,13 @@
 """`laser-area`: a bistatic triangulation scanner that sweeps a rectangular grid of rays (Sections 3.3 and 3.6).
 
-The source stands at the origin of the scanner frame and looks along +z; the sensor stands a baseline away along +x. A point
-is inside the frustum (the paper's spherical cone) where its two planar angles are, |atan2(x, z)| <= FOV_h / 2 and
-|atan2(y, z)| <= FOV_v / 2, and where its distance from the source is within the range. The grazing angle is the one between
-the outward normal and the direction to the source (or to the sensor).
+The source stands at the origin of the scanner frame and looks along +z; the sensor stands a baseline away along +x. A
+point is inside the frustum (the paper's spherical cone) where its two planar angles are, |atan2(x, z)| <= FOV_h / 2 and
+|atan2(y, z)| <= FOV_v / 2, and where its distance from the source is within the range. The grazing angle is the one
+between the outward normal and the direction to the source (or to the sensor).
 
-Every limit is inclusive. `TOLERANCE` (relative for lengths, absolute for tangents and cosines) covers the rounding of float64
-transforms, so that a point placed exactly on a limit counts: 0.3 nm at 0.3 m, 1e-9 rad at 75 degrees; near 0 degrees, where
-the cosine is flat, 0.003 degrees.
+Every limit is inclusive. `TOLERANCE` (relative for lengths, absolute for tangents and cosines) covers the rounding of
+float64 transforms, so that a point placed exactly on a limit counts: 0.3 nm at 0.3 m, 1e-9 rad at 75 degrees; near 0
+degrees, where the cosine is flat, 0.003 degrees.
 """
 
 import math

@@ -1,0 +1,154 @@
+"""A measurability matrix on disk, with the hash of everything it depends on, so that it is calculated once.
+
+The part-only M does not depend on where the part stands: moving the part, changing fixtures or the robot reuses it. A
+file is refused, with the reason in one sentence, when it is damaged, of another format version or made for other
+inputs; the caller then calculates M anew and says so. Arrays only, nothing is pickled.
+"""
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError
+from planner.errors import PlannerError
+from planner.measurability import Measurability
+from planner.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints import Viewpoints
+
+FORMAT = 1
+"""Version of the file and of the calculation: raised with every change of what M holds for the same inputs."""
+
+_FIELDS = ("indptr", "indices", "shape", "points", "normals", "areas", "face", "planning_face", "key", "format")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cached:
+    """What a look into the cache gave: the matrix, or why it was refused.
+
+    Attributes:
+        measurability: the matrix, or None.
+        reason: one sentence where the matrix is None, else "".
+    """
+
+    measurability: Measurability | None
+    reason: str
+
+
+def cache_key(
+    part: TriangleMesh,
+    features: SurfaceSamples,
+    viewpoints: Viewpoints,
+    scanner_parameters: Mapping[str, object],
+    method: str,
+    row_of_face: NDArray[np.integer] | None = None,
+) -> str:
+    """sha256 (hex) over everything that M depends on.
+
+    Args:
+        part: the mesh that rays were cast on.
+        features: the rows.
+        viewpoints: the columns.
+        scanner_parameters: the scanner's `parameters()`; anything that JSON can hold.
+        method: "aimed" or "rays".
+        row_of_face: the map that `rays` used.
+    """
+    digest = hashlib.sha256()
+    text = json.dumps([FORMAT, method, dict(scanner_parameters)], sort_keys=True, allow_nan=False)
+    digest.update(text.encode())
+    arrays: dict[str, NDArray[Any]] = {
+        "vertices": part.vertices,
+        "faces": part.faces,
+        "points": features.points,
+        "normals": features.normals,
+        "areas": features.areas,
+        "T_object_scanner": viewpoints.T_object_scanner,
+    }
+    if row_of_face is not None:
+        arrays["row_of_face"] = np.asarray(row_of_face, dtype=np.int32)
+    for name, array in arrays.items():
+        digest.update(f"{name}{array.dtype.str}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
+def save(path: Path, measurability: Measurability, key: str) -> None:
+    """Write the matrix; the file appears complete or not at all. Equal matrices give equal bytes.
+
+    Args:
+        path: the .npz file; its folder is made if it is missing.
+        measurability: what to write.
+        key: from `cache_key`.
+
+    Raises:
+        FileError: if the file cannot be written.
+    """
+    features = measurability.features
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as stream:
+            np.savez(
+                stream,
+                indptr=measurability.indptr,
+                indices=measurability.indices,
+                shape=np.array(measurability.shape, dtype=np.int64),
+                points=features.points,
+                normals=features.normals,
+                areas=features.areas,
+                face=features.face,
+                planning_face=features.planning_face,
+                key=np.frombuffer(key.encode("ascii"), dtype=np.uint8),
+                format=np.array(FORMAT, dtype=np.int64),
+            )
+            stream.flush()
+            os.fsync(stream.fileno())  # otherwise a crash may leave a renamed file without its contents
+        temporary.replace(path)
+    except OSError as error:
+        raise FileError(
+            f"the measurability matrix cannot be written to {path}: {error.strerror or error}; choose a folder "
+            "with space that you may write to"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load(path: Path, key: str) -> Cached:
+    """Read a matrix back, if the file holds the one that is asked for.
+
+    Args:
+        path: the .npz file.
+        key: from `cache_key`, of the inputs at hand.
+
+    Returns:
+        The matrix, or the reason why it has to be calculated.
+    """
+    if not path.exists():
+        return Cached(None, f"{path} does not exist yet")
+    try:
+        # zip checks a CRC of every array that is read in full, so a flipped bit is found here.
+        with np.load(path, allow_pickle=False) as stored:
+            missing = [name for name in _FIELDS if name not in stored]
+            if missing:
+                return Cached(None, f"{path} is no measurability matrix: it lacks {', '.join(missing)}")
+            if int(stored["format"]) != FORMAT:
+                return Cached(None, f"{path} has format {int(stored['format'])}; this version reads {FORMAT}")
+            if stored["key"].tobytes() != key.encode("ascii"):
+                return Cached(None, f"{path} was calculated for another part, scanner, viewpoints, features or method")
+            arrays = {name: stored[name] for name in _FIELDS}
+        features = SurfaceSamples(
+            arrays["points"], arrays["normals"], arrays["areas"], arrays["face"], arrays["planning_face"]
+        )
+        rows, columns = (int(length) for length in arrays["shape"])
+        if rows != len(features):
+            return Cached(None, f"{path} is damaged: {rows} rows for {len(features)} features")
+        return Cached(Measurability(arrays["indptr"], arrays["indices"], features, columns), "")
+    except (OSError, EOFError, ValueError, TypeError, KeyError, zipfile.BadZipFile, PlannerError) as error:
+        return Cached(None, f"{path} cannot be read ({type(error).__name__}: {error})")

@@ -1,0 +1,120 @@
+"""One scan of the virtual scanner: the ray grid traced on part and occluders (Section 3.6, Figure 5).
+
+Active ray: traced from the source to its first hit on part or occluders. Reflected ray: from the hit to the sensor;
+whatever stands in it is the paper's shadow effect. Every ray keeps the first condition that it fails. Object frame,
+metres.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.legs import flat_poses, lift
+from planner.ports import Floats, RayCaster, Rejection, Scanner
+from planner.readonly import readonly
+from planner.surface import TriangleMesh
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """What one scan gave.
+
+    Attributes:
+        T_object_scanner: (4, 4) pose of the scanner [m].
+        grid_shape: (n_v, n_h); ray (i, j) is number i * n_h + j.
+        codes: (n_v * n_h,) uint8 `Rejection` of every ray; MEASURED for those that gave a point.
+        hit_face: (n_v * n_h,) int32 face of the part that the ray meets first, -1 where it meets none or an occluder
+            first.
+        pixel: (P,) int32 number of the ray that gave each point, ascending.
+        points: (P, 3) [m], object frame.
+        face: (P,) int32 face of the part that each point lies on.
+    """
+
+    T_object_scanner: Floats
+    grid_shape: tuple[int, int]
+    codes: NDArray[np.uint8]
+    hit_face: NDArray[np.int32]
+    pixel: NDArray[np.int32]
+    points: Floats
+    face: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        rays = self.grid_shape[0] * self.grid_shape[1]
+        object.__setattr__(self, "T_object_scanner", readonly("T_object_scanner", self.T_object_scanner, (4, 4)))
+        object.__setattr__(self, "codes", readonly("codes", self.codes, (rays,), np.uint8))
+        object.__setattr__(self, "hit_face", readonly("hit_face", self.hit_face, (rays,), np.int32))
+        object.__setattr__(self, "pixel", readonly("pixel", self.pixel, (None,), np.int32))
+        object.__setattr__(self, "points", readonly("points", self.points, (len(self.pixel), 3)))
+        object.__setattr__(self, "face", readonly("face", self.face, (len(self.pixel),), np.int32))
+
+    def counts(self) -> dict[Rejection, int]:
+        """How many rays ended for each reason; they add up to the rays of the grid."""
+        numbers = np.bincount(self.codes, minlength=len(Rejection))
+        return {reason: int(numbers[reason]) for reason in Rejection}
+
+
+def scan(
+    scanner: Scanner,
+    T_object_scanner: Floats,
+    part_caster: RayCaster,
+    part_mesh: TriangleMesh,
+    occluder_caster: RayCaster | None = None,
+) -> Scan:
+    """Scan the part from one pose.
+
+    A ray that meets an occluder before the part is SOURCE_BLOCKED, whether or not the part stands behind. Range, FOV
+    and grazing angles are judged by `scanner.reject` at the hit, with the normal of the face that is hit: a face that
+    is seen from behind is rejected as grazing.
+
+    Args:
+        scanner: the sensor's law and its grid.
+        T_object_scanner: (4, 4) pose [m].
+        part_caster: casts on `part_mesh`.
+        part_mesh: the part, object frame.
+        occluder_caster: casts on everything else that may stand in the way, object frame.
+
+    Returns:
+        The points and every ray's code.
+    """
+    pose = flat_poses(np.asarray(T_object_scanner)[None, None])[0]
+    R, t = pose[:3, :3], pose[:3, 3]
+    grid = scanner.ray_directions()
+    directions = grid @ R.T
+    sources = np.broadcast_to(R @ scanner.source + t, directions.shape)
+    hits = part_caster.first_hit(sources, directions)
+    codes = np.where(hits.face >= 0, np.uint8(Rejection.MEASURED), np.uint8(Rejection.NO_HIT))
+    hit_face = hits.face.copy()
+    if occluder_caster is not None:
+        in_front = occluder_caster.first_hit(sources, directions)
+        hidden = (in_front.face >= 0) & (in_front.distance < hits.distance)
+        codes[hidden] = Rejection.SOURCE_BLOCKED
+        hit_face[hidden] = -1
+
+    pixel = np.flatnonzero(codes == Rejection.MEASURED)
+    distance = hits.distance[pixel, None]
+    normals = _normals(part_mesh, hits.face[pixel])
+    codes[pixel] = scanner.reject(scanner.source + grid[pixel] * distance, normals @ R)
+
+    kept = codes[pixel] == Rejection.MEASURED
+    pixel, normals, distance = pixel[kept], normals[kept], distance[kept]
+    points = sources[pixel] + directions[pixel] * distance
+    diagonal = float(np.linalg.norm(np.ptp(part_mesh.vertices, axis=0)))
+    ends = lift(points, normals, diagonal)
+    sensors = np.broadcast_to(R @ scanner.sensor + t, ends.shape)
+    blocked = part_caster.blocked(sensors, ends)
+    if occluder_caster is not None:
+        blocked |= occluder_caster.blocked(sensors, ends)
+    codes[pixel[blocked]] = Rejection.SENSOR_BLOCKED
+    pixel, points = pixel[~blocked], points[~blocked]
+    return Scan(pose, scanner.grid_shape, codes, hit_face, pixel, points, hit_face[pixel])
+
+
+def _normals(mesh: TriangleMesh, faces: NDArray[np.int32]) -> Floats:
+    """(N, 3) outward unit normals of some faces: a scan hits a fraction of the part's."""
+    unique, back = np.unique(faces, return_inverse=True)
+    a, b, c = (mesh.vertices[mesh.faces[unique, corner]] for corner in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    normals: Floats = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)[back]
+    return normals
