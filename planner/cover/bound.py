@@ -1,0 +1,205 @@
+"""Lower bounds on the number of columns: Lagrangian dual, certified by one exact evaluation.
+
+For multipliers u >= 0 of the rows (Beasley 1990; Caprara, Fischetti, Toth 1999, doi:10.1287/opre.47.5.730)
+
+    L(u) = min { sum_i u_i y_i } + sum_j min(0, 1 - sum_{i in j} u_i)
+
+is at most the fewest number of columns. y says which rows are covered: all of them for a full cover; otherwise the
+cheapest fractional choice that reaches the required area (a knapsack solved by sorting u_i / area_i), so the same
+bound holds for partial cover. max_u L(u) equals the bound of the linear relaxation.
+
+Whatever proposes u (subgradient steps, or the dual of an LP solver), the bound is L(u) evaluated here and rounded up as
+ceil(L - 1e-6): a tolerance inside a solver can weaken it but never make it wrong.
+"""
+
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from planner.cover.budget import STEP_WORK, Budget
+from planner.cover.problem import CoverProblem, Floats, Ints
+from planner.readonly import readonly
+
+ROUNDING = 1e-6
+"""Taken off before rounding up: far above the float error of L(u), far below what a bound could gain."""
+
+LP_ENTRIES = 60_000
+"""Matrices up to this many ones also get the LP solver's dual; larger ones cost it seconds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bound:
+    """A proven lower bound.
+
+    Attributes:
+        dual: value L(u) of the multipliers.
+        multipliers: (S,) u.
+        reduced_costs: (V,) 1 - sum of the multipliers of the column's rows.
+    """
+
+    dual: float
+    multipliers: Floats
+    reduced_costs: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "multipliers", readonly("multipliers", self.multipliers, (None,)))
+        object.__setattr__(self, "reduced_costs", readonly("reduced_costs", self.reduced_costs, (None,)))
+
+    @property
+    def value(self) -> int:
+        """Fewest columns that any cover can have, at least this many."""
+        return max(ceil(self.dual - ROUNDING), 0)
+
+    def useful(self, fewer_than: int) -> Any:
+        """(V,) columns that some cover with fewer columns than the given number may contain (reduced-cost fixing)."""
+        return self.dual + np.maximum(self.reduced_costs, 0.0) <= fewer_than - 1 + ROUNDING
+
+
+def evaluate(problem: CoverProblem, multipliers: Floats, columns_by_rows: Any) -> tuple[Bound, Floats]:
+    """L(u), and the y of its knapsack.
+
+    Args:
+        problem: the problem.
+        multipliers: (S,) u, not negative.
+        columns_by_rows: (V, S) transposed matrix.
+    """
+    reduced = 1.0 - columns_by_rows @ multipliers
+    y = np.ones(problem.n_rows)
+    if not problem.full:
+        ratio = multipliers / problem.units
+        order = np.argsort(ratio, kind="stable")
+        reached = np.cumsum(problem.units[order])
+        last = int(np.searchsorted(reached, problem.required))
+        y[order[last:]] = 0.0
+        if last < problem.n_rows:
+            before = reached[last - 1] if last else 0.0
+            y[order[last]] = (problem.required - before) / problem.units[order[last]]
+    dual = float(multipliers @ y + np.minimum(reduced, 0.0).sum())
+    return Bound(dual, multipliers, reduced), y
+
+
+def bound(problem: CoverProblem, upper: int, budget: Budget) -> Bound:
+    """The best lower bound that the budget allows; at budget 0 that of one evaluation.
+
+    Args:
+        problem: the problem (reduce it first: the bound costs less and is the same).
+        upper: size of a known cover; scales the subgradient steps, and nothing is done once the bound reaches it.
+        budget: work; also receives the bound.
+    """
+    rows_by_columns = problem.matrix()
+    columns_by_rows = rows_by_columns.T.tocsr()
+    best, _ = evaluate(problem, _first_multipliers(problem), columns_by_rows)
+    largest = _largest_columns(problem)
+    budget.prove(max(best.value, largest))
+    if max(best.value, largest) >= upper or not budget.spend(4 * problem.n_entries):
+        return best
+    if problem.n_entries <= LP_ENTRIES:
+        lp, work = _linear_programme(problem, rows_by_columns, columns_by_rows, budget.left)
+        budget.spend(work)
+        best = max(best, lp, key=lambda candidate: candidate.dual)
+        solved = lp.dual > 0.999 * best.dual
+    else:
+        solved = False
+    if not solved:
+        best = _subgradient(problem, best, upper, budget, rows_by_columns, columns_by_rows)
+    budget.prove(best.value)
+    return best
+
+
+def _first_multipliers(problem: CoverProblem) -> Floats:
+    """Feasible multipliers: each row's share of the largest of its columns, so that no reduced cost is negative."""
+    weights = np.ones(problem.n_rows) if problem.full else problem.units
+    per_column = np.add.reduceat(weights[problem.column_rows], problem.column_start[:-1])
+    largest = np.maximum.reduceat(per_column[problem.row_columns], problem.row_start[:-1])
+    share: Floats = weights / largest
+    return share
+
+
+def _largest_columns(problem: CoverProblem) -> int:
+    """The fewest columns whose areas, overlaps ignored, reach what is required."""
+    areas = np.add.reduceat(problem.units[problem.column_rows], problem.column_start[:-1])
+    required = int(problem.units.sum()) if problem.full else problem.required
+    # The sums stay exact where it matters: a sum above 2^53 is far above what is required.
+    return int(np.searchsorted(np.cumsum(np.sort(areas)[::-1]), required)) + 1
+
+
+def _subgradient(
+    problem: CoverProblem, best: Bound, upper: int, budget: Budget, rows_by_columns: Any, columns_by_rows: Any
+) -> Bound:
+    """Polyak steps u <- max(0, u + step (upper - L) g / |g|^2), the step adapted as in Caprara, Fischetti, Toth 1999."""
+    multipliers = best.multipliers
+    step, window = 0.1, 20
+    lowest, highest = np.inf, -np.inf
+    stalled = 0
+    iteration = 0
+    work = 2 * problem.n_entries + STEP_WORK
+    while best.value < upper and step > 1e-4 and stalled < 300:
+        if not budget.spend(work):
+            break
+        current, y = evaluate(problem, multipliers, columns_by_rows)
+        if current.dual > best.dual + 1e-9:
+            stalled = 0 if current.dual > best.dual * 1.0001 else stalled + 1
+            best = current
+        else:
+            stalled += 1
+        lowest, highest = min(lowest, current.dual), max(highest, current.dual)
+        iteration += 1
+        if iteration % window == 0:
+            if highest - lowest > 0.01 * abs(best.dual):
+                step *= 0.5
+            elif highest - lowest < 0.001 * abs(best.dual):
+                step *= 1.5
+            lowest, highest = np.inf, -np.inf
+        gradient = y - rows_by_columns @ (current.reduced_costs < 0).astype(np.float64)
+        gradient[(multipliers <= 0) & (gradient < 0)] = 0.0
+        length = float(gradient @ gradient)
+        if length == 0.0:
+            break
+        multipliers = np.maximum(multipliers + step * (upper - current.dual) / length * gradient, 0.0)
+    return best
+
+
+def _linear_programme(
+    problem: CoverProblem, rows_by_columns: Any, columns_by_rows: Any, work: int
+) -> tuple[Bound, int]:
+    """The dual of the linear relaxation by HiGHS, evaluated exactly here; and the work it was charged."""
+    import scipy.sparse as sp
+    from scipy.optimize import linprog
+
+    n_rows, n_columns = problem.shape
+    per_pivot = n_rows + n_columns
+    limit = max(work // per_pivot, 1)
+    if problem.full:
+        costs, A, b = np.ones(n_columns), -rows_by_columns, -np.ones(n_rows)
+    else:
+        weights = problem.units / problem.units.mean()
+        target = problem.required / problem.units.mean()
+        covering = sp.hstack((-rows_by_columns, sp.eye_array(n_rows)))
+        area = sp.csr_array(np.concatenate((np.zeros(n_columns), -weights))[None, :])
+        A = sp.vstack((covering, area)).tocsr()
+        costs = np.concatenate((np.ones(n_columns), np.zeros(n_rows)))
+        b = np.concatenate((np.zeros(n_rows), [-target]))
+    bounds = (0, 1) if not problem.full else (0, None)
+    result = linprog(costs, A_ub=A, b_ub=b, bounds=bounds, method="highs-ds", options={"maxiter": int(limit)})
+    multipliers: Floats = np.zeros(n_rows)
+    if getattr(result, "ineqlin", None) is not None and result.status == 0:
+        multipliers = np.maximum(-np.asarray(result.ineqlin.marginals[:n_rows], dtype=np.float64), 0.0)
+    evaluated, _ = evaluate(problem, multipliers, columns_by_rows)
+    return evaluated, int(result.nit) * per_pivot
+
+
+def without_useless_columns(problem: CoverProblem, known: Bound, upper: int) -> tuple[CoverProblem, Ints] | None:
+    """The core of the problem for finding a cover with fewer than `upper` columns.
+
+    Returns:
+        The problem on the columns that such a cover may contain, and their indices; None when it cannot exist because
+        a row that must be covered, or the required area, is out of their reach.
+    """
+    keep = known.useful(upper)
+    covered = problem.counts(np.flatnonzero(keep)) > 0
+    if not problem.met(covered):
+        return None
+    required = problem.required
+    return problem.restricted(covered, keep, problem.units, required), np.flatnonzero(keep)

@@ -1,0 +1,103 @@
+"""What a solver may spend, and what is known so far.
+
+Work is counted in *touched matrix entries* plus a fixed charge for each step, not in seconds: the same seed and budget
+then give the same plan on every machine. On a current core 10^8 units take about one second. The wall clock is only a guard;
+when it stops a search, `time_limited` says so and the promise of identical results is void.
+
+The incumbent is kept here and not in the solver, so that whoever holds the budget still has the best cover when a solver
+is interrupted.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+
+if TYPE_CHECKING:
+    from planner.cover.bound import Bound
+
+STEP_WORK = 4000
+"""Charge of one step of a search beyond the entries it touches: what its NumPy calls cost anyway."""
+
+DEFAULT_WORK = 120_000_000
+"""Default budget of a selection: a little above one second."""
+
+
+class Budget:
+    """Work left, the clock, and the best cover and bound found so far (of the problem that the solver was given).
+
+    Attributes:
+        limit: work that may be spent.
+        spent: work spent.
+        time_limited: whether the wall clock stopped a search.
+        best: columns of the best cover so far; None before the first.
+        lower_bound: no cover has fewer columns.
+        dual: the Lagrangian bound, once computed; its reduced costs tell the exact solver which columns to leave out.
+    """
+
+    def __init__(
+        self,
+        limit: int = DEFAULT_WORK,
+        time_limit_s: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        if limit < 0:
+            raise PlannerError(f"the budget is {limit} units of work; it must be zero or above")
+        if time_limit_s is not None and not time_limit_s >= 0:
+            raise PlannerError(f"the time limit is {time_limit_s} s; it must be zero or above, or None")
+        self.limit = limit
+        self.spent = 0
+        self.time_limited = False
+        self.best: NDArray[np.int64] | None = None
+        self.lower_bound = 0
+        self.dual: Bound | None = None
+        self._clock = clock
+        self._deadline = None if time_limit_s is None else clock() + time_limit_s
+
+    @property
+    def left(self) -> int:
+        """Work that is left, zero when the clock has stopped the search."""
+        return 0 if self.time_limited else max(self.limit - self.spent, 0)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds until the guard fires; None without a guard."""
+        return None if self._deadline is None else max(self._deadline - self._clock(), 0.0)
+
+    @property
+    def proven(self) -> bool:
+        """Whether the best cover is as small as the lower bound: nothing is left to search."""
+        return self.best is not None and len(self.best) <= self.lower_bound
+
+    def spend(self, work: int) -> bool:
+        """Book work and say whether the search may go on (work left, clock not run out, fewest not proven)."""
+        self.spent += int(work)
+        if self._deadline is not None and not self.time_limited and self._clock() >= self._deadline:
+            self.time_limited = True
+        return self.left > 0 and not self.proven
+
+    def offer(self, columns: NDArray[np.int64]) -> bool:
+        """Keep a cover if it is smaller than the best so far."""
+        if self.best is not None and len(columns) >= len(self.best):
+            return False
+        self.best = np.array(columns, dtype=np.int64)
+        return True
+
+    def prove(self, lower_bound: int) -> None:
+        """Note that no cover has fewer columns."""
+        self.lower_bound = max(self.lower_bound, lower_bound)
+
+    @contextmanager
+    def portion(self, share: float) -> Iterator[None]:
+        """Inside the block only this share of what is left may be spent."""
+        limit = self.limit
+        self.limit = self.spent + int(self.left * share)
+        try:
+            yield
+        finally:
+            self.limit = limit

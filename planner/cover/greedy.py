@@ -1,0 +1,99 @@
+"""Greedy cover: always the column that covers the largest uncovered area; and the removal of what it made redundant.
+
+Chvatal 1979 (doi:10.1287/moor.4.3.233). Ties go to the first column in canonical order, so the result does not depend on
+how the candidates were numbered.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cover.budget import Budget
+from planner.cover.problem import CoverProblem, Floats, Ints
+
+
+def greedy(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Ints:
+    """Cover greedily; the baseline that every other solver starts from.
+
+    Args:
+        problem: what to cover.
+        rng: not used (one signature for all solvers).
+        budget: booked but never a reason to stop: without a cover there is no plan.
+
+    Returns:
+        Columns in the order in which they were chosen, redundant ones removed.
+    """
+    chosen = prune(problem, complete(problem, np.zeros(0, dtype=np.int64)))
+    budget.spend(problem.n_entries)
+    budget.offer(chosen)
+    return chosen
+
+
+def complete(problem: CoverProblem, columns: Ints) -> Ints:
+    """Add columns greedily until the target is met.
+
+    Args:
+        problem: what to cover.
+        columns: a partial cover; kept, in front.
+    """
+    uncovered = problem.counts(columns) == 0
+    gains = uncovered_area(problem, np.flatnonzero(uncovered))
+    chosen = columns.tolist()
+    missing = missing_units(problem, uncovered)
+    while missing > 0:
+        best = int(np.argmax(gains))
+        rows = problem.column_rows[problem.column_start[best] : problem.column_start[best + 1]]
+        fresh = rows[uncovered[rows]]
+        uncovered[fresh] = False
+        missing -= int(problem.units[fresh].sum())
+        gains -= uncovered_area(problem, fresh)
+        chosen.append(best)
+    return np.array(chosen, dtype=np.int64)
+
+
+def missing_units(problem: CoverProblem, uncovered: NDArray[np.bool_]) -> int:
+    """Units that must still be covered: zero or less means that the target is met."""
+    return int(problem.units[uncovered].sum()) - problem.slack
+
+
+def uncovered_area(problem: CoverProblem, rows: Ints) -> Floats:
+    """(V,) units of the given rows that each column covers."""
+    columns, lengths = problem.columns_of(rows)
+    return np.bincount(columns, weights=np.repeat(problem.units[rows], lengths), minlength=problem.n_columns)
+
+
+def prune(problem: CoverProblem, columns: Ints) -> Ints:
+    """Remove redundant columns, last first; one pass is enough, because a column that is needed stays needed."""
+    counts = problem.counts(columns)
+    spare = problem.slack - int(problem.units[counts == 0].sum())
+    keep = np.ones(len(columns), dtype=bool)
+    for position in range(len(columns) - 1, -1, -1):
+        start = problem.column_start[columns[position] : columns[position] + 2]
+        rows = problem.column_rows[start[0] : start[1]]
+        alone = rows[counts[rows] == 1]
+        loss = int(problem.units[alone].sum())
+        if loss <= spare:
+            keep[position] = False
+            counts[rows] -= 1
+            spare -= loss
+    return columns[keep]
+
+
+def by_marginal_area(problem: CoverProblem, columns: Ints) -> tuple[Ints, list[Ints]]:
+    """Order columns by what each adds, largest first, and list the rows that each is the first to cover.
+
+    Returns:
+        The columns in that order, and for each the rows it adds.
+    """
+    uncovered = np.ones(problem.n_rows, dtype=bool)
+    waiting = sorted(columns.tolist())  # canonical order decides ties
+    rows = {j: problem.column_rows[problem.column_start[j] : problem.column_start[j + 1]] for j in waiting}
+    order: list[int] = []
+    added: list[Ints] = []
+    while waiting:
+        gains = [int(problem.units[rows[j][uncovered[rows[j]]]].sum()) for j in waiting]
+        best = waiting.pop(int(np.argmax(gains)))
+        fresh = rows[best][uncovered[rows[best]]]
+        uncovered[fresh] = False
+        order.append(best)
+        added.append(fresh)
+    return np.array(order, dtype=np.int64), added
