@@ -14,8 +14,8 @@ from planner.errors import PlannerError
 
 Floats = NDArray[np.float64]
 
-# Below this cosine of B, A and C are rounding noise one by one; B is then +-90 deg to within 1e-12 rad.
-_GIMBAL = 1e-12
+# Below this cosine of B, A and C are rounding noise one by one; B is then +-90 deg to within 1e-14 rad.
+_GIMBAL = 1e-14
 
 
 def pose_from_kuka_abc(position: ArrayLike, abc: ArrayLike) -> Floats:

@@ -1,0 +1,39 @@
+"""The closed form against py-opw-kinematics, an independent solver of the same family of arms."""
+
+import numpy as np
+from py_opw_kinematics import KinematicModel, Robot
+from scipy.spatial.transform import RigidTransform
+
+from cell.kinematics import Kr16Kinematics
+
+
+def test_both_solvers_find_the_same_branches():
+    """On 3000 random poses both find as many real branches, and each of theirs is one of ours to 1e-8 rad, and vice versa."""
+    kinematics = Kr16Kinematics.load()
+    arm = kinematics.arm
+    oracle = Robot(
+        KinematicModel(
+            a1=arm.a1,
+            a2=-arm.a3,
+            c1=arm.d1,
+            c2=arm.a2,
+            c3=arm.d4,
+            c4=arm.d6,
+            offsets=(0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0),
+            flip_axes=(True, False, False, True, False, True),
+        ),
+        degrees=False,
+    )
+    rng = np.random.default_rng(5)
+    q = rng.uniform(kinematics.limits.lower, kinematics.limits.upper, (3000, 6))
+    T = kinematics.forward(q)
+    np.testing.assert_allclose(oracle.forward(q[0]).as_matrix(), T[0], rtol=0, atol=1e-12)
+
+    ours = kinematics.inverse(T)
+    theirs = np.asarray(oracle.reach(RigidTransform.from_matrix(T)).joints)
+    assert (np.isnan(ours[..., 0]).sum(axis=1) == np.isnan(theirs[..., 0]).sum(axis=1)).all()
+    assert (~np.isnan(ours[..., 0])).sum() > 3000 * 5
+    gap = np.abs((ours[:, :, None] - theirs[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
+    gap = np.where(np.isnan(gap), np.inf, gap)
+    np.testing.assert_array_less(gap.min(axis=2)[~np.isnan(ours[..., 0])], 1e-8)
+    np.testing.assert_array_less(gap.min(axis=1)[~np.isnan(theirs[..., 0])], 1e-8)
