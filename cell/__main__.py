@@ -1,0 +1,5 @@
+"""`python -m cell` is the same as `cell`."""
+
+from cell.cli import main
+
+main()

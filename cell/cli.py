@@ -1,0 +1,262 @@
+"""The command line: options in, one run folder and a table (or one JSON object) out.
+
+Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 5 driver, 6 files or run folder,
+70 a bug, 130 Ctrl-C. Heavy modules are imported inside the commands, so that `--help` answers at once.
+"""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+
+from cell.errors import CellError, UsageError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help="Plan, check and time the views that measure a part with a laser scanner on a KUKA KR 16.",
+    epilog="Start with: [bold]cell plan --place 1200,500,0[/bold]",
+)
+
+_PART = "Part and place"
+_VIEWS = "Views"
+_OUTPUT = "Output"
+
+
+@app.command(
+    epilog="Examples:\n\n"
+    "cell plan --place 1200,500,0\n\n"
+    "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95\n\n"
+    "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial\n\n"
+    "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, 130 Ctrl-C."
+)
+def plan(
+    part: Annotated[
+        str | None,
+        typer.Argument(
+            help="Mesh file (STL, OBJ, PLY, OFF, GLB) or a built-in part: mseke, mug, robinet, petanque, humerus, "
+            "st-jean. Default: the scene's, which is mseke.",
+            show_default=False,
+        ),
+    ] = None,
+    place: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z[,A,B,C]",
+            help="Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
+            rich_help_panel=_PART,
+        ),
+    ] = None,
+    units: Annotated[
+        str | None,
+        typer.Option(help="Unit of the mesh file: mm, cm, m, um or in. Never guessed.", rich_help_panel=_PART),
+    ] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option(help="Scene file (TOML). Default: the built-in scene.", rich_help_panel=_PART),
+    ] = None,
+    faces: Annotated[
+        int | None, typer.Option(help="Faces of the planning mesh (one candidate normal each).", rich_help_panel=_VIEWS)
+    ] = None,
+    percent: Annotated[
+        float | None,
+        typer.Option(help="In place of --faces: percentage of the faces that is KEPT.", rich_help_panel=_VIEWS),
+    ] = None,
+    candidates: Annotated[
+        str | None,
+        typer.Option(help="optimal-scanning-zone (one per face and roll) or view-sphere.", rich_help_panel=_VIEWS),
+    ] = None,
+    standoff: Annotated[
+        str | None,
+        typer.Option(metavar="MM[,MM...]", help="Distance from surface to laser source.", rich_help_panel=_VIEWS),
+    ] = None,
+    roll: Annotated[
+        str | None,
+        typer.Option(metavar="DEG[,DEG...]", help="Rolls about the viewing axis.", rich_help_panel=_VIEWS),
+    ] = None,
+    coverage: Annotated[
+        float | None,
+        typer.Option(help="Share of the coverable area that the plan must measure, 0 to 1.", rich_help_panel=_VIEWS),
+    ] = None,
+    require: Annotated[
+        float | None,
+        typer.Option(
+            help="Exit with code 3 when the predicted visible coverage of the WHOLE surface is below this share.",
+            rich_help_panel=_VIEWS,
+        ),
+    ] = None,
+    fill: Annotated[
+        str | None,
+        typer.Option(help="How the measurability matrix is filled: aimed or rays.", rich_help_panel=_VIEWS),
+    ] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(help="Surface samples per planning face (aimed).", rich_help_panel=_VIEWS),
+    ] = None,
+    solver: Annotated[
+        str | None,
+        typer.Option(help="auto, greedy, meta-raps, local-search or exact.", rich_help_panel=_VIEWS),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random choice.", rich_help_panel=_VIEWS)] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel=_OUTPUT),
+    ] = None,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
+    ] = False,
+    no_cache: Annotated[
+        bool,
+        typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel=_OUTPUT),
+    ] = False,
+) -> None:
+    """Plan the views that measure a part: which, whether the robot reaches them, in which order, along which motion."""
+    from cell.narrator import Narrator
+    from cell.pipeline import plan as run_plan
+    from cell.scene import load_scene
+
+    options: dict[str, dict[str, Any]] = {"part": {}, "placement": {}, "plan": {}}
+    if part is not None:
+        options["part"] = _part_option(part, units)
+    elif units is not None:
+        options["part"]["units"] = units
+    if place is not None:
+        options["placement"] = _placement_option(place)
+    if faces is not None and percent is not None:
+        raise UsageError("--faces and --percent both set the size of the planning mesh; give one of them")
+    given = {
+        "faces": faces,
+        "percent_kept": percent,
+        "candidates": candidates,
+        "standoffs_mm": _numbers("--standoff", standoff),
+        "rolls_deg": _numbers("--roll", roll),
+        "coverage": coverage,
+        "required_visible": require,
+        "fill": fill,
+        "samples_per_face": samples,
+        "solver": solver,
+        "seed": seed,
+    }
+    options["plan"] = {key: value for key, value in given.items() if value is not None}
+    narrator = Narrator(quiet_stdout=as_json)
+    outcome = run_plan(
+        load_scene(scene, options), scene_path=scene, out=out, argv=sys.argv[1:], use_cache=not no_cache, narrator=narrator
+    )
+    if as_json:
+        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+    else:
+        narrator.plan_table(outcome)
+    raise typer.Exit(outcome.exit_code)
+
+
+@app.command(epilog="Example:\n\ncell check my_cell.toml")
+def check(
+    scene: Annotated[
+        Path | None, typer.Argument(help="Scene file (TOML). Default: the built-in scene.", show_default=False)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
+    from cell.check import check_scene
+    from cell.narrator import Narrator
+    from cell.scene import load_scene
+
+    result = check_scene(load_scene(scene))
+    if as_json:
+        sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
+    else:
+        Narrator().check_table(result)
+    raise typer.Exit(result.exit_code)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of the console script: runs a command and turns every failure into one sentence and its exit code."""
+    signal.signal(signal.SIGTERM, _stop)
+    code = _guarded(lambda: app(args=argv, prog_name="cell", standalone_mode=False))
+    sys.exit(code)
+
+
+def _guarded(run: Callable[[], Any]) -> int:
+    import click
+
+    try:
+        result = run()
+    except typer.Exit as stop:
+        return stop.exit_code
+    except (KeyboardInterrupt, click.Abort, typer.Abort):
+        return _say("stopped by Ctrl-C; what was finished is kept", 130)
+    except click.ClickException as error:
+        error.show()
+        return 2
+    except CellError as error:
+        return _say(str(error), error.exit_code)
+    except BrokenPipeError:
+        # The reader of stdout went away (`cell ... | head`); the work is done and the folder complete.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except MemoryError:
+        return _say("out of memory; use fewer --faces, --samples or --standoff values", 70)
+    except Exception as error:
+        if os.environ.get("SCAN_CELL_TRACEBACK"):
+            raise
+        return _say(
+            f"this is a bug in scan-cell: {type(error).__name__}: {error}. "
+            "Set SCAN_CELL_TRACEBACK=1 to see where, and please report it",
+            70,
+        )
+    return result if isinstance(result, int) else 0
+
+
+def _say(sentence: str, code: int) -> int:
+    sys.stderr.write(f"cell: {sentence}\n")
+    return code
+
+
+def _stop(signum: int, frame: FrameType | None) -> None:
+    """A polite kill ends a run as Ctrl-C does: the folder keeps its status."""
+    raise KeyboardInterrupt
+
+
+def _placement_option(text: str) -> dict[str, Any]:
+    values = _numbers("--place", text)
+    if values is None or len(values) not in (3, 6):
+        raise UsageError(f"--place {text} must be x,y,z or x,y,z,A,B,C (mm and deg), for instance --place 1200,500,0")
+    placement: dict[str, Any] = {"position_mm": values[:3]}
+    if len(values) == 6:
+        placement["abc_deg"] = values[3:]
+    return placement
+
+
+def _part_option(part: str, units: str | None) -> dict[str, Any]:
+    from cell.stand_ins import NAMES
+
+    looks_like_file = Path(part).suffix != "" or os.sep in part or Path(part).exists()
+    if part in NAMES and not Path(part).is_file():
+        if units is not None:
+            raise UsageError(f"{part} is built in and has its own size; leave --units away")
+        return {"name": part}
+    if not looks_like_file:
+        raise UsageError(f"there is no file and no built-in part named {part}; built in are {', '.join(NAMES)}")
+    return {"path": str(Path(part).absolute()), "units": units}
+
+
+def _numbers(option: str, text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(piece) for piece in text.split(",")]
+    except ValueError:
+        raise UsageError(f"{option} {text} must be numbers separated by commas, without spaces") from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""What a person sees while a command runs: stages with progress on stderr, notes, and the summary tables at the end."""
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from cell.check import CheckResult
+    from cell.pipeline import PlanOutcome
+
+log = logging.getLogger(__name__)
+
+ProgressCallback = Callable[[int, int], None]
+
+
+class Narrator:
+    """Progress and notes go to stderr (a bar only on a terminal), results to stdout."""
+
+    def __init__(self, *, quiet_stdout: bool = False) -> None:
+        """Open the consoles.
+
+        Args:
+            quiet_stdout: leave stdout to a JSON object.
+        """
+        self._errors = Console(stderr=True, highlight=False)
+        self._results = self._errors if quiet_stdout else Console(highlight=False)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[ProgressCallback]:
+        """Show a stage while it runs.
+
+        Yields:
+            a callback `(done, total)` for stages that can tell how far they are.
+        """
+        log.info("stage: %s", name)
+        with Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description:<28}"),
+            BarColumn(bar_width=30),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            console=self._errors,
+            transient=True,
+            disable=not self._errors.is_terminal,
+        ) as progress:
+            task = progress.add_task(name, total=None)
+            yield lambda done, total: progress.update(task, completed=done, total=total)
+
+    def note(self, sentence: str) -> None:
+        """Say something that the user should know although the work goes on."""
+        log.warning("%s", sentence)
+        self._errors.print(f"note: {sentence}", markup=False, soft_wrap=True)
+
+    def plan_table(self, outcome: "PlanOutcome") -> None:
+        """The summary of a plan."""
+        summary = outcome.summary
+        coverage, motion = summary["coverage"], summary["motion"]
+        table = Table(title=f"View plan of {summary['part']['name']}", title_justify="left", show_header=False)
+        table.add_column(style="bold")
+        table.add_column()
+        table.add_row("views", f"{summary['n_views']}  ({summary['status']})")
+        table.add_row("lower bound", f"{summary['lower_bound']} views for these candidates and samples")
+        table.add_row(
+            "visible coverage",
+            f"{100 * coverage['visible']:.2f} % of the surface, "
+            f"{100 * coverage['visible_of_coverable']:.2f} % of what reachable candidates can measure",
+        )
+        verdicts = summary["verdicts"]
+        table.add_row("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in verdicts.items()))
+        if summary["dropped"]:
+            table.add_row("dropped", "; ".join(f"view {view['id']}: {view['reason']}" for view in summary["dropped"]))
+        clearance = motion["minimum_clearance_mm"]
+        table.add_row(
+            "motion",
+            f"{motion['duration_s']:.1f} s from home to home through {motion['via_points']} points"
+            + ("" if clearance is None else f"; nearest {clearance:.1f} mm ({motion['between']})"),
+        )
+        table.add_row("run folder", str(outcome.folder))
+        self._results.print(table)
+
+    def check_table(self, result: "CheckResult") -> None:
+        """What `cell check` found."""
+        table = Table(title="Scene", title_justify="left", show_header=False)
+        table.add_column(style="bold")
+        table.add_column()
+        for name, value in result.rows():
+            table.add_row(name, value)
+        self._results.print(table)
+        for problem in result.problems:
+            self._errors.print(f"wrong: {problem}", markup=False, soft_wrap=True)
