@@ -1,17 +1,18 @@
 """Certified straight joint segments: free between the checks too, not only at them.
 
-The argument. Let `c` be the checker's clearance, so that at a free configuration every guarded pair is at least `c` apart.
-A segment is subdivided at the configurations q_0 .. q_n such that from each q_k to the midpoints between it and its
-neighbours no point of arm or tool moves farther than `d = STEP * c` (the checker's `travel` bounds this; it is asked for
-each half on its own, so nothing is assumed about how the bound behaves under subdivision). Every configuration q of the
-segment lies in such a half, so each point of arm and tool is within `d` of where it was at a checked configuration, and
+The argument. Let `c` be the checker's clearance, so that at a free configuration every guarded pair is at least `c`
+apart. A segment is subdivided at the configurations q_0 .. q_n such that from each q_k to the midpoints between it
+and its neighbours no point of arm or tool moves farther than `d = STEP * c` (the checker's `travel` bounds this; it
+is asked for each half on its own, so nothing is assumed about how the bound behaves under subdivision). Every
+configuration q of the segment lies in such a half, so each point of arm and tool is within `d` of where it was at a
+checked configuration, and
 
 - a pair of a moving and a standing body is at least `c - d = (1 - STEP) c` apart at q;
-- a pair of two moving bodies (housing and forearm, say) is at least `c - 2 d = (1 - 2 STEP) c` apart: both may have moved
-  towards each other, and `travel` bounds each one's motion in the base frame, not their relative motion.
+- a pair of two moving bodies (housing and forearm, say) is at least `c - 2 d = (1 - 2 STEP) c` apart: both may have
+  moved towards each other, and `travel` bounds each one's motion in the base frame, not their relative motion.
 
-With STEP = 0.45 these are 0.55 c and 0.1 c: no contact anywhere on the segment. STEP = 0.5 would leave two moving bodies no
-distance at all.
+With STEP = 0.45 these are 0.55 c and 0.1 c: no contact anywhere on the segment. STEP = 0.5 would leave two moving
+bodies no distance at all.
 
 Via points are integers of 1e-4 deg (`quantise`) before they are checked, so what is driven is what was certified.
 """
@@ -24,9 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
 from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
 
 STEP = 0.45
 """Largest travel between a configuration and its nearest checked one, as a share of the clearance; below 0.5."""
+
+_LIMIT_NOISE = 1e-6  # rounding, in steps of 1e-4 deg, of limits that were given in degrees
 
 _FIRST_BATCH, _GROWTH = 8, 4  # a collision is mostly found within a few checks, a free edge needs them all
 
@@ -40,7 +44,7 @@ def quantise(q: ArrayLike) -> Floats:
     Returns:
         (..., 6) joint angles [rad].
     """
-    return np.radians(np.round(np.degrees(np.asarray(q, dtype=float)), 4))
+    return from_steps(to_steps(q))
 
 
 def quantise_inside(q: ArrayLike, limits: JointLimits) -> Floats:
@@ -53,9 +57,9 @@ def quantise_inside(q: ArrayLike, limits: JointLimits) -> Floats:
     Returns:
         (..., 6) joint angles [rad] inside the range.
     """
-    low = np.radians(np.ceil(np.round(np.degrees(limits.lower) * 1e4, 3)) / 1e4)
-    high = np.radians(np.floor(np.round(np.degrees(limits.upper) * 1e4, 3)) / 1e4)
-    return np.clip(quantise(q), np.maximum(low, limits.lower), np.minimum(high, limits.upper))
+    low = np.ceil(np.degrees(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE)
+    high = np.floor(np.degrees(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE)
+    return np.clip(from_steps(np.clip(to_steps(q), low, high)), limits.lower, limits.upper)
 
 
 def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats:
@@ -88,9 +92,7 @@ def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats
         count += max(1, count // 8)
 
 
-def certify(
-    q_from: Floats, q_to: Floats, checker: CollisionChecker, *, ends_free: bool = False
-) -> tuple[bool, int]:
+def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker, *, ends_free: bool = False) -> tuple[bool, int]:
     """Whether a straight segment is free everywhere.
 
     Args:
@@ -112,9 +114,7 @@ def certify(
     return True, checks
 
 
-def certify_many(
-    q_from: Floats, q_to: Floats, checker: CollisionChecker
-) -> tuple[NDArray[np.bool_], int]:
+def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[NDArray[np.bool_], int]:
     """Certify several segments with free ends; the same verdicts as `certify`, in fewer and larger calls.
 
     Args:
@@ -142,9 +142,7 @@ def certify_many(
     return certified, checks
 
 
-def clearance_along(
-    via: Floats, checker: CollisionChecker, samples: int = 64
-) -> tuple[float, str]:
+def clearance_along(via: Floats, checker: CollisionChecker, samples: int = 64) -> tuple[float, str]:
     """Smallest distance found along a path of certified segments, and between what.
 
     Distances cost far more than yes-or-no checks, so they are taken at about `samples` configurations, shared among the
@@ -173,12 +171,14 @@ def clearance_along(
 
 
 def along(via: Floats, checker: CollisionChecker, samples: int) -> Floats:
-    """(K, 6) configurations on the path through `via` (m, 6), about `samples`, shared by travel; all via points included."""
+    """(K, 6) configurations on the path through `via` (m, 6), about `samples`, shared by travel, all via points in."""
     if len(via) < 2:
         return via
     lengths = checker.travel(via[:-1], via[1:])
     total = float(lengths.sum())
-    parts = np.maximum(1, np.ceil(samples * lengths / total).astype(int)) if total > 0 else np.ones(len(lengths), dtype=int)
+    parts = (
+        np.maximum(1, np.ceil(samples * lengths / total).astype(int)) if total > 0 else np.ones(len(lengths), dtype=int)
+    )
     pieces = [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(via[:-1], via[1:], parts, strict=True)]
     return np.concatenate([*pieces, via[-1:]])
 
@@ -199,7 +199,8 @@ def _bisection_order(count: int) -> NDArray[np.int64]:
     """0, count - 1, then the middles of ever smaller intervals: (count,), each index once."""
     if count < 3:
         return np.arange(count)
-    # The radical inverse in base 2 visits the multiples of 1 / 2^bits in bisection order; indices in it, first seen first.
+    # The radical inverse in base 2 visits the multiples of 1 / 2^bits in bisection order; indices in it, first seen
+    # first.
     bits = int(np.ceil(np.log2(count)))
     counter = np.arange(2**bits)
     inverse = np.zeros(2**bits)

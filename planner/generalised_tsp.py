@@ -3,8 +3,8 @@
 Pure combinatorics on a matrix of edge costs. For one order of the clusters the best nodes follow from an exact dynamic
 programme over layers (`best_nodes`). Over orders, `exact` runs the dynamic programme of Held and Karp (1962,
 doi:10.1137/0110015) on subsets of clusters, with nodes as states; `improve` is an iterated local search: neighbours by
-2-opt and or-opt are ranked with the current nodes and the most promising evaluated exactly, each with its own best nodes;
-at a local optimum the order is kicked and the search goes on from there (Lourenco, Martin and Stuetzle 2003,
+2-opt and or-opt are ranked with the current nodes and the most promising evaluated exactly, each with its own best
+nodes; at a local optimum the order is kicked and the search goes on from there (Lourenco, Martin and Stuetzle 2003,
 doi:10.1007/0-306-48056-5_11).
 
 Costs are symmetric. An edge that cannot be used costs `BLOCKED`, a number that dwarfs every real cost: a tour is then
@@ -13,6 +13,7 @@ compared first by how many such edges it needs, which an infinite cost could not
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +110,8 @@ def evaluate(problem: Instance, orders: Ints) -> Floats:
     reached = layered[0, clusters[:, 0], 0, :]
     for k in range(1, clusters.shape[1]):
         reached = (reached[:, :, None] + layered[clusters[:, k - 1], clusters[:, k]]).min(axis=1)
-    return (reached + layered[clusters[:, -1], 0, :, 0]).min(axis=1)
+    totals: Floats = (reached + layered[clusters[:, -1], 0, :, 0]).min(axis=1)
+    return totals
 
 
 def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
@@ -127,7 +129,7 @@ def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
         return 0.0, np.zeros(0, dtype=np.int64)
     layered = problem.layered
     reached, came_from = layered[0, clusters[0], 0], []
-    for before, after in zip(clusters[:-1], clusters[1:], strict=True):
+    for before, after in pairwise(clusters):
         through = reached[:, None] + layered[before, after]
         came_from.append(through.argmin(axis=0))
         reached = through.min(axis=0)
@@ -218,9 +220,9 @@ def improve(problem: Instance, start: Ints, rng: np.random.Generator, evaluation
 def lower_bound(problem: Instance, rounds: int = 40) -> float:
     """No tour costs less: the bound of Held and Karp (1970, doi:10.1287/opre.18.6.1138) on the clusters.
 
-    Each pair of clusters costs what its cheapest pair of nodes costs, so the bound is that of a travelling salesman who may
-    change the node between arriving and leaving: it is weak where the choice of nodes matters. It is the cheapest
-    1-tree, lifted by node penalties in a subgradient ascent.
+    Each pair of clusters costs what its cheapest pair of nodes costs, so the bound is that of a travelling salesman
+    who may change the node between arriving and leaving: it is weak where the choice of nodes matters. It is the
+    cheapest 1-tree, lifted by node penalties in a subgradient ascent.
     """
     n = problem.n_clusters
     cheapest = problem.layered.min(axis=(2, 3))
@@ -247,7 +249,7 @@ _RANKED, _EVALUATED = 4000, 32  # neighbours ranked with fixed nodes, and evalua
 def _neighbours(n: int) -> Ints:
     """(Q, n) positions 1..n of an order, rearranged by each 2-opt move and each or-opt move of up to three clusters."""
     identity = tuple(range(1, n + 1))
-    found = {}
+    found: dict[tuple[int, ...], None] = {}
     for i in range(n):
         for j in range(i + 2, n + 1):
             found[identity[:i] + identity[i:j][::-1] + identity[j:]] = None

@@ -1,14 +1,16 @@
 """Visiting order of the views and the joint solution for each, at the shortest motion time.
 
-The baseline is the usual two steps: a Christofides tour (networkx) through the scanner's positions in task space, then the
-best joint solutions along it. The joint-space ordering starts there and solves order and joint solutions together, as the
-generalised travelling salesman that they are (`planner.generalised_tsp`), with the time of the synchronised joint move as
-cost and home at both ends: exactly where that is affordable, else by local search with a lower bound.
+The baseline is the usual two steps: a Christofides tour (networkx) through the scanner's positions in task space,
+then the best joint solutions along it. The joint-space ordering starts there and solves order and joint solutions
+together, as the generalised travelling salesman that they are (`planner.generalised_tsp`), with the time of the
+synchronised joint move as cost and home at both ends: exactly where that is affordable, else by local search with a
+lower bound.
 
 Nodes are numbered as `node_offsets` says: 0 is home, then the joint solutions view by view.
 """
 
-from collections.abc import Callable, Mapping, Sequence as Many
+from collections.abc import Callable, Mapping
+from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -24,8 +26,11 @@ from planner.timing import check_inside, move_time
 EVALUATIONS = 20_000
 """Default budget of the local search: orders evaluated, each with its exact best joint solutions."""
 
-EXACT_WORK = 400_000_000
-"""Largest price (`generalised_tsp.exact_work`) at which the exact search is run: 12 views of 24 solutions, 0.2 s."""
+_ALWAYS_EXACT = 10_000_000
+"""Price (`generalised_tsp.exact_work`) up to which the exact search is always run: 8 views of 24 solutions, 10 ms."""
+
+_EXACT_PER_EVALUATION = 4
+"""Additions of the exact search that take the time of one addition of the local search, measured."""
 
 EdgeTimes = Mapping[tuple[int, int], float]
 
@@ -59,7 +64,8 @@ class Sequence:
         choice: (n,) joint solution taken for each view of `order`, as an index into that view's configurations.
         q: (n, 6) joint angles in visiting order [rad].
         duration: time of all moves [s], standstill not counted; inf where `status` is NO_TOUR.
-        baseline_duration: time along the Christofides tour with its best joint solutions [s]; inf if it cannot be driven.
+        baseline_duration: time along the Christofides tour with its best joint solutions [s]; inf if it cannot be
+            driven.
         lower_bound: no order of these views through these joint solutions takes less [s].
         status: what is known about the result.
         evaluations: orders whose best joint solutions were computed.
@@ -102,6 +108,7 @@ def sequence(
     budget: int = EVALUATIONS,
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
+    start: NDArray[np.int64] | None = None,
 ) -> Sequence:
     """Order the views in joint space.
 
@@ -111,10 +118,12 @@ def sequence(
         limits: limits of the axes; the cost of a move is its time under them.
         T_base_scanner: (n, 4, 4) scanner pose of each view [m], base frame.
         rng: source of the local search's kicks.
-        budget: orders that the local search may evaluate; 0 keeps the baseline where the exact search is too dear.
+        budget: orders that the local search may evaluate; the exact search takes its place wherever that is no dearer
+            (12 views of 24 solutions at the default), and for small problems always.
         edge_time: times [s] of single edges between nodes, in either direction, that replace the straight move's time;
             inf where no path exists.
         T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
+        start: (n,) order known from before; the local search begins with it where it beats the baseline.
 
     Returns:
         The sequence. Its duration is never above the baseline's.
@@ -123,12 +132,14 @@ def sequence(
         PlannerError: if a view has no joint solution, a joint angle is outside its range, or shapes do not fit.
     """
     problem = _instance(configurations, home, limits, edge_time)
-    start = _christofides(problem, T_base_scanner, T_base_home)
-    if gtsp.exact_work(problem) <= EXACT_WORK:
+    baseline = _christofides(problem, T_base_scanner, T_base_home)
+    local_work = budget * len(problem.cost) * problem.layered.shape[-1]
+    if gtsp.exact_work(problem) <= max(_ALWAYS_EXACT, _EXACT_PER_EVALUATION * local_work):
         found = gtsp.exact(problem)
     else:
-        found = gtsp.improve(problem, start, rng, budget)
-    return _result(problem, configurations, found, start)
+        starts = np.array([baseline] if start is None else [baseline, _permutation(start, problem.n_clusters)])
+        found = gtsp.improve(problem, starts[int(gtsp.evaluate(problem, starts).argmin())], rng, budget)
+    return _result(problem, configurations, found, baseline)
 
 
 def christofides(
@@ -141,16 +152,17 @@ def christofides(
     budget: int = EVALUATIONS,
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
+    start: NDArray[np.int64] | None = None,
 ) -> Sequence:
     """The baseline: a Christofides tour in task space, then its best joint solutions; arguments as in `sequence`.
 
     The tour's length is at most 1.5 times the shortest in task space (Christofides 1976); its time has no such bound.
     """
     problem = _instance(configurations, home, limits, edge_time)
-    start = _christofides(problem, T_base_scanner, T_base_home)
-    cost = float(gtsp.evaluate(problem, start[None])[0])
-    found = gtsp.Found(start, cost, min(gtsp.lower_bound(problem), cost), 1)
-    return _result(problem, configurations, found, start)
+    baseline = _christofides(problem, T_base_scanner, T_base_home)
+    cost = float(gtsp.evaluate(problem, baseline[None])[0])
+    found = gtsp.Found(baseline, cost, min(gtsp.lower_bound(problem), cost), 1)
+    return _result(problem, configurations, found, baseline)
 
 
 ORDERINGS: dict[str, Callable[..., Sequence]] = {"joint-space": sequence, "christofides": christofides}
@@ -178,9 +190,15 @@ def _instance(
     return gtsp.instance(cost, node_offsets(solutions))
 
 
-def _christofides(
-    problem: gtsp.Instance, T_base_scanner: Floats, T_base_home: Floats | None
-) -> NDArray[np.int64]:
+def _permutation(order: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+    """The order, if it names each of n views once."""
+    order = readonly("start", order, (n,), np.int64)
+    if not np.array_equal(np.sort(order), np.arange(n)):
+        raise PlannerError(f"start is no order of the views; it must hold each of 0 to {n - 1} once")
+    return np.asarray(order)
+
+
+def _christofides(problem: gtsp.Instance, T_base_scanner: Floats, T_base_home: Floats | None) -> NDArray[np.int64]:
     """(n,) order of the views along a Christofides tour through the scanner's positions."""
     n = problem.n_clusters
     positions = readonly("T_base_scanner", T_base_scanner, (n, 4, 4))[:, :3, 3]
@@ -191,8 +209,9 @@ def _christofides(
         return np.roll(tour, -int(np.flatnonzero(tour == 0)[0]))[1:] - 1
     if n < 2:
         return tour
-    cuts = np.array([np.roll(tour, -k) for k in range(n)])
-    return cuts[int(gtsp.evaluate(problem, cuts).argmin())]
+    cuts = np.stack([np.roll(tour, -k) for k in range(n)])
+    best: NDArray[np.int64] = cuts[int(gtsp.evaluate(problem, cuts).argmin())]
+    return best
 
 
 def _task_space_tour(positions: Floats) -> NDArray[np.int64]:
@@ -205,7 +224,8 @@ def _task_space_tour(positions: Floats) -> NDArray[np.int64]:
     graph = nx.Graph()
     lengths = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     graph.add_weighted_edges_from((a, b, float(lengths[a, b])) for a in range(m) for b in range(a))
-    return np.array(nx.approximation.christofides(graph)[:-1], dtype=np.int64)
+    tour: list[int] = nx.approximation.christofides(graph)
+    return np.array(tour[:-1], dtype=np.int64)
 
 
 def _result(

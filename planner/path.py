@@ -1,8 +1,8 @@
 """A certified path between two configurations: the straight joint segment, else a detour made short.
 
 A detour is found by RRT-Connect and then shortened in time. Each via point is an exact stop, so what counts is few via
-points first and short moves second: stretches of the path are replaced by a straight segment, or by a single via point near
-them, wherever that is certified and faster.
+points first and short moves second: stretches of the path are replaced by a straight segment, or by a single via
+point near them, wherever that is certified and faster.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from planner.edge import certify, clearance_along, quantise
+from planner.edge import certify, clearance_along, quantise_inside
 from planner.ports import CollisionChecker, Floats, JointLimits
 from planner.readonly import readonly
 from planner.rrt_connect import rrt_connect
@@ -53,8 +53,8 @@ class PathResult:
             segments; None where no path was found.
         status: how the connection ended.
         checks: configurations checked.
-        clearance: smallest distance [m] found along the path by `planner.edge.clearance_along`; of a colliding end, at that
-            end; NaN where it was not measured.
+        clearance: smallest distance [m] found along the path by `planner.edge.clearance_along`; of a colliding end,
+            at that end; NaN where it was not measured.
         between: the pair that is nearest there, "" where it was not measured.
         duration: time of the moves [s]; inf without a path.
     """
@@ -99,8 +99,9 @@ def connect(
         PlannerError: if an end lies outside the joint range, a limit cannot be used, or the checker keeps no clearance.
     """
     check_limits(limits)
-    ends = quantise(np.stack([readonly("q_from", q_from, (6,)), readonly("q_to", q_to, (6,))]))
+    ends = np.stack([readonly("q_from", q_from, (6,)), readonly("q_to", q_to, (6,))])
     check_inside("end", ends, limits)
+    ends = quantise_inside(ends, limits)
     free = checker.free(ends)
     if not free.all():
         end = 0 if not free[0] else 1
@@ -158,9 +159,7 @@ def shorten(
         seeds = inner[rng.integers(0, len(inner), _CANDIDATES)]
         seeds = seeds + rng.uniform(0.0, 1.0, (_CANDIDATES, 1)) ** 2 * (middle - seeds)
         seeds[::2] += sigma * rng.standard_normal(seeds[::2].shape)
-        low, high = limits.lower, limits.upper
-        candidates = quantise(np.clip(seeds, low, high))
-        candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
+        candidates = quantise_inside(seeds, limits)
         times = move_time(via[i], candidates, limits) + move_time(candidates, via[j], limits)
         now = path_time(via[i : j + 1], limits)
         fastest = np.argsort(times, kind="stable")

@@ -1,9 +1,10 @@
 """RRT-Connect (Kuffner and LaValle 2000, doi:10.1109/ROBOT.2000.844730) on certified edges.
 
-Two trees grow from start and goal towards random targets and towards each other. Every edge of a tree is a straight joint
-segment between quantised configurations that `planner.edge` has certified, so a path needs no later check. Distances between
-configurations weigh each joint by how far it moves arm and tool, so that steps and neighbours are metres rather than
-degrees. There is no wrap-around: A4 at 350 and at -10 deg are different configurations, as for the real cable.
+Two trees grow from start and goal towards random targets and towards each other. Every edge of a tree is a straight
+joint segment between quantised configurations that `planner.edge` has certified, so a path needs no later check.
+Distances between configurations weigh each joint by how far it moves arm and tool, so that steps and neighbours are
+metres rather than degrees. There is no wrap-around: A4 at 350 and at -10 deg are different configurations, as for the
+real cable.
 """
 
 import numpy as np
@@ -65,8 +66,8 @@ def rrt_connect(
         budget: configurations to check; the search ends with the step that reaches it.
 
     Returns:
-        (m, 6) via points with both ends, or None, and the configurations checked. None proves nothing but that the budget
-        was spent: the search is probabilistically complete, not exhaustive.
+        (m, 6) via points with both ends, or None, and the configurations checked. None proves nothing but that the
+        budget was spent: the search is probabilistically complete, not exhaustive.
     """
     weights = joint_weights(q_from, checker)
     low, high = np.minimum(q_from, q_to), np.maximum(q_from, q_to)
@@ -81,7 +82,10 @@ def rrt_connect(
             meeting, used = _advance(trees[other], goal, checker, limits, weights)
             checks += used
             if meeting >= 0 and np.array_equal(trees[other].q[meeting], goal):
-                branches = [trees[0].branch(tip if grown == 0 else meeting), trees[1].branch(meeting if grown == 0 else tip)]
+                branches = [
+                    trees[0].branch(tip if grown == 0 else meeting),
+                    trees[1].branch(meeting if grown == 0 else tip),
+                ]
                 return np.array(branches[0] + branches[1][::-1][1:]), checks
         elif used == 0:
             checks += 1  # the target was a node already; count the round, so that the search ends
@@ -108,7 +112,8 @@ def _advance(
     """Grow the tree from its nearest node straight towards the target until a step is blocked.
 
     Returns:
-        The last node added (or the node that is the target already), -1 where the first step is blocked, and the checks.
+        The last node added (or the node that is the target already), -1 where the first step is blocked, and the
+        checks.
     """
     near = tree.nearest(target, weights)
     q = tree.q[near].copy()

@@ -1,13 +1,13 @@
 """Time of synchronised straight joint moves, rest to rest, and the sampled motion along via points.
 
-A move from `q_from` to `q_to` is `q(s) = q_from + s (q_to - q_from)`, s from 0 to 1: all axes start and stop together and
-the path is the straight joint segment that was checked for collision. In the path parameter the axis limits become
+A move from `q_from` to `q_to` is `q(s) = q_from + s (q_to - q_from)`, s from 0 to 1: all axes start and stop together
+and the path is the straight joint segment that was checked for collision. In the path parameter the axis limits become
 
     ds/dt   <= 1 / max_j |dq_j| / v_j  = 1 / T_v         d2s/dt2 <= 1 / max_j |dq_j| / a_j = 1 / A
 
-and the shortest rest-to-rest profile is a trapezoid of speed (duration `T_v + A / T_v`) where `A <= T_v^2`, else a triangle
-(duration `2 sqrt(A)`); see Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008,
-section 3.2. Both limits are taken `MARGIN` smaller than given, so that rounding never lifts a sample, or a finite
+and the shortest rest-to-rest profile is a trapezoid of speed (duration `T_v + A / T_v`) where `A <= T_v^2`, else a
+triangle (duration `2 sqrt(A)`); see Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots,
+2008, section 3.2. Both limits are taken `MARGIN` smaller than given, so that rounding never lifts a sample, or a finite
 difference of samples, above a limit.
 
 Every via point is an exact stop: rounding a corner would leave the path that was checked.
@@ -23,10 +23,12 @@ from planner.ports import Floats, JointLimits
 from planner.readonly import readonly
 
 MARGIN = 1e-8
-"""Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second difference."""
+"""Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second
+difference."""
 
 RESOLUTION = 1e-13
-"""A joint difference [rad] up to which two angles are equal: their rounding, a millionth of what any controller resolves."""
+"""A joint difference [rad] up to which two angles are equal: their rounding, a millionth of what any controller
+resolves."""
 
 SAMPLE_PERIOD = 0.012
 """Interpolation cycle of a KR C2 [s]."""
@@ -36,8 +38,8 @@ SAMPLE_PERIOD = 0.012
 class Motion:
     """A timed motion through via points, at rest at each of them.
 
-    Samples are spaced evenly inside a move, at most `sample_period` apart, and every via point is a sample. A sample at a
-    via point belongs to the move that ends there.
+    Samples are spaced evenly inside a move, at most `sample_period` apart, and every via point is a sample. A sample
+    at a via point belongs to the move that ends there.
 
     Attributes:
         via_q: (N, 6) via points [rad], KUKA signs.
@@ -94,7 +96,8 @@ def check_limits(limits: JointLimits) -> None:
             raise PlannerError(f"the velocity limit of {name} is {limits.velocity[axis]} rad/s; it must be above 0")
         if not 0 < limits.acceleration[axis] < np.inf:
             raise PlannerError(
-                f"the acceleration limit of {name} is {limits.acceleration[axis]} rad/s^2; it must be above 0 and finite"
+                f"the acceleration limit of {name} is {limits.acceleration[axis]} rad/s^2; it must be above 0 and "
+                "finite"
             )
         if not limits.lower[axis] <= limits.upper[axis]:
             raise PlannerError(
@@ -173,7 +176,9 @@ def retime(
     check_inside("via point", vias, limits)
     segments = readonly("segment", segment, (len(vias),), np.int64)
     if (np.diff(segments) < 0).any():
-        raise PlannerError("segment decreases along the via points; the legs of a tour must be numbered in driving order")
+        raise PlannerError(
+            "segment decreases along the via points; the legs of a tour must be numbered in driving order"
+        )
 
     ramps, cruises = _profile(vias[:-1], vias[1:], limits)
     durations = 2.0 * ramps + cruises
@@ -227,7 +232,8 @@ def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
         row, axis = np.argwhere(outside)[0]
         low, high = np.degrees(limits.lower[axis]), np.degrees(limits.upper[axis])
         raise PlannerError(
-            f"{what} {row} has A{axis + 1} at {np.degrees(q[row, axis]):.4f} deg; it must lie in {low:.4f} to {high:.4f} deg"
+            f"{what} {row} has A{axis + 1} at {np.degrees(q[row, axis]):.4f} deg; it must lie in "
+            f"{low:.4f} to {high:.4f} deg"
         )
 
 
@@ -241,7 +247,7 @@ def _profile(q_from: Floats, q_to: Floats, limits: JointLimits) -> tuple[Floats,
         np.maximum(at_speed, distance / limits.velocity[axis], out=at_speed)
         np.maximum(squared_ramp, distance / limits.acceleration[axis], out=squared_ramp)
     trapezoid = (squared_ramp <= at_speed**2) & (at_speed > 0)
-    ramp = np.sqrt(squared_ramp)
+    ramp = np.asarray(np.sqrt(squared_ramp))
     np.divide(squared_ramp, at_speed, out=ramp, where=trapezoid)
     return ramp, np.where(trapezoid, at_speed - ramp, 0.0)
 
