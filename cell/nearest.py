@@ -1,0 +1,279 @@
+"""Closest point of a triangle mesh to each of many points, exact, and on which side of the surface a point lies.
+
+Every face is cut into pieces no larger than a common radius, and a k-d tree holds the pieces' centres. A piece whose centre
+is farther than (distance found so far) + (its radius) cannot hold a closer point; the answer is certified when the next
+piece that the tree would give is farther than that. Where it is not, more pieces are asked for, in the end all of them. So
+the result is the exact closest point up to rounding, whatever the triangles look like. Object frame, metres.
+
+The side follows Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG 11
+(2005), doi:10.1109/TVCG.2005.49: the normal of the face, edge or corner on which the closest point lies decides, which is
+right on closed meshes also where the closest point is on an edge.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.closest import squared_distance
+from planner.readonly import readonly
+from planner.surface import TriangleMesh, face_normals
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_FIRST_CANDIDATES = 8  # certifies about nine of ten points near the surface; the others ask for more
+_MORE = 4  # by this factor
+_PIECES = 40_000  # a mesh of few faces is cut into about so many pieces
+_CHUNK = 16_384  # points a pass, so that its arrays stay in the processor's cache
+_LARGEST_TABLE = 4_000_000  # candidates held at once
+_CREASE = np.cos(np.radians(30.0))  # corners whose faces differ by more keep their face's normal
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosestPoints:
+    """Closest points of a surface.
+
+    Attributes:
+        point: (N, 3) closest points [m], object frame.
+        face: (N,) int32 face on which each lies.
+        weights: (N, 3) barycentric coordinates there; exactly zero for the corners that do not count.
+        distance: (N,) unsigned distance [m].
+    """
+
+    point: Floats
+    face: NDArray[np.int32]
+    weights: Floats
+    distance: Floats
+
+    def __post_init__(self) -> None:
+        count = len(self.face)
+        object.__setattr__(self, "point", readonly("point", self.point, (count, 3)))
+        object.__setattr__(self, "face", readonly("face", self.face, (count,), np.int32))
+        object.__setattr__(self, "weights", readonly("weights", self.weights, (count, 3)))
+        object.__setattr__(self, "distance", readonly("distance", self.distance, (count,)))
+
+
+class NearestSurface:
+    """The service for one mesh: built once, asked often.
+
+    Args:
+        mesh: the surface, object frame.
+    """
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self.mesh = mesh
+        self._triangles: Floats = mesh.vertices[mesh.faces]
+        self._normals = face_normals(mesh)
+        centres, self._owner, self._radius = _pieces(self._triangles)
+        self._largest_radius = float(self._radius.max())
+        self._rounding = 1e-12 * float(np.abs(mesh.vertices).max())
+        self._tree = cKDTree(centres, balanced_tree=False, compact_nodes=False)  # builds faster, queries as fast
+        self._corner_normals: Floats | None = None
+        self._edge_normals: Floats | None = None
+        self._smooth: Floats | None = None
+
+    def closest(self, points: Floats) -> ClosestPoints:
+        """The closest point of the surface to each point.
+
+        Args:
+            points: (N, 3) [m], object frame, finite.
+        """
+        face = np.empty(len(points), dtype=np.int32)
+        for start in range(0, len(points), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            face[part] = self._closest_face(points[part])
+        weights = _foot_weights(points, self._triangles[face])
+        foot = np.einsum("nc,ncj->nj", weights, self._triangles[face])
+        return ClosestPoints(foot, face, weights, np.linalg.norm(points - foot, axis=1))
+
+    def signed(self, points: Floats, closest: ClosestPoints) -> Floats:
+        """Signed distances: positive outside, negative inside.
+
+        Args:
+            points: (N, 3) [m], object frame.
+            closest: what `closest` gave for them.
+
+        Returns:
+            (N,) [m].
+        """
+        side = np.einsum("nj,nj->n", points - closest.point, self._pseudonormals(closest))
+        return np.where(side < 0, -closest.distance, closest.distance)
+
+    def normals(self, closest: ClosestPoints) -> Floats:
+        """(N, 3) unit normals at closest points, interpolated over the face except across creases of 30 degrees.
+
+        Interpolation matters where the mesh stands for a round surface: flat facets would resist a rotation that the
+        surface itself does not resist.
+        """
+        if self._smooth is None:
+            corner, _ = self._adjacent_normals()
+            at_corners = corner[self.mesh.faces]
+            flat = np.broadcast_to(self._normals[:, None, :], at_corners.shape)
+            round_here = np.einsum("fcj,fcj->fc", at_corners, flat) >= _CREASE
+            self._smooth = np.where(round_here[:, :, None], at_corners, flat)
+        return _unit(np.einsum("nc,ncj->nj", closest.weights, self._smooth[closest.face]))
+
+    def _closest_face(self, points: Floats) -> NDArray[np.int32]:
+        """(N,) the face that holds the closest point; the certificate of the module docstring."""
+        result = np.empty(len(points), dtype=np.int32)
+        open_points = np.arange(len(points))
+        count = min(_FIRST_CANDIDATES, len(self._owner))
+        while len(open_points):
+            step = max(1, _LARGEST_TABLE // count)
+            certified = np.concatenate(
+                [
+                    self._try(points, open_points[start : start + step], count, result)
+                    for start in range(0, len(open_points), step)
+                ]
+            )
+            open_points = open_points[~certified]
+            count = min(count * _MORE, len(self._owner))
+        return result
+
+    def _try(
+        self, points: Floats, chosen: Indices, count: int, result: NDArray[np.int32]
+    ) -> NDArray[np.bool_]:
+        """Take the best of `count` pieces into `result`; whether it is certain."""
+        query = points[chosen]
+        distance, piece = self._tree.query(query, k=count, workers=2)
+        distance, piece = distance.reshape(-1, count), piece.reshape(-1, count)
+        face = self._owner[piece]
+        first = squared_distance(query, self._triangles, face[:, 0])
+        reach = np.sqrt(first) + self._rounding
+        row, column = np.nonzero(distance[:, 1:] - self._radius[piece[:, 1:]] <= reach[:, None])
+        squared = np.full(face.shape, np.inf)
+        squared[:, 0] = first
+        squared[row, column + 1] = squared_distance(query[row], self._triangles, face[row, column + 1])
+        best = np.argmin(squared, axis=1)
+        rows = np.arange(len(chosen))
+        result[chosen] = face[rows, best]
+        if count == len(self._owner):
+            return np.ones(len(chosen), dtype=np.bool_)
+        found = np.sqrt(squared[rows, best]) + self._rounding
+        certain: NDArray[np.bool_] = distance[:, -1] - self._largest_radius > found
+        return certain
+
+    def _pseudonormals(self, closest: ClosestPoints) -> Floats:
+        """(N, 3) normals of the feature (face, edge, corner) on which each closest point lies; not of unit length."""
+        corner, edge = self._adjacent_normals()
+        on = closest.weights > 0
+        n_on = on.sum(axis=1)
+        normals = self._normals[closest.face].copy()
+        on_edge = n_on == 2
+        normals[on_edge] = edge[closest.face[on_edge], np.argmin(on[on_edge], axis=1)]
+        on_corner = n_on == 1
+        vertex = self.mesh.faces[closest.face[on_corner], np.argmax(on[on_corner], axis=1)]
+        normals[on_corner] = corner[vertex]
+        return normals
+
+    def _adjacent_normals(self) -> tuple[Floats, Floats]:
+        """Angle-weighted unit normals of the vertices (V, 3), and normals of the edges (F, 3, 3) by opposite corner."""
+        if self._corner_normals is None or self._edge_normals is None:
+            faces, triangles = self.mesh.faces, self._triangles
+            corner = np.zeros_like(self.mesh.vertices)
+            for i in range(3):
+                out = _unit(triangles[:, (i + 1) % 3] - triangles[:, i])
+                back = _unit(triangles[:, (i + 2) % 3] - triangles[:, i])
+                angle = np.arccos(np.clip(np.einsum("fj,fj->f", out, back), -1, 1))
+                for axis in range(3):
+                    corner[:, axis] += np.bincount(
+                        faces[:, i], angle * self._normals[:, axis], minlength=len(corner)
+                    )
+            opposite = np.stack([faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]], axis=1).astype(np.int64)
+            opposite.sort(axis=2)
+            key = opposite[:, :, 0] * len(corner) + opposite[:, :, 1]
+            _, edge = np.unique(key.ravel(), return_inverse=True)
+            total = np.stack(
+                [np.bincount(edge.ravel(), np.repeat(self._normals[:, axis], 3)) for axis in range(3)], axis=1
+            )
+            self._corner_normals = _unit(corner)
+            self._edge_normals = total[edge].reshape(-1, 3, 3)
+        return self._corner_normals, self._edge_normals
+
+
+def _unit(vectors: Floats) -> Floats:
+    """Vectors of length one along the last axis; a zero vector stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+
+
+def _foot_weights(points: Floats, triangles: Floats) -> Floats:
+    """Barycentric coordinates of the closest point of one triangle each.
+
+    The foot of the perpendicular where it lies inside, else the nearest of the closest points of the three edges (which is
+    also right for a triangle without area).
+
+    Args:
+        points: (N, 3) [m].
+        triangles: (N, 3, 3) corners [m].
+
+    Returns:
+        (N, 3), not negative, sum 1.
+    """
+    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    offset = points - triangles[:, 0]
+    normal = np.cross(first, second)
+    squared = np.einsum("nj,nj->n", normal, normal)
+    safe = np.where(squared > 0, squared, 1.0)
+    inner = np.empty((len(points), 3))
+    inner[:, 1] = np.einsum("nj,nj->n", np.cross(offset, second), normal) / safe
+    inner[:, 2] = np.einsum("nj,nj->n", np.cross(first, offset), normal) / safe
+    inner[:, 0] = 1 - inner[:, 1] - inner[:, 2]
+    is_inside = (squared > 0) & (inner > 0).all(axis=1)
+    best = np.full(len(points), np.inf)
+    weights = np.zeros((len(points), 3))
+    for i in range(3):
+        j = (i + 1) % 3
+        along = triangles[:, j] - triangles[:, i]
+        length = np.einsum("nj,nj->n", along, along)
+        reached = np.einsum("nj,nj->n", points - triangles[:, i], along)
+        step = np.clip(np.divide(reached, length, out=np.zeros_like(length), where=length > 0), 0, 1)
+        distance = ((points - triangles[:, i] - step[:, None] * along) ** 2).sum(axis=1)
+        nearer = distance < best
+        best[nearer] = distance[nearer]
+        weights[nearer] = 0.0
+        weights[nearer, i] = 1 - step[nearer]
+        weights[nearer, j] = step[nearer]
+    weights[is_inside] = inner[is_inside]
+    return weights
+
+
+def _pieces(triangles: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
+    """Cut triangles at the middle of their longest edge until none reaches farther than a common radius.
+
+    Returns:
+        (P, 3) centres [m], (P,) the triangle that each is a piece of, (P,) largest distance from centre to corner [m].
+    """
+    owner = np.arange(len(triangles), dtype=np.int32)
+    centre, radius = _centre_and_radius(triangles)
+    area = np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    ).sum()
+    # A piece of radius r cut from a large triangle has about the area r^2; long thin faces give length / r pieces.
+    limit = max(float(np.quantile(radius, 0.9)), float(np.sqrt(area / 2 / _PIECES)), radius.sum() / (4 * _PIECES))
+    limit = min(limit, float(radius.max()))
+    centres, owners, radii = [], [], []
+    while True:
+        small = radius <= limit * (1 + 1e-9)
+        centres.append(centre[small])
+        owners.append(owner[small])
+        radii.append(radius[small])
+        if small.all():
+            return np.concatenate(centres), np.concatenate(owners), np.concatenate(radii)
+        triangles, owner = triangles[~small], owner[~small]
+        edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+        start = np.argmax(edges, axis=1)
+        rows = np.arange(len(triangles))
+        a, b, c = (triangles[rows, (start + i) % 3] for i in range(3))
+        middle = (a + b) / 2
+        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+        owner = np.concatenate([owner, owner])
+        centre, radius = _centre_and_radius(triangles)
+
+
+def _centre_and_radius(triangles: Floats) -> tuple[Floats, Floats]:
+    """(N, 3) centres of gravity, and (N,) the distance from there to the farthest corner [m]."""
+    centre = triangles.mean(axis=1)
+    return centre, np.linalg.norm(triangles - centre[:, None, :], axis=2).max(axis=1)
