@@ -10,6 +10,7 @@ from cell.kinematics import Kr16Kinematics
 
 @pytest.fixture(scope="module")
 def model():
+    """The robot alone, compiled."""
     return robot.load()
 
 

@@ -8,7 +8,7 @@ from cell.kinematics import Kr16Kinematics
 
 
 def test_both_solvers_find_the_same_branches():
-    """On 3000 random poses both find as many real branches, and each of theirs is one of ours to 1e-8 rad, and vice versa."""
+    """On 3000 random poses both find the same real branches to 1e-8 rad, each of ours and each of theirs."""
     kinematics = Kr16Kinematics.load()
     arm = kinematics.arm
     oracle = Robot(

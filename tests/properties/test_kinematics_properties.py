@@ -20,7 +20,7 @@ ANGLE = st.one_of(st.floats(-np.pi, np.pi), NEAR_A_QUARTER)
 @settings(deadline=None, max_examples=400)
 @given(st.tuples(*[ANGLE] * 6))
 def test_every_real_branch_leads_back_to_the_pose(q):
-    """forward(inverse(T)) = T to 1e-9 m and rad for each branch, and at least one branch is real where T came from q."""
+    """forward(inverse(T)) = T to 1e-9 m and rad for each branch, and at least one branch is real."""
     T = KINEMATICS.forward(np.array([q]))
     solutions = KINEMATICS.inverse(T)[0]
     solutions = solutions[~np.isnan(solutions[:, 0])]
@@ -31,7 +31,7 @@ def test_every_real_branch_leads_back_to_the_pose(q):
 @settings(deadline=None, max_examples=400)
 @given(st.tuples(*[ANGLE] * 3), st.tuples(*[st.floats(-1e3, 1e3)] * 3))
 def test_kuka_angles_reproduce_the_rotation_everywhere(abc, position):
-    """A, B, C -> T -> A, B, C -> T gives the same T to 5e-14, in the middle of gimbal lock too, in the stated ranges."""
+    """A, B, C -> T -> A, B, C -> T gives the same T to 5e-14, in gimbal lock too, in the stated ranges."""
     T = pose_from_kuka_abc(position, abc)
     back_position, back = kuka_abc_from_pose(T)
     assert (back_position == position).all()

@@ -22,6 +22,7 @@ NAMED = {
 
 @pytest.fixture(scope="module")
 def kinematics():
+    """Of models/kr16.xml."""
     return Kr16Kinematics.load()
 
 
@@ -96,7 +97,7 @@ def test_out_of_reach_is_nan_in_whole_branches(kinematics):
 
 
 def test_stretched_arm_within_the_documented_tolerance(kinematics):
-    """Half the tolerance beyond the stretched arm counts as stretched and misses by no more; twice it does not count."""
+    """Half the tolerance beyond the stretched arm is solved and misses by no more; twice the tolerance is not."""
     reach = kinematics.arm.a1 + kinematics.arm.a2 + np.hypot(kinematics.arm.d4, kinematics.arm.a3)
     T = np.tile(np.eye(4), (2, 1, 1))
     T[:, 0, 3] = reach + STRETCH_TOLERANCE * np.array([0.5, 2.0])

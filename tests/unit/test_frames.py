@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cell.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from planner.errors import PlannerError
+
+
+def test_it_is_rz_ry_rx():
+    """R = Rz(A) Ry(B) Rx(C), as SciPy multiplies out intrinsic z, y, x rotations; the position is the last column."""
+    rng = np.random.default_rng(1)
+    abc, position = rng.uniform(-np.pi, np.pi, (500, 3)), rng.normal(size=(500, 3))
+    T = pose_from_kuka_abc(position, abc)
+    np.testing.assert_allclose(T[:, :3, :3], Rotation.from_euler("ZYX", abc).as_matrix(), rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(T[:, :3, 3], position)
+    np.testing.assert_array_equal(T[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (500, 1)))
+
+
+def test_angles_inside_the_range_come_back():
+    """A, B, C with |B| < 90 deg are returned as they were given, to 1e-14 rad near B = 0 and 1e-9 at 89.9 deg."""
+    rng = np.random.default_rng(2)
+    abc = rng.uniform(-np.pi, np.pi, (500, 3)) * (1.0, 0.2, 1.0)
+    np.testing.assert_allclose(
+        kuka_abc_from_pose(pose_from_kuka_abc(np.zeros_like(abc), abc))[1], abc, rtol=0, atol=1e-14
+    )
+    steep = np.deg2rad([[10.0, 89.9, -20.0], [10.0, -89.9, -20.0]])
+    np.testing.assert_allclose(
+        kuka_abc_from_pose(pose_from_kuka_abc(np.zeros((2, 3)), steep))[1], steep, rtol=0, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("b", [90.0, -90.0])
+def test_straight_up_and_down(b):
+    """At B = +-90 deg C is 0, and A takes the whole turn: A - C at 90, A + C at -90."""
+    T = pose_from_kuka_abc([1.0, 2.0, 3.0], np.deg2rad([50.0, b, 20.0]))
+    position, abc = kuka_abc_from_pose(T)
+    np.testing.assert_allclose(np.rad2deg(abc), [30.0 if b > 0 else 70.0, b, 0.0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pose_from_kuka_abc(position, abc), T, rtol=0, atol=1e-15)
+
+
+def test_half_turns_are_plus_180():
+    """A rotation of half a turn reads +180, never -180, whatever the sign of its zeros."""
+    for sign in (1.0, -1.0):
+        R = np.diag([-1.0, -1.0, 1.0, 1.0])
+        R[1, 0] = sign * 0.0
+        assert kuka_abc_from_pose(R)[1].tolist() == [np.pi, 0.0, 0.0]
+
+
+def test_shapes():
+    """Leading axes are kept, also none and also empty ones."""
+    assert pose_from_kuka_abc(np.zeros(3), np.zeros(3)).shape == (4, 4)
+    assert pose_from_kuka_abc(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0, 4, 4)
+    position, abc = kuka_abc_from_pose(np.tile(np.eye(4), (2, 5, 1, 1)))
+    assert position.shape == abc.shape == (2, 5, 3)
+
+
+@pytest.mark.parametrize(
+    ("T", "words"),
+    [
+        (np.eye(3), "must be \\(..., 4, 4\\)"),
+        (np.diag([2.0, 2, 2, 1]), "not orthonormal"),
+        (np.diag([np.nan, 1, 1, 1]), "not orthonormal"),
+        (np.diag([-1.0, 1, 1, 1]), "mirrored"),
+    ],
+    ids=["3 x 3", "scaled", "NaN", "mirrored"],
+)
+def test_what_is_no_pose_is_refused(T, words):
+    """A matrix that is not a rigid transform raises; it has no A, B, C."""
+    with pytest.raises(PlannerError, match=words):
+        kuka_abc_from_pose(T)
+
+
+def test_numbers_that_are_none_are_refused():
+    """An infinite position or a missing angle raises."""
+    with pytest.raises(PlannerError, match="position holds a value that is not finite"):
+        pose_from_kuka_abc([np.inf, 0, 0], [0, 0, 0])
+    with pytest.raises(PlannerError, match=r"abc has shape \(2,\)"):
+        pose_from_kuka_abc([0, 0, 0], [0, 0])
+    with pytest.raises(PlannerError, match="must be equal"):
+        pose_from_kuka_abc(np.zeros((2, 3)), np.zeros((3, 3)))

@@ -1,0 +1,186 @@
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from cell.frames import pose_from_kuka_abc
+from cell.kinematics import Kr16Kinematics
+from planner.errors import PlannerError
+from planner.reach import Reach, Verdict, solve
+from planner.viewpoints import Viewpoints
+
+KINEMATICS = Kr16Kinematics.load()
+T_FLANGE_SCANNER = pose_from_kuka_abc([0.0, 0.01, 0.12], np.deg2rad([30.0, 5.0, 0.0]))
+T_BASE_OBJECT = pose_from_kuka_abc([1.2, 0.3, 0.4], np.deg2rad([20.0, 0.0, 0.0]))
+
+
+@dataclass
+class Wall:
+    """A checker that keeps the flange left of a plane y = wall, and remembers what it was asked."""
+
+    wall: float = -9.0
+    clearance: float = 0.01
+
+    def __post_init__(self):
+        self.asked = []
+
+    def free(self, q):
+        self.asked.append(q)
+        return KINEMATICS.forward(q)[:, 1, 3] > self.wall
+
+    def contacts(self, q):
+        if KINEMATICS.forward(q[None])[0, 1, 3] > self.wall:
+            return ()
+        return ("housing with wall" if q[0] > 0 else "arm with wall", "far with wall")
+
+    def distance(self, q):
+        raise NotImplementedError
+
+    def travel(self, q_from, q_to):
+        raise NotImplementedError
+
+
+def viewpoints_of(T_base_flange):
+    """Viewpoints (V, K) for which the flange must be at T_base_flange (V, K, 4, 4)."""
+    T = np.linalg.inv(T_BASE_OBJECT) @ np.asarray(T_base_flange) @ T_FLANGE_SCANNER
+    count = len(T)
+    return Viewpoints(T, np.full(count, -1, np.int32), np.full(count, 0.3), np.zeros(count))
+
+
+def random_flanges(count, seed=1):
+    """(count, 4, 4) flange poses that the arm can take up."""
+    limits = KINEMATICS.limits
+    q = np.random.default_rng(seed).uniform(limits.lower, limits.upper, (count, 6))
+    return KINEMATICS.forward(q)
+
+
+def solved(viewpoints, checker, **options):
+    """`solve` at this file's placement and mount."""
+    return solve(viewpoints, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, checker, **options)
+
+
+def test_each_solution_puts_the_scanner_on_its_viewpoint():
+    """Every set-point of every viewpoint takes the scanner to T_base_object T_object_scanner, to rounding's 8 um."""
+    viewpoints = viewpoints_of(random_flanges(1500)[:, None])
+    reach = solved(viewpoints, Wall())
+    assert reach.reachable.all()
+    owner = np.repeat(np.arange(len(reach)), np.diff(reach.offsets))
+    have = KINEMATICS.forward(reach.q) @ T_FLANGE_SCANNER
+    want = (T_BASE_OBJECT @ viewpoints.T_object_scanner[:, 0])[owner]
+    assert np.linalg.norm(have[:, :3, 3] - want[:, :3, 3], axis=1).max() < 8e-6
+    assert np.abs(have[:, :3, :3] - want[:, :3, :3]).max() < 6e-6
+    assert len(reach.q) > 3 * len(reach)
+
+
+def test_set_points_are_rounded_inside_the_limits_and_checked_as_they_are():
+    """What is returned was asked of the checker, turns aside, is a multiple of 1e-4 deg and keeps every limit."""
+    checker = Wall(-0.2)
+    reach = solved(viewpoints_of(random_flanges(800)[:, None]), checker)
+    assert (reach.q >= KINEMATICS.limits.lower).all()
+    assert (reach.q <= KINEMATICS.limits.upper).all()
+    steps = np.rad2deg(reach.q) * 1e4
+    assert np.abs(steps - np.rint(steps)).max() < 1e-6
+    turn = 3_600_000
+    asked = {tuple(row) for row in (np.rint(np.rad2deg(np.vstack(checker.asked)) * 1e4).astype(int) % turn).tolist()}
+    returned = {tuple(row) for row in (np.rint(steps).astype(int) % turn).tolist()}
+    assert returned <= asked
+    assert sum(len(q) for q in checker.asked) < len(reach.q)  # a turn is not asked again
+
+
+def test_verdicts():
+    """Too far: OUT_OF_REACH. Solvable beyond a limit only: JOINT_LIMIT. Behind the wall: COLLISION with its name."""
+    far = np.eye(4)
+    far[0, 3] = 3.0
+    # A2 = 80 deg is beyond its 35; the other elbow and the other shoulder exceed a limit as well.
+    beyond = KINEMATICS.forward(np.deg2rad([[0.0, 80.0, -40.0, 0.0, 30.0, 0.0]]))[0]
+    inside = KINEMATICS.forward(np.deg2rad([[-40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))[0]
+    behind = KINEMATICS.forward(np.deg2rad([[40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))[0]
+    reach = solved(viewpoints_of(np.stack([far, beyond, inside, behind])[:, None]), Wall(0.0))
+    assert reach.verdict.tolist() == [
+        Verdict.OUT_OF_REACH,
+        Verdict.JOINT_LIMIT,
+        Verdict.REACHABLE,
+        Verdict.COLLISION,
+    ]
+    assert reach.blocker[:3] == ("", "", "")
+    assert reach.blocker[3] == "housing with wall"
+    assert reach.blockers() == {"housing with wall": 1}
+    assert reach.counts() == dict.fromkeys(Verdict, 1)
+    assert [len(reach.q_of(v)) > 0 for v in range(4)] == [False, False, True, False]
+
+
+def test_the_blocker_is_what_is_nearest_in_most_solutions():
+    """With A1 = -40 and, overhead, A1 = 140 deg in the way, the sign of A1 that has more branches gives the name."""
+    T = KINEMATICS.forward(np.deg2rad([[-40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))
+    names = []
+    checker = Wall(9.0)
+    contacts = checker.contacts
+    checker.contacts = lambda q: names.append(contacts(q)[0]) or contacts(q)
+    reach = solved(viewpoints_of(T[:, None]), checker)
+    assert reach.blocker[0] == max(dict.fromkeys(names), key=names.count)
+    assert len(names) == len(checker.asked[0])
+
+
+def test_a_column_of_several_poses_needs_them_all():
+    """Reachable only if each pose is; else the verdict of the first pose that fails; q is of the first pose."""
+    good = KINEMATICS.forward(np.deg2rad([[-40.0, -60, 90, 0, 45, 0], [-41.0, -60, 90, 0, 45, 0]]))
+    wall = KINEMATICS.forward(np.deg2rad([[40.0, -60, 90, 0, 45, 0]]))[0]
+    far = np.eye(4)
+    far[0, 3] = 3.0
+    columns = np.stack([[good[0], good[1], good[0]], [good[0], wall, far], [good[0], far, wall], [wall, far, far]])
+    # The wall's side is y < 0 of the flange: A1 > 0.
+    reach = solved(viewpoints_of(columns), Wall(0.0))
+    assert reach.verdict.tolist() == [Verdict.REACHABLE, Verdict.COLLISION, Verdict.OUT_OF_REACH, Verdict.COLLISION]
+    alone = solved(viewpoints_of(columns[:1, :1]), Wall(0.0))
+    np.testing.assert_array_equal(reach.q, alone.q)
+
+
+def test_chunks_and_progress_change_nothing():
+    """A viewpoint's result does not depend on its neighbours; progress rises to V, and what it raises comes through."""
+    T = random_flanges(1300, seed=4)
+    calls = []
+    whole = solved(viewpoints_of(T[:, None]), Wall(0.1), progress=lambda done, total: calls.append((done, total)))
+    assert calls[-1] == (1300, 1300)
+    assert [done for done, _ in calls] == sorted({done for done, _ in calls})
+    assert len(calls) > 1
+    part = solved(viewpoints_of(T[700:900, None]), Wall(0.1))
+    np.testing.assert_array_equal(part.verdict, whole.verdict[700:900])
+    np.testing.assert_array_equal(part.q, whole.q[whole.offsets[700] : whole.offsets[900]])
+    assert part.blocker == whole.blocker[700:900]
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solved(viewpoints_of(T[:, None]), Wall(), progress=interrupt)
+
+
+def test_no_viewpoint_is_no_error():
+    """Of nothing, nothing is reachable."""
+    reach = solved(viewpoints_of(np.empty((0, 1, 4, 4))), Wall())
+    assert len(reach) == 0
+    assert reach.q.shape == (0, 6)
+    assert reach.offsets.tolist() == [0]
+
+
+def test_broken_input_is_named():
+    """A transform that is not rigid, and a checker that contradicts itself, raise and say so."""
+    viewpoints = viewpoints_of(random_flanges(3)[:, None])
+    with pytest.raises(PlannerError, match="T_base_object is not a rigid transform"):
+        solve(viewpoints, 2 * np.eye(4), T_FLANGE_SCANNER, KINEMATICS, Wall())
+    with pytest.raises(PlannerError, match="T_flange_scanner is not a rigid transform"):
+        solve(viewpoints, T_BASE_OBJECT, np.diag([1.0, 1, -1, 1]), KINEMATICS, Wall())
+    liar = Wall(9.0)
+    liar.contacts = lambda q: ()
+    with pytest.raises(PlannerError, match="names no contact"):
+        solved(viewpoints, liar)
+
+
+def test_reach_refuses_contradictions():
+    """Rows of q without the verdict REACHABLE, missing names and offsets that do not end at q's length are refused."""
+    with pytest.raises(PlannerError, match="if, and only if"):
+        Reach(np.array([1]), np.zeros((1, 6)), np.array([0, 1]), ("",))
+    with pytest.raises(PlannerError, match="offsets must rise"):
+        Reach(np.array([0]), np.zeros((1, 6)), np.array([0, 2]), ("",))
+    with pytest.raises(PlannerError, match="blocker has 0 names"):
+        Reach(np.array([0]), np.zeros((1, 6)), np.array([0, 1]), ())

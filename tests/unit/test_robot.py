@@ -1,0 +1,262 @@
+import itertools
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import cell
+from cell import robot
+from cell.errors import FileError, SceneError
+
+# Bounds of the true links' surfaces in their own frames [mm], measured on CAD (models/README.md, step 4).
+TRUE_BOUNDS_MM = {
+    "base": ((-401.9, -268.0, 0.0), (282.4, 268.0, 396.9)),
+    "link_1": ((-270.0, -269.9, -291.0), (393.0, 269.9, 170.9)),
+    "link_2": ((-91.0, -276.5, -109.7), (772.6, -77.0, 109.7)),
+    "link_3": ((-356.3, -117.0, -172.5), (402.6, 213.0, 115.0)),
+    "link_4": ((-268.0, -77.0, -77.0), (63.0, 77.0, 77.0)),
+    "link_5": ((-58.7, -94.0, -60.0), (148.3, 106.2, 60.0)),
+    "link_6": ((146.0, -38.9, -39.0), (158.0, 38.9, 39.0)),
+}
+HULLS_LITRES = 92.85 + 65.39 + 22.95 + 38.34 + 4.99 + 3.64 + 0.05
+
+FREE = {
+    "zero": (0, 0, 0, 0, 0, 0),
+    "upright, forearm level": (0, -90, 90, 0, 0, 0),
+    "home": (0, -90, 90, 0, 90, 0),
+    "A1 turned": (30, -90, 90, 0, 90, 0),
+    "generic": (12, -75, 110, 35, -60, 140),
+    "tool sideways": (0, -90, 90, 90, 90, 0),
+    "wrist straight": (20, -80, 100, 40, 0, -10),
+    "arm stretched": (0, -45, -2.990345, 0, 40, 0),
+    "wrist centre over A1": (0, -120, 33.857864, 0, 60, 0),
+}
+MAY_TOUCH = {
+    *(frozenset(pair) for pair in itertools.product(("base", "link_1"), ("link_3", "link_4", "link_5", "link_6"))),
+    frozenset(("link_2", "link_5")),
+    frozenset(("link_2", "link_6")),
+}
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The robot alone, compiled."""
+    return robot.load()
+
+
+@pytest.fixture(scope="module")
+def data(model):
+    """Its state."""
+    return mujoco.MjData(model)
+
+
+def touching(model, data, q):
+    """Pairs of links in contact at q (6,) [rad]."""
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_collision(model, data)
+    bodies = model.geom_bodyid[data.contact.geom[: data.ncon]]
+    return {frozenset(robot.LINKS[body - 1] for body in pair) for pair in bodies.tolist()}
+
+
+def geoms_of(model, link):
+    """Ids of a link's shapes."""
+    return np.flatnonzero(model.geom_bodyid == model.body(link).id)
+
+
+def in_link(model, geom, points):
+    """|points| (n, 3) in the frame of a shape, from its link's frame."""
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    return np.abs((points - model.geom_pos[geom]) @ rotation.reshape(3, 3))
+
+
+def bounds(model, geom):
+    """Bounds of a shape in its link's frame [m]."""
+    size = model.geom_size[geom]
+    half = size if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX else np.array([size[0], size[0], size[1]])
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    extent = np.abs(rotation.reshape(3, 3)) @ half
+    return model.geom_pos[geom] - extent, model.geom_pos[geom] + extent
+
+
+def test_axes_are_the_data_sheets(model):
+    """The joint vector is A1..A6 with KUKA's ranges and speeds; each axis reaches its speed in 0.5 s."""
+    limits = robot.limits(model)
+    assert model.nq == 6
+    assert [model.joint(index).name for index in range(model.njnt)] == list(robot.AXES)
+    np.testing.assert_allclose(np.rad2deg(limits.lower), (-185, -155, -130, -350, -130, -350), rtol=1e-12)
+    np.testing.assert_allclose(np.rad2deg(limits.upper), (185, 35, 154, 350, 130, 350), rtol=1e-12)
+    np.testing.assert_allclose(np.rad2deg(limits.velocity), (156, 156, 156, 330, 330, 615), rtol=1e-12)
+    np.testing.assert_allclose(limits.velocity / limits.acceleration, 0.5, rtol=1e-12)
+
+
+def test_dimensions_and_home(model):
+    """675, 260, 680, -35, 670, 158 mm, and the home that is not singular."""
+    arm = robot.dimensions(model)
+    np.testing.assert_allclose(
+        (arm.d1, arm.a1, arm.a2, arm.a3, arm.d4, arm.d6), (0.675, 0.26, 0.68, -0.035, 0.67, 0.158), rtol=0, atol=1e-15
+    )
+    np.testing.assert_allclose(np.rad2deg(robot.home(model)), (0, -90, 90, 0, 90, 0), rtol=0, atol=1e-12)
+
+
+def test_it_is_a_robot_and_nothing_else(model):
+    """No actuator, mesh or floor; every shape is a named primitive of group 3; the estimate of the masses adds up."""
+    assert (model.nu, model.nmesh, model.neq, model.nlight) == (0, 0, 0, 0)
+    assert [model.body(index).name for index in range(1, model.nbody)] == list(robot.LINKS)
+    assert set(model.geom_group.tolist()) == {3}
+    assert set(model.geom_type.tolist()) <= {mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER}
+    assert all(
+        model.geom(index).name.startswith(model.body(model.geom_bodyid[index]).name) for index in range(model.ngeom)
+    )
+    np.testing.assert_allclose(model.body_mass.sum(), 235.1, rtol=0, atol=1e-9)
+
+
+def test_shapes_reach_the_bounds_of_the_true_links(model):
+    """The bounds of each link's shapes contain those of its true surface."""
+    for link, (lower, upper) in TRUE_BOUNDS_MM.items():
+        boxes = np.array([bounds(model, geom) for geom in geoms_of(model, link)]) * 1000
+        assert (boxes[:, 0].min(axis=0) <= np.array(lower) + 1e-9).all(), link
+        assert (boxes[:, 1].max(axis=0) >= np.array(upper) - 1e-9).all(), link
+
+
+def test_shapes_are_no_fatter_than_the_hulls(model):
+    """The union of the shapes, link by link, takes at most 1.05 of the volume of the true links' convex hulls."""
+    rng = np.random.default_rng(1)
+    litres = 0.0
+    for link in robot.LINKS:
+        geoms = geoms_of(model, link)
+        boxes = np.array([bounds(model, geom) for geom in geoms])
+        lower, upper = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        points = rng.uniform(lower, upper, (200_000, 3))
+        inside = np.zeros(len(points), dtype=bool)
+        for geom in geoms:
+            local, size = in_link(model, geom, points), model.geom_size[geom]
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+                inside |= (local <= size).all(axis=1)
+            else:
+                inside |= (np.hypot(local[:, 0], local[:, 1]) <= size[0]) & (local[:, 2] <= size[1])
+        litres += np.prod(upper - lower) * inside.mean() * 1000
+    assert 215.0 < litres < 1.05 * HULLS_LITRES
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_named_poses_are_free(model, data, name):
+    """No link touches another in the poses that a robot stands in."""
+    assert touching(model, data, np.deg2rad(FREE[name])) == set()
+
+
+def test_all_limits_at_once_collide(model, data):
+    """With all axes at their lower, and all at their upper limits, hand and forearm are inside base and column."""
+    limits = robot.limits(model)
+    for q in (limits.lower, limits.upper):
+        assert touching(model, data, q) >= {frozenset(("base", "link_5")), frozenset(("link_1", "link_5"))}
+
+
+def test_only_the_documented_pairs_ever_touch(model, data):
+    """Over random configurations some percent collide, all of them in pairs that the model's comment lists."""
+    limits = robot.limits(model)
+    found = [touching(model, data, q) for q in np.random.default_rng(3).uniform(limits.lower, limits.upper, (8000, 6))]
+    assert set().union(*found) <= MAY_TOUCH
+    assert len(set().union(*found)) >= 7
+    assert 0.03 < np.mean([len(pairs) > 0 for pairs in found]) < 0.07
+
+
+def test_excluded_pairs_stay_apart(model, data):
+    """Links that are excluded though no neighbours keep 10 mm between their shapes over a dense grid of their axes."""
+    signatures = [(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature]
+    apart = [(a, b) for a, b in (sorted(pair) for pair in signatures) if b - a > 1]
+    assert len(signatures) == 11
+    assert len(apart) == 5
+    limits = robot.limits(model)
+    for a, b in apart:
+        axes = list(range(a - 1, b - 1))  # body 1 is the base, body 2 turns about axis 0: only axes in between matter
+        count = 81 if len(axes) == 2 else 21
+        grids = [np.linspace(limits.lower[axis], limits.upper[axis], count) for axis in axes]
+        pairs = list(itertools.product(np.flatnonzero(model.geom_bodyid == a), np.flatnonzero(model.geom_bodyid == b)))
+        nearest = np.inf
+        for angles in itertools.product(*grids):
+            data.qpos[:] = 0.0
+            data.qpos[axes] = angles
+            mujoco.mj_kinematics(model, data)
+            nearest = min(nearest, *(mujoco.mj_geomDistance(model, data, i, j, 0.2, None) for i, j in pairs))
+        assert nearest > 0.010, (robot.LINKS[a - 1], robot.LINKS[b - 1], nearest)
+
+
+def test_each_exclusion_has_its_reason():
+    """A comment stands before each exclusion of links that are no neighbours, and before those of the neighbours."""
+    tree = ElementTree.parse(
+        robot.model_file(), ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    )
+    contact = list(tree.getroot().find("contact"))
+    for before, element in itertools.pairwise(contact):
+        if element.tag == "exclude" and element.get("name").startswith("apart_"):
+            assert before.tag is ElementTree.Comment
+    assert contact[0].tag is ElementTree.Comment
+
+
+def test_the_file_is_found_in_an_installed_package_and_in_a_tree(tmp_path, monkeypatch):
+    """cell/models comes first, models beside cell second, and where neither has the file one sentence names both."""
+    package = tmp_path / "cell"
+    package.mkdir()
+    monkeypatch.setattr(robot.resources, "files", lambda name: package)
+    with pytest.raises(FileError, match=r"neither .* nor .* exists; install scan-cell again"):
+        robot.model_file()
+    for folder in (tmp_path / "models", package / "models"):
+        folder.mkdir()
+        (folder / "kr16.xml").write_text("<mujoco/>", encoding="utf-8")
+        assert robot.model_file() == folder / "kr16.xml"
+    (package / "models" / "kr16.xml").write_text("no xml", encoding="utf-8")
+    with pytest.raises(FileError, match="cannot be read as an MJCF"):
+        robot.load()
+
+
+def test_the_real_file_stands_in_one_place():
+    """In this tree the file is models/kr16.xml or its installed copy, with the same bytes."""
+    assert robot.model_file().name == "kr16.xml"
+    assert robot.model_file().parent.parent in (Path(cell.__file__).parent, Path(cell.__file__).parent.parent)
+
+
+def spoiled(change):
+    """The robot's model after a change of its specification."""
+    spec = robot.spec()
+    change(spec)
+    return spec.compile()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda spec: setattr(spec.body("link_5"), "pos", [0.02, 0, 0.01]), "A4, A5 and A6 do not meet"),
+        (lambda spec: setattr(spec.body("link_3"), "pos", [0.68, 0.01, 0]), "off the plane y = 0"),
+        (lambda spec: setattr(spec.body("link_3"), "pos", [0.68, 0, 0.01]), "A3 is not level with A2"),
+        (lambda spec: setattr(spec.joint("A1"), "axis", [0, 0, 1]), "does not point as KUKA's"),
+        (lambda spec: setattr(spec.body("base"), "pos", [0.1, 0, 0]), "A1 does not run through the origin"),
+        (lambda spec: setattr(spec.site("flange"), "pos", [0.158, 0, 0.001]), "the flange is off the A6 axis"),
+        (lambda spec: setattr(spec.site("flange").alt, "xyaxes", [1, 0, 0, 0, 1, 0]), "z does not leave along A6"),
+        (lambda spec: setattr(spec.site("flange"), "name", "tool"), "no site named flange"),
+        (lambda spec: setattr(spec.joint("A6"), "name", "wrist"), "no joint named A6"),
+        (lambda spec: setattr(spec.joint("A3"), "type", mujoco.mjtJoint.mjJNT_SLIDE), "not a hinge"),
+    ],
+)
+def test_another_family_of_arms_is_refused(change, words):
+    """An arm that the closed form does not solve raises one sentence with the fault and what the arm must be."""
+    with pytest.raises(SceneError, match=words):
+        robot.dimensions(spoiled(change))
+
+
+def test_missing_limits_are_named():
+    """Without a range, a numeric or the key, the sentence says which and where to give it."""
+
+    def without_range(spec):
+        spec.joint("A4").limited = mujoco.mjtLimited.mjLIMITED_FALSE
+
+    with pytest.raises(SceneError, match="a joint of the robot model has no range"):
+        robot.limits(spoiled(without_range))
+    with pytest.raises(SceneError, match="named axis_velocity_limit_deg_s with six values"):
+        robot.limits(spoiled(lambda spec: spec.delete(spec.numeric("axis_velocity_limit_deg_s"))))
+    with pytest.raises(SceneError, match="no key named home"):
+        robot.home(spoiled(lambda spec: spec.delete(spec.key("home"))))
