@@ -79,11 +79,16 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     steps = to_steps(np.where(exists[..., None], branches, 0.0))
     lower = np.ceil(np.rad2deg(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE).astype(np.int64)
     upper = np.floor(np.rad2deg(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE).astype(np.int64)
-    turns = _turns(lower, upper)
+    choices = _turns(lower, upper)
+    # Whether axis and turn fit, each once; a combination of turns fits where all its axes do.
+    axis_fits = [
+        {k: (steps[..., axis] >= lower[axis] - k * _TURN) & (steps[..., axis] <= upper[axis] - k * _TURN) for k in some}
+        for axis, some in enumerate(choices)
+    ]
+    turns = np.array(list(itertools.product(*choices)), dtype=np.int64).reshape(-1, len(choices))
     fits = np.empty((*exists.shape, len(turns)), dtype=np.bool_)
-    for index, turn in enumerate(turns):
-        turned = steps + turn * _TURN
-        fits[..., index] = exists & ((turned >= lower) & (turned <= upper)).all(axis=-1)
+    for index, turn in enumerate(turns.tolist()):
+        fits[..., index] = exists & np.logical_and.reduce([axis_fits[axis][k] for axis, k in enumerate(turn)])
     pose, branch, which = np.nonzero(fits)
     # The limits themselves are set-points; clipping removes the last bit by which their radians may differ.
     q = np.clip(from_steps(steps[pose, branch] + turns[which] * _TURN), limits.lower, limits.upper)
@@ -92,15 +97,14 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     return Setpoints(np.asarray(exists.any(axis=-1)), q, pose, np.flatnonzero(fresh), np.cumsum(fresh) - 1)
 
 
-def _turns(lower: Integers, upper: Integers) -> Integers:
-    """(t, 6) whole turns that keep some angle of (-180, 180] deg within the limits; no turn first."""
+def _turns(lower: Integers, upper: Integers) -> list[list[int]]:
+    """Of each axis, the whole turns that keep some angle of (-180, 180] deg within its limits; no turn first."""
     half = _TURN // 2
     most = int(np.abs([lower, upper]).max()) // _TURN + 1
-    choices = [
+    return [
         sorted(
             (k for k in range(-most, most + 1) if k * _TURN + half >= low and k * _TURN - half <= high),
             key=lambda k: (abs(k), k),
         )
-        for low, high in zip(lower, upper, strict=True)
+        for low, high in zip(lower.tolist(), upper.tolist(), strict=True)
     ]
-    return np.array(list(itertools.product(*choices)), dtype=np.int64).reshape(-1, len(lower))
