@@ -5,10 +5,10 @@ file is refused, with the reason in one sentence, when it is damaged, of another
 inputs; the caller then calculates M anew and says so. Arrays only, nothing is pickled.
 """
 
+import contextlib
 import hashlib
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
-from planner.errors import PlannerError
 from planner.measurability import Measurability
 from planner.surface import SurfaceSamples, TriangleMesh
 from planner.viewpoints import Viewpoints
@@ -69,6 +68,8 @@ def cache_key(
         "points": features.points,
         "normals": features.normals,
         "areas": features.areas,
+        "face": features.face,
+        "planning_face": features.planning_face,
         "T_object_scanner": viewpoints.T_object_scanner,
     }
     if row_of_face is not None:
@@ -117,7 +118,8 @@ def save(path: Path, measurability: Measurability, key: str) -> None:
             "with space that you may write to"
         ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # the folder itself may be what is wrong
+            temporary.unlink(missing_ok=True)
 
 
 def load(path: Path, key: str) -> Cached:
@@ -130,11 +132,11 @@ def load(path: Path, key: str) -> Cached:
     Returns:
         The matrix, or the reason why it has to be calculated.
     """
-    if not path.exists():
-        return Cached(None, f"{path} does not exist yet")
     try:
+        if not path.exists():
+            return Cached(None, f"{path} does not exist yet")
         # zip checks a CRC of every array that is read in full, so a flipped bit is found here.
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             missing = [name for name in _FIELDS if name not in stored]
             if missing:
                 return Cached(None, f"{path} is no measurability matrix: it lacks {', '.join(missing)}")
@@ -150,5 +152,5 @@ def load(path: Path, key: str) -> Cached:
         if rows != len(features):
             return Cached(None, f"{path} is damaged: {rows} rows for {len(features)} features")
         return Cached(Measurability(arrays["indptr"], arrays["indices"], features, columns), "")
-    except (OSError, EOFError, ValueError, TypeError, KeyError, zipfile.BadZipFile, PlannerError) as error:
+    except Exception as error:  # a damaged zip fails in a dozen ways: BadZipFile, zlib.error, NotImplementedError, ...
         return Cached(None, f"{path} cannot be read ({type(error).__name__}: {error})")

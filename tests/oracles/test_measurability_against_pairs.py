@@ -1,0 +1,100 @@
+"""M against a slow program that asks pair after pair: angles by arctan2 and arccos, legs by float64 triangles."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cell.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner.measurability import fill, occlude
+from planner.surface import TriangleMesh, sample
+from planner.viewpoints import optimal_scanning_zone
+
+SCANNER = LaserArea((50, 40), (2, 2), (100, 260), 60, 70, 80)
+
+
+def _box(size, centre):
+    corners = (np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) - 0.5) * size + centre
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def _joined(*boxes):
+    vertices, faces, count = [], [], 0
+    for corners, triangles in boxes:
+        vertices.append(corners)
+        faces.append(triangles + count)
+        count += len(corners)
+    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def _leg_is_free(triangles, start, end):
+    """No triangle between start and end, by the sign of volumes (float64); the end's own face lies beyond 1 - 1e-5."""
+    a, b, c = triangles
+    direction = end - start
+    e1, e2 = b - a, c - a
+    p = np.cross(direction, e2)
+    determinant = (p * e1).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = start - a
+        u = (p * s).sum(axis=1) / determinant
+        q = np.cross(s, e1)
+        v = q @ direction / determinant
+        t = (e2 * q).sum(axis=1) / determinant
+        crossed = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t < 1 - 1e-5)
+    return not crossed.any()
+
+
+def _is_measured(T, point, normal, triangle_sets):
+    """One pair, written from the definitions; None where a limit is closer than 1e-6."""
+    local = T[:3, :3].T @ (point - T[:3, 3])
+    distance = math.sqrt(sum(local**2))
+    sensor = T[:3, 3] + T[:3, :3] @ np.array([0.06, 0, 0])
+
+    def angle(towards):
+        direction = towards - point
+        return math.degrees(math.acos(np.clip(direction @ normal / np.linalg.norm(direction), -1, 1)))
+
+    margins = [
+        25 - abs(math.degrees(math.atan2(local[0], local[2]))),
+        20 - abs(math.degrees(math.atan2(local[1], local[2]))),
+        (distance - 0.1) * 1000,
+        (0.26 - distance) * 1000,
+        70 - angle(T[:3, 3]),
+        80 - angle(sensor),
+    ]
+    if min(abs(margin) for margin in margins) < 1e-6:
+        return None
+    return min(margins) > 0 and all(
+        _leg_is_free(triangles, start, point) for triangles in triangle_sets for start in (T[:3, 3], sensor)
+    )
+
+
+@pytest.mark.parametrize("occluded", [False, True])
+def test_every_entry_equals_the_pair_asked_alone(occluded):
+    """Three boxes that shade each other, 150 samples x 72 viewpoints, with and without a bar that stands beside."""
+    part = _joined(
+        _box((0.1, 0.08, 0.03), (0, 0, 0)),
+        _box((0.03, 0.08, 0.07), (0.03, 0, 0.06)),
+        _box((0.02, 0.01, 0.04), (-0.03, 0, 0.04)),
+    )
+    bar = _box((0.02, 0.3, 0.02), (-0.08, 0, 0.1))
+    caster = EmbreeRayCaster(part.vertices, part.faces)
+    features = sample(part, part, 150, np.random.default_rng(5))
+    views = optimal_scanning_zone(part, [0.17], [0.3, 1.2])
+    matrix = fill(views, features, SCANNER, caster)
+    sets = [tuple(part.vertices[part.faces[:, corner]] for corner in range(3))]
+    if occluded:
+        matrix = occlude(matrix, views, SCANNER, EmbreeRayCaster(*bar))
+        sets.append(tuple(bar[0][bar[1][:, corner]] for corner in range(3)))
+    dense = matrix.matrix().toarray()
+    asked = 0
+    for j, T in enumerate(views.T_object_scanner[:, 0]):
+        for i in range(len(features)):
+            expected = _is_measured(T, features.points[i], features.normals[i], sets)
+            if expected is not None:
+                asked += 1
+                assert dense[i, j] == expected, (i, j)
+    assert asked > 0.99 * dense.size
+    assert 0.02 < dense.mean() < 0.5

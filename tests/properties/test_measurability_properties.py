@@ -1,0 +1,230 @@
+"""What must hold for any part, scanner and viewpoints."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from cell.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from cell.virtual_scan import scan
+from planner.legs import Targets, flat_poses, in_view
+from planner.measurability import fill, measured, occlude
+from planner.ports import Rejection
+from planner.surface import TriangleMesh, sample
+from planner.viewpoints import Viewpoints
+
+seeds = st.integers(0, 2**32 - 1)
+few = settings(max_examples=15, deadline=None, derandomize=True)  # knife-edge pairs exist: the same examples every time
+
+
+def _hull(rng, centre, size):
+    points = centre + size * rng.normal(size=(12, 3))
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    faces = hull.simplices.copy()
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return points, faces
+
+
+def _part(rng):
+    """Three convex lumps that shade each other."""
+    vertices, faces, count = [], [], 0
+    for _ in range(3):
+        points, triangles = _hull(rng, rng.normal(size=3) * 0.06, 0.03)
+        vertices.append(points)
+        faces.append(triangles + count)
+        count += len(points)
+    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def _views(rng, count=12, K=1):
+    """Random poses around the origin, 0.2 to 0.4 m away, looking roughly at it."""
+    T = np.tile(np.eye(4), (count, K, 1, 1))
+    position = rng.normal(size=(count, K, 3))
+    position *= rng.uniform(0.2, 0.4, (count, K, 1)) / np.linalg.norm(position, axis=-1, keepdims=True)
+    z = rng.normal(size=(count, K, 3)) * 0.03 - position
+    z /= np.linalg.norm(z, axis=-1, keepdims=True)
+    x = np.cross(rng.normal(size=(count, K, 3)), z)
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    T[..., :3, 0], T[..., :3, 1], T[..., :3, 2], T[..., :3, 3] = x, np.cross(z, x), z, position
+    return _as_viewpoints(T)
+
+
+def _as_viewpoints(T):
+    n = len(T)
+    return Viewpoints(T, np.full(n, -1), np.ones(n), np.zeros(n))
+
+
+def _caster(mesh):
+    return EmbreeRayCaster(mesh.vertices, mesh.faces)
+
+
+def _dense(matrix):
+    return matrix.matrix().toarray()
+
+
+def _scanner(**keys):
+    defaults = {"fov_deg": (40, 30), "resolution_deg": (2, 2), "range_mm": (150, 380), "baseline_mm": 80}
+    return LaserArea(**{**defaults, **keys})
+
+
+def _scene(seed, K=1):
+    rng = np.random.default_rng(seed)
+    part = _part(rng)
+    return rng, part, _caster(part), sample(part, part, 200, rng), _views(rng, K=K)
+
+
+@few
+@given(seeds)
+def test_moving_part_and_scanner_together_changes_nothing(seed):
+    """A rigid motion of up to 10 m applied to both: the same matrix, aimed and by rays, and the same scan."""
+    rng, part, caster, features, views = _scene(seed)
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    motion[:3, 3] = rng.uniform(-10, 10, 3)
+
+    def moved(points):
+        return points @ motion[:3, :3].T + motion[:3, 3]
+
+    other_part = TriangleMesh(moved(part.vertices), part.faces)
+    other_caster = _caster(other_part)
+    other_features = type(features)(
+        moved(features.points),
+        features.normals @ motion[:3, :3].T,
+        features.areas,
+        features.face,
+        features.planning_face,
+    )
+    other_views = _as_viewpoints(motion @ views.T_object_scanner)
+    scanner = _scanner()
+    here = _dense(fill(views, features, scanner, caster))
+    there = _dense(fill(other_views, other_features, scanner, other_caster))
+    assert (here == there).all()
+    a = scan(scanner, views.T_object_scanner[0, 0], caster, part)
+    b = scan(scanner, other_views.T_object_scanner[0, 0], other_caster, other_part)
+    assert (a.codes == b.codes).mean() > 0.99  # a ray may pass a silhouette closer than float32's rounding
+    both = np.isin(a.pixel, b.pixel), np.isin(b.pixel, a.pixel)
+    np.testing.assert_allclose(moved(a.points[both[0]]), b.points[both[1]], atol=1e-6)
+
+
+@few
+@given(seeds, st.sampled_from([1, 3]))
+def test_an_added_occluder_never_adds_an_entry(seed, K):
+    """M with one occluder lies within M, with two within that with one, and equals casting on both from the start."""
+    rng, _, caster, features, views = _scene(seed, K)
+    scanner = _scanner()
+    first, second = (EmbreeRayCaster(*_hull(rng, rng.normal(size=3) * 0.15, 0.03)) for _ in range(2))
+    bare = fill(views, features, scanner, caster)
+    once = occlude(bare, views, scanner, first, ray_caster=caster)
+    assert (_dense(once) <= _dense(bare)).all()
+    joint = measured(views.T_object_scanner, features, scanner, [caster, first], each=True)
+    assert (_dense(once) == joint).all()
+    if K == 1:
+        twice = occlude(once, views, scanner, second)
+        assert (_dense(twice) <= _dense(once)).all()
+        assert (_dense(occlude(occlude(bare, views, scanner, second), views, scanner, first)) == _dense(twice)).all()
+
+
+@few
+@given(seeds)
+def test_an_occluder_never_adds_a_point_to_a_scan(seed):
+    """Every ray that gives a point beside an occluder gives the same one without it; one far away changes nothing."""
+    rng, part, caster, _, views = _scene(seed)
+    near, far = (EmbreeRayCaster(*_hull(rng, place, 0.03)) for place in (rng.normal(size=3) * 0.1, np.full(3, 9.0)))
+    for T in views.T_object_scanner[:, 0]:
+        bare = scan(_scanner(), T, caster, part)
+        hidden = scan(_scanner(), T, caster, part, near)
+        assert np.isin(hidden.pixel, bare.pixel).all()
+        assert (hidden.points == bare.points[np.isin(bare.pixel, hidden.pixel)]).all()
+        assert (scan(_scanner(), T, caster, part, far).codes == bare.codes).all()
+
+
+@few
+@given(
+    seeds,
+    st.sampled_from(
+        [
+            {"fov_deg": (55, 30)},
+            {"fov_deg": (40, 170)},
+            {"range_mm": (100, 380)},
+            {"range_mm": (150, 600)},
+            {"grazing_max_deg": 89},
+            {"grazing_max_deg": 90, "fov_deg": (90, 90), "range_mm": (0, 1000)},
+        ]
+    ),
+)
+def test_widening_a_limit_never_loses_an_entry(seed, wider):
+    """A larger field of view, range or grazing limit keeps all that the narrower one measures."""
+    _, _, caster, features, views = _scene(seed)
+    narrow = _dense(fill(views, features, _scanner(), caster))
+    wide = _dense(fill(views, features, _scanner(**wider), caster))
+    assert (narrow <= wide).all()
+
+
+@few
+@given(seeds)
+def test_a_narrower_sensor_limit_never_adds_an_entry(seed):
+    """The sensor leg's own grazing limit works like the others."""
+    _, _, caster, features, views = _scene(seed)
+    wide = _dense(fill(views, features, _scanner(), caster))
+    narrow = _dense(fill(views, features, _scanner(sensor_grazing_max_deg=60), caster))
+    assert (narrow <= wide).all()
+    assert narrow.sum() < wide.sum()
+
+
+@few
+@given(seeds)
+def test_without_a_baseline_the_sensor_leg_blocks_nothing(seed):
+    """M equals the conditions and the source leg alone; no ray of a scan is in the sensor's shadow."""
+    _, part, caster, features, views = _scene(seed)
+    scanner = _scanner(baseline_mm=0, grazing_max_deg=90)
+    targets = Targets.of(features.points, features.normals)
+    expected = np.zeros((len(features), len(views)), dtype=bool)
+    for j, T in enumerate(flat_poses(views.T_object_scanner)):
+        rows = in_view(targets, T, scanner)
+        free = ~caster.blocked(np.tile(T[:3, 3], (len(rows), 1)), targets.lifted[rows])
+        expected[rows[free], j] = True
+    assert (_dense(fill(views, features, scanner, caster)) == expected).all()
+    for T in views.T_object_scanner[:, 0]:
+        assert scan(scanner, T, caster, part).counts()[Rejection.SENSOR_BLOCKED] == 0
+
+
+@few
+@given(seeds)
+def test_the_ray_grid_sets_exactly_the_rows_that_its_scans_hit(seed):
+    """`rays` equals one scan after the other: the culling of rays that pass the part changes nothing."""
+    rng, part, caster, _, views = _scene(seed)
+    scanner = _scanner()
+    row_of_face = rng.integers(-1, 9, len(part.faces))
+    features = sample(part, part, 9, rng)
+    expected = np.zeros((9, len(views)), dtype=bool)
+    for j, T in enumerate(views.T_object_scanner[:, 0]):
+        rows = row_of_face[scan(scanner, T, caster, part).face]
+        expected[rows[rows >= 0], j] = True
+    got = fill(views, features, scanner, caster, method="rays", part=part, row_of_face=row_of_face)
+    assert (_dense(got) == expected).all()
+
+
+@few
+@given(seeds, st.integers(1, 1000))
+def test_the_size_of_bundles_does_not_matter(seed, bundle):
+    """Bundles of any number of rays give the same bytes."""
+    _, part, caster, features, views = _scene(seed)
+    scanner = _scanner()
+    keys = {"method": "rays", "part": part, "row_of_face": np.arange(len(part.faces)) % len(features)}
+    usual = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("planner.measurability.BUNDLE", bundle)
+        patch.setattr("planner.raygrid.BUNDLE", bundle)
+        patch.setattr("planner.measurability._OPEN_BUNDLE", bundle)
+        other = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
+        predicted = measured(views.T_object_scanner, features, scanner, [caster])
+    for a, b in zip(usual, other, strict=True):
+        assert a.indices.tobytes() == b.indices.tobytes()
+        assert a.indptr.tobytes() == b.indptr.tobytes()
+    assert (predicted == _dense(usual[0]).any(axis=1)).all()

@@ -1,0 +1,113 @@
+"""Coverage: shares of area, by visibility and by scan points."""
+
+import numpy as np
+import pytest
+
+from cell.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner import coverage
+from planner.errors import PlannerError
+from planner.measurability import measured
+from planner.surface import SurfaceSamples, TriangleMesh, sample
+from planner.viewpoints import optimal_scanning_zone
+
+SCANNER = LaserArea(resolution_deg=(1, 1))
+
+
+def _samples(points, areas):
+    points = np.asarray(points, dtype=float)
+    n = len(points)
+    return SurfaceSamples(points, np.tile([0, 0, 1.0], (n, 1)), areas, np.zeros(n), np.zeros(n))
+
+
+def _slab():
+    """A plate 200 x 100 mm, 10 mm thick."""
+    corners = np.array([[x, y, z] for x in (0, 0.2) for y in (0, 0.1) for z in (0, 0.01)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return TriangleMesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+
+
+def test_fractions_are_of_area_not_of_count():
+    """One large sample that is covered outweighs three small ones that are not."""
+    samples = _samples([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], [7, 1, 1, 1])
+    near = coverage.sampled(np.array([[0, 0, 0.05]]), samples, 0.1)
+    assert near.fraction == 0.7
+    assert near.count == 1
+    assert near.covered.tolist() == [True, False, False, False]
+
+
+def test_the_radius_is_inclusive_and_sharp():
+    """A scan point exactly at the radius covers, one beyond it does not."""
+    samples = _samples([[0, 0, 0]], [1])
+    assert coverage.sampled(np.array([[0.5, 0, 0]]), samples, 0.5).fraction == 1
+    assert coverage.sampled(np.array([[np.nextafter(0.5, 1), 0, 0]]), samples, 0.5).fraction == 0
+
+
+def test_sampled_coverage_equals_all_distances():
+    """The tree's answer equals the matrix of all distances."""
+    rng = np.random.default_rng(3)
+    points, scan_points = rng.random((500, 3)), rng.random((80, 3))
+    result = coverage.sampled(scan_points, _samples(points, np.ones(500)), 0.12)
+    nearest = np.linalg.norm(points[:, None] - scan_points, axis=2).min(axis=1)
+    assert (result.covered == (nearest <= 0.12)).all()
+    assert 0.1 < result.fraction < 0.9
+
+
+def test_the_radius_is_one_percent_of_the_diagonal():
+    """200 x 100 x 10 mm has a diagonal of 223.83 mm."""
+    assert coverage.sampling_radius(_slab()) == pytest.approx(0.01 * np.sqrt(0.2**2 + 0.1**2 + 0.01**2))
+
+
+def test_no_scan_point_covers_nothing_and_broken_input_is_refused():
+    """Empty clouds are data, NaN and a radius of zero are errors."""
+    samples = _samples([[0, 0, 0]], [1])
+    assert coverage.sampled(np.zeros((0, 3)), samples, 0.1).fraction == 0
+    with pytest.raises(PlannerError, match="finite"):
+        coverage.sampled(np.full((1, 3), np.nan), samples, 0.1)
+    with pytest.raises(PlannerError, match="above 0"):
+        coverage.sampled(np.zeros((1, 3)), samples, 0.0)
+
+
+def test_visible_and_coverable_coverage_of_a_slab():
+    """A view from above measures the top; the candidates together measure all but what none of them can see."""
+    slab = _slab()
+    caster = EmbreeRayCaster(slab.vertices, slab.faces)
+    samples = sample(slab, slab, 5000, np.random.default_rng(0))
+    candidates = optimal_scanning_zone(slab, [0.3], [0.0]).T_object_scanner
+    above = candidates[candidates[:, 0, 2, 3] > 0.2]
+    plan = coverage.visible(above, samples, SCANNER, [caster])
+    assert plan.fraction == pytest.approx((samples.normals[:, 2] > 0.9).mean(), abs=1e-12)
+    reachable = candidates[candidates[:, 0, 2, 3] > 0]  # not from below
+    best = coverage.coverable(plan, reachable, samples, SCANNER, [caster])
+    assert (best.covered == (plan.covered | measured(reachable, samples, SCANNER, [caster]))).all()
+    assert best.fraction == pytest.approx((samples.normals[:, 2] > -0.9).mean(), abs=1e-12)
+    assert best.total_area == plan.total_area
+
+
+def test_coverable_tests_only_open_samples():
+    """A caster that counts sees no leg to a sample that the plan covers."""
+    slab = _slab()
+    caster = EmbreeRayCaster(slab.vertices, slab.faces)
+    samples = sample(slab, slab, 500, np.random.default_rng(0))
+    covered = np.ones(500, dtype=bool)
+    covered[::100] = False
+    targets = []
+
+    class _Counting:
+        def first_hit(self, origins, directions):
+            raise AssertionError("aiming casts no first hits")
+
+        def blocked(self, origins, targets_):
+            targets.append(targets_)
+            return caster.blocked(origins, targets_)
+
+    candidates = optimal_scanning_zone(slab, [0.3], [0.0]).T_object_scanner
+    coverage.coverable(coverage.Coverage(covered, 1.0, 1.0), candidates, samples, SCANNER, [_Counting()])
+    asked = np.concatenate(targets)
+    distance = np.linalg.norm(asked[:, None] - samples.points[::100], axis=2).min(axis=1)
+    assert len(asked) > 0
+    assert distance.max() < 1e-6
+    with pytest.raises(PlannerError, match="500 samples and 5"):
+        coverage.coverable(
+            coverage.Coverage(covered, 1.0, 1.0), candidates, _samples(np.zeros((5, 3)), np.ones(5)), SCANNER, [caster]
+        )

@@ -1,0 +1,172 @@
+"""The Embree ray caster: its answers on triangles that one can check by hand, and what it refuses."""
+
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from cell.embree import HAIR, EmbreeRayCaster
+from cell.errors import CellError
+
+SQUARE = (
+    np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]),
+    np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
+)
+
+
+def test_first_hit_gives_face_and_distance_and_a_miss_gives_none():
+    """Two rays on either triangle of a square and one past it."""
+    origins = np.array([[0.5, -0.5, 2.0], [-0.5, 0.5, -3.0], [1.5, 0, 2.0]])
+    directions = np.array([[0, 0, -1.0], [0, 0, 1.0], [0, 0, -1.0]])
+    hits = EmbreeRayCaster(*SQUARE).first_hit(origins, directions)
+    assert hits.face.tolist() == [0, 1, -1]
+    assert hits.distance[:2] == pytest.approx([2.0, 3.0], rel=1e-6)
+    assert np.isinf(hits.distance[2])
+    assert hits.distance.dtype == np.float64
+
+
+def test_blocked_is_a_bool_that_ends_before_the_target():
+    """A leg to the square is free, one through it is blocked, one that ends above it is free."""
+    caster = EmbreeRayCaster(*SQUARE)
+    origins = np.array([[0.3, 0.2, 2.0]] * 3)
+    targets = np.array([[0.3, 0.2, 0.0], [0.3, 0.2, -0.001], [0.3, 0.2, 0.001]])
+    blocked = caster.blocked(origins, targets)
+    assert blocked.dtype == np.bool_
+    assert blocked.tolist() == [False, True, False]
+
+
+def test_the_hair_is_as_short_as_documented():
+    """A target twice the hair behind the square is blocked, one half the hair behind is not."""
+    caster = EmbreeRayCaster(*SQUARE)
+    hair = HAIR * (2.0 + np.sqrt(2.0))
+    targets = np.array([[0.3, 0.2, -2 * hair], [0.3, 0.2, -0.5 * hair]])
+    assert caster.blocked(np.array([[0.3, 0.2, 2.0]] * 2), targets).tolist() == [True, False]
+
+
+def test_a_leg_without_length_is_free_and_no_rays_give_no_answers():
+    """Origin equal to target, and empty bundles."""
+    caster = EmbreeRayCaster(*SQUARE)
+    assert caster.blocked(np.zeros((1, 3)), np.zeros((1, 3))).tolist() == [False]
+    assert caster.blocked(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
+    assert caster.first_hit(np.zeros((0, 3)), np.zeros((0, 3))).face.shape == (0,)
+
+
+def test_the_arguments_are_not_written_to():
+    """Embree's bindings write into some of what they are given; ours keep the caller's arrays."""
+    origins, directions = np.array([[0, 0, 2.0]]), np.array([[0, 0, -1.0]])
+    targets = np.array([[0, 0, -1.0]])
+    before = [array.copy() for array in (origins, directions, targets)]
+    caster = EmbreeRayCaster(*SQUARE)
+    caster.first_hit(origins, directions)
+    caster.blocked(origins, targets)
+    assert all((a == b).all() for a, b in zip(before, (origins, directions, targets), strict=True))
+
+
+def test_a_bundle_that_is_split_over_cores_answers_like_its_rays_one_piece_at_a_time():
+    """50,001 rays in one call equal the same rays in small calls, bit for bit."""
+    rng = np.random.default_rng(1)
+    origins = np.column_stack([rng.uniform(-2, 2, (50_001, 2)), np.full(50_001, 1.5)])
+    targets = np.column_stack([rng.uniform(-2, 2, (50_001, 2)), np.full(50_001, -0.5)])
+    directions = targets - origins
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    caster = EmbreeRayCaster(*SQUARE)
+    whole, legs = caster.first_hit(origins, directions), caster.blocked(origins, targets)
+    small = [caster.first_hit(origins[i : i + 9999], directions[i : i + 9999]) for i in range(0, 50_001, 9999)]
+    assert (whole.face == np.concatenate([piece.face for piece in small])).all()
+    assert (whole.distance == np.concatenate([piece.distance for piece in small])).all()
+    assert (legs == (whole.face >= 0)).all()
+    assert 0.1 < legs.mean() < 0.9
+
+
+def test_several_threads_may_share_one_caster():
+    """Four threads ask at once and each gets the right answer."""
+    caster = EmbreeRayCaster(*SQUARE)
+    x = np.linspace(-2, 2, 30_001)
+    origins = np.column_stack([x, 0.1 * x, np.ones_like(x)])
+    directions = np.tile([0, 0, -1.0], (len(x), 1))
+    answers: list[np.ndarray] = []
+    threads = [
+        threading.Thread(target=lambda: answers.append(caster.first_hit(origins, directions).face >= 0))
+        for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(answers) == 4
+    assert all((answer == (np.abs(x) <= 1)).all() for answer in answers)
+
+
+def test_no_thread_outlives_a_call():
+    """A process that forks after casting must not wait for threads that it does not have."""
+    caster = EmbreeRayCaster(*SQUARE)
+    before = threading.active_count()
+    caster.blocked(np.ones((50_000, 3)), np.zeros((50_000, 3)))
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "words"),
+    [
+        (SQUARE[0][:, :2], SQUARE[1], "vertices.*shape"),
+        (SQUARE[0], np.zeros((0, 3), np.int32), "1 or more"),
+        (SQUARE[0], SQUARE[1].astype(float), "integers"),
+        (SQUARE[0], SQUARE[1] + 1, "valid are 0 to 3"),
+        (SQUARE[0], SQUARE[1] - 1, "valid are 0 to 3"),
+        (SQUARE[0] * np.nan, SQUARE[1], "NaN"),
+    ],
+    ids=["flat vertices", "no faces", "float faces", "index too large", "negative index", "NaN"],
+)
+def test_broken_triangles_are_refused(vertices, faces, words):
+    """Embree's bindings would read foreign memory; we say what is wrong."""
+    with pytest.raises(CellError, match=words):
+        EmbreeRayCaster(vertices, faces)
+
+
+@pytest.mark.parametrize(
+    ("origins", "directions", "words"),
+    [
+        (np.zeros((2, 3)), np.ones((1, 3)), r"both must be \(N, 3\)"),
+        (np.zeros(3), np.zeros(3), r"both must be \(N, 3\)"),
+        (np.full((1, 3), np.nan), np.array([[0, 0, 1.0]]), "NaN"),
+        (np.zeros((1, 3)), np.array([[0, 0, 2.0]]), "unit vector"),
+        (np.zeros((1, 3)), np.zeros((1, 3)), "unit vector"),
+    ],
+    ids=["fewer directions", "one-dimensional", "NaN", "not unit", "zero"],
+)
+def test_broken_rays_are_refused(origins, directions, words):
+    """A wrong bundle raises one sentence instead of reading foreign memory or passing for a miss."""
+    with pytest.raises(CellError, match=words):
+        EmbreeRayCaster(*SQUARE).first_hit(origins, directions)
+
+
+def test_an_error_in_another_core_s_piece_is_raised():
+    """NaN in the last of many rays is not lost in a thread."""
+    origins = np.zeros((50_000, 3))
+    origins[-1] = np.nan
+    with pytest.raises(CellError, match="NaN"):
+        EmbreeRayCaster(*SQUARE).blocked(origins, np.ones((50_000, 3)))
+
+
+def test_without_embreex_one_sentence_says_what_to_install(monkeypatch):
+    """There is no other, slower or less accurate engine to fall back to."""
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    with pytest.raises(CellError, match=r'pip install "embreex>=4.4,<5"'):
+        EmbreeRayCaster(*SQUARE)
+
+
+def test_an_old_embreex_is_refused(monkeypatch):
+    """Release 2.17 wraps another Embree whose answers mean other things."""
+    import embreex
+
+    monkeypatch.setattr(embreex, "__version__", "2.17.7")
+    with pytest.raises(CellError, match=r"2\.17\.7 is installed"):
+        EmbreeRayCaster(*SQUARE)
+
+
+def test_a_vertex_that_no_face_uses_may_be_anything():
+    """A stray NaN vertex does not move the middle of the triangles."""
+    vertices = np.vstack([SQUARE[0], [np.nan] * 3, [1e9] * 3])
+    hits = EmbreeRayCaster(vertices, SQUARE[1]).first_hit(np.array([[0.5, -0.5, 2.0]]), np.array([[0, 0, -1.0]]))
+    assert hits.distance[0] == pytest.approx(2.0, rel=1e-6)

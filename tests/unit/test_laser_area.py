@@ -1,0 +1,142 @@
+"""The law of the laser-area scanner: its grid, its limits and what it refuses."""
+
+import numpy as np
+import pytest
+
+from cell.errors import SceneError
+from cell.scanners.laser_area import LaserArea
+from planner.ports import Rejection
+
+BACK = np.array([0.0, 0.0, -1.0])  # the normal of a surface that faces the scanner
+
+
+def _at(x_deg, y_deg, distance):
+    """A point at planar angles and a radial distance."""
+    direction = np.array([np.tan(np.radians(x_deg)), np.tan(np.radians(y_deg)), 1.0])
+    return direction / np.linalg.norm(direction) * distance
+
+
+def _towards(point, degrees):
+    """A normal at so many degrees from the direction to the source, turned about y; for points with y = 0."""
+    angle = np.radians(degrees)
+    c, s = np.cos(angle), np.sin(angle)
+    direction = -point / np.linalg.norm(point)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ direction
+
+
+@pytest.mark.parametrize(
+    ("fov", "resolution", "shape"),
+    [
+        ((60, 60), (0.25, 0.25), (240, 240)),
+        ((60, 40), (1, 0.5), (80, 60)),
+        ((60, 60), (0.1, 0.1), (600, 600)),
+        ((10, 10), (3, 3), (3, 3)),
+        ((5, 5), (5, 5), (1, 1)),
+    ],
+)
+def test_the_grid_has_the_rays_of_eq_1(fov, resolution, shape):
+    """Rays per axis are round(FOV / resolution); the shape is (vertical, horizontal)."""
+    scanner = LaserArea(fov_deg=fov, resolution_deg=resolution)
+    assert scanner.grid_shape == shape
+    assert scanner.ray_directions().shape == (shape[0] * shape[1], 3)
+
+
+def test_rays_pass_through_the_middles_of_equal_angular_cells_row_by_row():
+    """Planar angles of the rays are exactly the cells' middles; x changes fastest; directions are unit vectors."""
+    scanner = LaserArea(fov_deg=(60, 30), resolution_deg=(20, 15))
+    directions = scanner.ray_directions()
+    across = np.degrees(np.arctan2(directions[:, 0], directions[:, 2])).reshape(2, 3)
+    down = np.degrees(np.arctan2(directions[:, 1], directions[:, 2])).reshape(2, 3)
+    np.testing.assert_allclose(across, [[-20, 0, 20]] * 2, atol=1e-12)
+    np.testing.assert_allclose(down, [[-7.5] * 3, [7.5] * 3], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-15)
+
+
+def test_source_is_the_origin_and_sensor_stands_along_x():
+    """The scanner frame's definition, in metres."""
+    scanner = LaserArea(baseline_mm=75)
+    assert scanner.source.tolist() == [0, 0, 0]
+    assert scanner.sensor.tolist() == [0.075, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("point", "normal", "reason"),
+    [
+        (_at(0, 0, 0.3), BACK, Rejection.MEASURED),
+        (_at(30, 0, 0.3), BACK, Rejection.MEASURED),
+        (_at(-30, 30, 0.3), BACK, Rejection.MEASURED),
+        (_at(30.00001, 0, 0.3), BACK, Rejection.OUT_OF_FOV),
+        (_at(0, -30.00001, 0.3), BACK, Rejection.OUT_OF_FOV),
+        (-_at(0, 0, 0.3), -BACK, Rejection.OUT_OF_FOV),
+        (_at(0, 0, 0.15), BACK, Rejection.MEASURED),
+        (_at(0, 0, 0.45), BACK, Rejection.MEASURED),
+        (_at(20, 20, 0.45), BACK, Rejection.MEASURED),
+        (_at(0, 0, 0.1499999), BACK, Rejection.OUT_OF_RANGE),
+        (_at(20, 20, 0.4500001), BACK, Rejection.OUT_OF_RANGE),
+        (_at(0, 0, 0.3), _towards(_at(0, 0, 0.3), -75), Rejection.MEASURED),
+        (_at(0, 0, 0.3), _towards(_at(0, 0, 0.3), 75), Rejection.MEASURED),
+        (_at(10, 0, 0.3), _towards(_at(10, 0, 0.3), -75.00001), Rejection.GRAZING_SOURCE),
+        (_at(10, -5, 0.3), -BACK, Rejection.GRAZING_SOURCE),
+        (_at(0, 0, 0.3), np.zeros(3), Rejection.GRAZING_SOURCE),
+        (_at(0, 0, 0.3), np.full(3, np.nan), Rejection.GRAZING_SOURCE),
+        (np.full(3, np.nan), BACK, Rejection.OUT_OF_FOV),
+    ],
+)
+def test_every_limit_is_inclusive_and_the_first_that_fails_is_named(point, normal, reason):
+    """Points exactly on a limit and a hair beyond it."""
+    assert LaserArea().reject(point[None], normal[None]).tolist() == [reason]
+
+
+def test_the_sensor_s_grazing_limit_is_kept_at_the_sensor_leg():
+    """A normal that leans away from the sensor: 40 degrees from the source, atan(75 / 300) more from the sensor."""
+    point = np.array([0, 0, 0.3])
+    normal = _towards(point, 40.0)
+    at_sensor = np.degrees(np.arccos(normal @ (np.array([0.075, 0, 0]) - point) / np.hypot(0.075, 0.3)))
+    assert at_sensor == pytest.approx(40 + np.degrees(np.arctan2(75, 300)))
+    for limit, reason in ((at_sensor + 1e-6, Rejection.MEASURED), (at_sensor - 1e-5, Rejection.GRAZING_SENSOR)):
+        scanner = LaserArea(sensor_grazing_max_deg=limit)
+        assert scanner.reject(point[None], normal[None]).tolist() == [reason]
+
+
+def test_many_points_are_judged_like_one():
+    """10,000 points in one call (several internal blocks) equal those points one block at a time, in any layout."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(10_000, 3)) * 0.3
+    normals = rng.normal(size=(10_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    scanner = LaserArea()
+    codes = scanner.reject(points, normals)
+    assert (codes == scanner.reject(np.asfortranarray(points), np.asfortranarray(normals))).all()
+    assert (codes[5000:6000] == scanner.reject(points[5000:6000], normals[5000:6000])).all()
+    assert len(set(codes.tolist())) == 5
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"fov_deg": (180, 60)}, "fov_deg.*below 180"),
+        ({"fov_deg": (60, 0)}, "fov_deg.*above 0"),
+        ({"fov_deg": 60}, "fov_deg.*pair"),
+        ({"fov_deg": (60, float("nan"))}, "fov_deg.*finite"),
+        ({"resolution_deg": (0, 1)}, "resolution_deg.*above 0"),
+        ({"resolution_deg": (200, 1)}, "resolution_deg.*at most the field of view"),
+        ({"range_mm": (300, 300)}, "range_mm.*min < max"),
+        ({"range_mm": (-1, 300)}, "range_mm.*0 <= min"),
+        ({"baseline_mm": -1}, "baseline_mm.*0 or more"),
+        ({"baseline_mm": True}, "baseline_mm.*number"),
+        ({"grazing_max_deg": 91}, "grazing_max_deg.*0 to 90"),
+        ({"sensor_grazing_max_deg": -1}, "sensor_grazing_max_deg.*0 to 90"),
+    ],
+)
+def test_impossible_parameters_are_refused(keys, words):
+    """One sentence with the scene's key and what would be valid."""
+    with pytest.raises(SceneError, match=f"scanner.{words}"):
+        LaserArea(**keys)
+
+
+def test_parameters_rebuild_the_scanner():
+    """What the run folder records is enough to make the same scanner again."""
+    scanner = LaserArea((50, 40), (0.5, 1), (100, 400), 25, 70, 85)
+    keys = scanner.parameters()
+    assert keys.pop("type") == "laser-area"
+    assert LaserArea(**keys).parameters() == scanner.parameters()

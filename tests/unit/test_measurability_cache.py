@@ -1,0 +1,154 @@
+"""The matrix on disk: what comes back, what the key depends on, and which files are refused with which words."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cell.errors import FileError
+from cell.measurability_cache import FORMAT, cache_key, load, save
+from cell.scanners.laser_area import LaserArea
+from planner.measurability import Measurability
+from planner.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints import Viewpoints
+
+
+@pytest.fixture
+def parts():
+    """Everything that a matrix depends on, small."""
+    rng = np.random.default_rng(0)
+    mesh = TriangleMesh(rng.random((4, 3)), [[0, 1, 2], [0, 2, 3]])
+    features = SurfaceSamples(rng.random((3, 3)), rng.random((3, 3)), rng.random(3), [0, 1, 1], [0, 0, 1])
+    views = Viewpoints(np.tile(np.eye(4), (5, 1, 1, 1)), np.arange(5), np.ones(5), np.zeros(5))
+    return mesh, features, views, LaserArea().parameters(), "aimed"
+
+
+@pytest.fixture
+def matrix(parts):
+    """3 features x 5 viewpoints."""
+    return Measurability([0, 2, 2, 3], [0, 4, 1], parts[1], 5)
+
+
+def test_a_saved_matrix_comes_back_whole(tmp_path, parts, matrix):
+    """Every array and the shape, from a folder that did not exist."""
+    path, key = tmp_path / "new" / "m.npz", cache_key(*parts)
+    save(path, matrix, key)
+    found = load(path, key)
+    assert found.reason == ""
+    assert found.measurability.shape == (3, 5)
+    for name in ("indptr", "indices"):
+        assert (getattr(found.measurability, name) == getattr(matrix, name)).all()
+    for name in SurfaceSamples.__dataclass_fields__:
+        ours, theirs = getattr(matrix.features, name), getattr(found.measurability.features, name)
+        assert ours.dtype == theirs.dtype
+        assert (ours == theirs).all()
+    assert [entry.name for entry in path.parent.iterdir()] == ["m.npz"]
+
+
+def test_the_file_s_fields_are_the_run_folder_s(tmp_path, parts, matrix):
+    """Programs that know only NumPy read these names."""
+    save(tmp_path / "m.npz", matrix, cache_key(*parts))
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as stored:
+        names = set(stored.files)
+        assert stored["shape"].tolist() == [3, 5]
+    assert names >= {"indptr", "indices", "shape", "points", "normals", "areas", "face", "planning_face", "key"}
+
+
+def test_equal_matrices_give_equal_bytes(tmp_path, parts, matrix):
+    """No clock and no name gets into the file."""
+    for name in ("a.npz", "b.npz"):
+        save(tmp_path / name, matrix, cache_key(*parts))
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_every_input_changes_the_key(parts):
+    """One changed number in any input gives another key; the same inputs give the same."""
+    mesh, features, views, scanner, method = parts
+    base = cache_key(*parts)
+    assert base == cache_key(*parts)
+    assert len(base) == 64
+
+    def nudged(value, name):
+        array = np.array(getattr(value, name))
+        array.flat[0] = array.flat[0] + (1 if array.dtype.kind == "i" else 1e-12)
+        return dataclasses.replace(value, **{name: array})
+
+    keys = [base]
+    keys += [cache_key(nudged(mesh, name), *parts[1:]) for name in ("vertices", "faces")]
+    keys += [cache_key(mesh, nudged(features, name), *parts[2:]) for name in SurfaceSamples.__dataclass_fields__]
+    keys.append(cache_key(mesh, features, nudged(views, "T_object_scanner"), scanner, method))
+    keys += [cache_key(mesh, features, views, {**scanner, name: 1}, method) for name in scanner]
+    keys.append(cache_key(mesh, features, views, scanner, "rays"))
+    keys.append(cache_key(mesh, features, views, scanner, "rays", np.array([0, 1])))
+    keys.append(cache_key(mesh, features, views, scanner, "rays", np.array([1, 0])))
+    assert len(set(keys)) == len(keys)
+
+
+def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matrix):
+    """Missing, of other inputs, of another version, cut off, flipped, text, and another npz."""
+    key, path = cache_key(*parts), tmp_path / "m.npz"
+    assert "does not exist" in load(path, key).reason
+    save(path, matrix, key)
+    good = path.read_bytes()
+    assert "another part" in load(path, "0" * 64).reason
+
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    np.savez(path, **{**arrays, "format": np.array(FORMAT + 1)})
+    assert f"has format {FORMAT + 1}" in load(path, key).reason
+    np.savez(path, **{name: array for name, array in arrays.items() if name != "face"})
+    assert "lacks face" in load(path, key).reason
+    np.savez(path, **{**arrays, "indices": np.array([0, 4, 9], np.int32)})
+    assert "0 to 4" in load(path, key).reason
+    np.savez(path, **{**arrays, "shape": np.array([7, 5])})
+    assert "damaged" in load(path, key).reason
+    np.savez(path, **{**arrays, "indices": np.array([{}, None, 1], dtype=object)}, allow_pickle=True)
+    assert "cannot be read" in load(path, key).reason  # nothing is unpickled
+
+    for broken in (good[: len(good) // 2], b"", b"solid text", good.replace(matrix.indices.tobytes(), b"\0" * 12)):
+        path.write_bytes(broken)
+        result = load(path, key)
+        assert result.measurability is None
+        assert "cannot be read" in result.reason
+    path.write_bytes(good)
+    assert load(path, key).measurability is not None
+
+
+def test_no_flipped_byte_gets_through(tmp_path, parts, matrix):
+    """Whatever byte of the file is damaged: the same matrix or a reason comes back, no error, no other numbers."""
+    key, path = cache_key(*parts), tmp_path / "m.npz"
+    save(path, matrix, key)
+    good = path.read_bytes()
+    refused = 0
+    for place in range(0, len(good), 5):
+        path.write_bytes(good[:place] + bytes([good[place] ^ 0x55]) + good[place + 1 :])
+        found = load(path, key).measurability
+        refused += found is None
+        if found is not None:
+            assert (found.indices == matrix.indices).all()
+            assert (found.features.points == matrix.features.points).all()
+    assert refused > 0.5 * len(range(0, len(good), 5))
+
+
+def test_a_folder_that_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path, parts, matrix):
+    """The path lies below a file."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match=r"cannot be written to .*choose a folder"):
+        save(tmp_path / "file" / "m.npz", matrix, cache_key(*parts))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_interrupted_write_keeps_the_old_file(tmp_path, parts, matrix, monkeypatch):
+    """A full disk in the middle of writing: the error is told, the earlier matrix is still whole, no scrap stays."""
+    key, path = cache_key(*parts), tmp_path / "m.npz"
+    save(path, matrix, key)
+
+    def full(stream, **arrays):
+        stream.write(b"PK half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("cell.measurability_cache.np.savez", full)
+    with pytest.raises(FileError, match="No space left"):
+        save(path, matrix, key)
+    assert load(path, key).measurability is not None
+    assert [entry.name for entry in tmp_path.iterdir()] == ["m.npz"]
