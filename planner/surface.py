@@ -121,8 +121,6 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
         raise PlannerError(f"face_count is {face_count}; it must be at least 1")
     if face_count >= len(mesh.faces):
         return _clean(mesh.vertices, mesh.faces)
-    import fast_simplification  # kept out of the start-up of commands that decimate nothing
-
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     if diagonal == 0:
@@ -131,10 +129,7 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     best: TriangleMesh | None = None
     best_key = (np.inf, np.inf)
     for aggression in _AGGRESSIONS:
-        with _decimation_lock:
-            vertices, faces = fast_simplification.simplify(
-                canonical, np.array(mesh.faces), target_count=face_count, agg=aggression
-            )
+        vertices, faces = collapse_edges(canonical, mesh.faces, face_count, aggression)
         if not len(faces):
             continue
         result = _clean(vertices * diagonal + middle, faces)
@@ -145,6 +140,27 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
         if key == (False, 0):
             break
     return _clean(mesh.vertices, mesh.faces) if best is None else best
+
+
+def collapse_edges(vertices: Floats, faces: Ints, face_count: int, aggression: int) -> tuple[Floats, Ints]:
+    """One run of the library's quadric edge collapse, safe to call from several threads.
+
+    Args:
+        vertices: (V, 3), scaled to a diagonal of about 1, see `decimate`.
+        faces: (F, 3).
+        face_count: how many faces to stop at; each collapse in a closed surface removes two.
+        aggression: how fast the error threshold grows from pass to pass; 7 is the library's default.
+
+    Returns:
+        (V', 3) vertices and (F', 3) faces as the library leaves them.
+    """
+    import fast_simplification  # kept out of the start-up of commands that decimate nothing
+
+    with _decimation_lock:
+        points, triangles = fast_simplification.simplify(
+            np.array(vertices), np.array(faces), target_count=face_count, agg=aggression
+        )
+    return points.astype(np.float64), triangles.astype(np.int32)
 
 
 def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.random.Generator) -> SurfaceSamples:
@@ -217,8 +233,10 @@ def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
     corners = vertices[faces]
     twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     kept = faces[twice > 1e-14 * extent**2]  # below, the cross product is rounding
-    _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
-    kept = kept[np.sort(first)]
+    low, between, high = np.sort(kept, axis=1).T
+    order = np.lexsort((high, between, low))  # stable: of equal faces the first stays
+    again = (np.diff(low[order]) == 0) & (np.diff(between[order]) == 0) & (np.diff(high[order]) == 0)
+    kept = np.delete(kept, order[1:][again], axis=0)
     if not len(kept):
         raise PlannerError("no face of the mesh has an area; a surface needs at least one")
     used, compact = np.unique(kept, return_inverse=True)

@@ -1,0 +1,275 @@
+"""What is wrong with a mesh, said in sentences, and put right where that needs no guess.
+
+Works on topology and in the mesh's own unit; each check is vectorised (750,000 faces in about two seconds).
+A *body* is a set of faces connected over edges.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Severity(StrEnum):
+    """How much a finding matters for the job."""
+
+    NOTE = "note"
+    """Put right, or harmless."""
+    WARNING = "warning"
+    """The result may be wrong if this is not as intended."""
+
+
+class Kind(StrEnum):
+    """What was found; the value is its name in reports."""
+
+    ZERO_AREA = "zero_area_faces"
+    DUPLICATE = "duplicate_faces"
+    MIXED_WINDING = "mixed_winding"
+    ONE_SIDED = "one_sided"
+    INVERTED = "inverted"
+    OPEN = "open"
+    NON_MANIFOLD = "non_manifold"
+    BODIES = "several_bodies"
+    UNITS = "units"
+    FLAT = "flat"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was found about a mesh.
+
+    Attributes:
+        kind: which.
+        sentence: for the user: the fact, and what was done or what to do.
+        severity: a note or a warning.
+    """
+
+    kind: Kind
+    sentence: str
+    severity: Severity
+
+
+def repair(vertices: Floats, faces: Ints) -> tuple[Ints, tuple[Finding, ...]]:
+    """Faces without area and duplicates dropped, winding made consistent and outward; every change is said.
+
+    Args:
+        vertices: (V, 3), equal ones merged.
+        faces: (F, 3).
+
+    Returns:
+        The faces that remain (none where no face has an area) and the findings, in the order of the checks.
+    """
+    findings: list[Finding] = []
+    collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    faces, n_collapsed = faces[~collapsed], int(collapsed.sum())
+    faces, n_twice = _unique_faces(faces)
+    if len(faces):
+        faces, more = _orient(vertices, faces)
+        findings += more
+        # Slivers go last: three different corners on a line still hold their neighbours together.
+        sliver = _double_areas(vertices, faces) <= 1e-14 * float(np.ptp(vertices, axis=0).max()) ** 2
+        faces, n_collapsed = faces[~sliver], n_collapsed + int(sliver.sum())
+    if n_twice:
+        sentence = f"{_count(n_twice, 'face was', 'faces were')} there twice; one of each was dropped"
+        findings.insert(0, Finding(Kind.DUPLICATE, sentence, Severity.NOTE))
+    if n_collapsed:
+        sentence = f"{_count(n_collapsed, 'face has', 'faces have')} no area and {_was(n_collapsed)} dropped"
+        findings.insert(0, Finding(Kind.ZERO_AREA, sentence, Severity.NOTE))
+    return faces, tuple(findings)
+
+
+def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
+    """Consistent, outward winding, and what the edges say about the surface."""
+    edge, other, against, uses = _neighbours(faces)
+    findings: list[Finding] = []
+    flip, one_sided = _consistent_flips(len(faces), edge, other, against)
+    body, n_bodies = _bodies(len(faces), edge, other)
+    # A body keeps the winding of the larger part of its area.
+    areas = _double_areas(vertices, faces)
+    turned = np.bincount(body, weights=areas * flip, minlength=n_bodies)
+    whole = np.bincount(body, weights=areas, minlength=n_bodies)
+    flip ^= (turned > whole / 2)[body]
+    if flip.any():
+        sentence = f"{_count(int(flip.sum()), 'face was', 'faces were')} wound against the others and turned round"
+        findings.append(Finding(Kind.MIXED_WINDING, sentence, Severity.NOTE))
+        faces = np.where(flip[:, None], faces[:, ::-1], faces)
+    if one_sided:
+        sentence = "the surface has only one side (like a Moebius strip), so inside and outside are arbitrary on it"
+        findings.append(Finding(Kind.ONE_SIDED, sentence, Severity.WARNING))
+
+    open_edges, crowded = int((uses == 1).sum()), int((uses > 2).sum())
+    rim_of = np.zeros(n_bodies, bool)
+    rim_of[body[_faces_on_edges(faces, uses != 2)]] = True
+    volume = _body_volumes(vertices, faces, body, n_bodies)
+    inverted = _inside_out(vertices, faces, body, volume, closed=~rim_of)
+    if inverted.any():
+        n = int(inverted.sum())
+        what = "the surface was" if n_bodies == 1 else _count(n, "body was", "bodies were")
+        findings.append(Finding(Kind.INVERTED, f"{what} inside out (negative volume) and turned round", Severity.NOTE))
+        faces = np.where(inverted[body][:, None], faces[:, ::-1], faces)
+    if open_edges:
+        sentence = (
+            f"the surface is open ({_count(open_edges, 'border edge', 'border edges')}): "
+            "which side is outside is taken from the winding of its faces"
+        )
+        findings.append(Finding(Kind.OPEN, sentence, Severity.WARNING))
+        box = float(np.prod(np.ptp(vertices[faces.ravel()], axis=0)))
+        if float(volume[rim_of].sum()) < -0.1 * box:
+            sentence = (
+                "the open surface seems to be inside out; if most views miss it, turn its faces round and try again"
+            )
+            findings.append(Finding(Kind.INVERTED, sentence, Severity.WARNING))
+    if crowded:
+        sentence = (
+            f"{_count(crowded, 'edge belongs', 'edges belong')} to more than two faces; bodies touch or cross there"
+        )
+        findings.append(Finding(Kind.NON_MANIFOLD, sentence, Severity.WARNING))
+    if n_bodies > 1:
+        sentence = f"the mesh consists of {n_bodies} separate bodies; all of them are scanned as one part"
+        findings.append(Finding(Kind.BODIES, sentence, Severity.NOTE))
+    return faces, findings
+
+
+def _edge_keys(faces: Ints) -> Ints:
+    """(3 F,) the undirected edge of each side as a number: all first-second, then second-third, then third-first."""
+    start, end = faces.T.ravel(), np.roll(faces, -1, axis=1).T.ravel()
+    keys: Ints = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
+    return keys
+
+
+def _neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
+    """Pairs of faces that share an edge with nobody else.
+
+    Returns:
+        (P,) and (P,) the two faces, (P,) whether they run along the edge in the same direction (so are wound against
+        each other), and (3 F,) how many faces use the edge of each side (order of `_edge_keys`).
+    """
+    keys = _edge_keys(faces)
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    first = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
+    count = np.diff(np.append(first, len(keys)))
+    uses = np.empty(len(keys), np.int64)
+    uses[order] = np.repeat(count, count)
+    pair = first[count == 2]
+    one, two = order[pair], order[pair + 1]
+    start = faces.T.ravel()
+    return one % len(faces), two % len(faces), start[one] == start[two], uses
+
+
+def _faces_on_edges(faces: Ints, side: NDArray[np.bool_]) -> Ints:
+    """The faces that have one of the chosen sides ((3 F,) in the order of `_edge_keys`)."""
+    return np.flatnonzero(side.reshape(3, len(faces)).any(axis=0))
+
+
+def _consistent_flips(n_faces: int, one: Ints, two: Ints, against: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool]:
+    """Which faces to turn so that neighbours agree, and whether that is impossible somewhere.
+
+    Every face is two nodes, as it is and turned; neighbours connect the nodes that agree. The connected set of a face
+    as it is then says how each face of the body must lie; if it holds a face both ways, the surface has one side.
+    """
+    if not against.any():
+        return np.zeros(n_faces, bool), False
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    shift = np.where(against, n_faces, 0)
+    rows = np.concatenate([one, one + n_faces])
+    columns = np.concatenate([two + shift, two + n_faces - shift])
+    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(2 * n_faces, 2 * n_faces))
+    label = connected_components(graph, directed=False)[1]
+    as_is, turned = label[:n_faces], label[n_faces:]
+    return as_is > turned, bool((as_is == turned).any())
+
+
+def _bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
+    """(F,) body of each face, and how many bodies there are."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(one), np.int8), (one, two)), shape=(n_faces, n_faces))
+    count, label = connected_components(graph, directed=False)
+    return label.astype(np.int64), int(count)
+
+
+def _body_volumes(vertices: Floats, faces: Ints, body: Ints, n_bodies: int) -> Floats:
+    """(n_bodies,) signed volume; an open body is closed towards the middle of its own vertices."""
+    corners = vertices[faces]
+    counts = np.bincount(body, minlength=n_bodies)
+    centres = corners.mean(axis=1)
+    middle = np.stack([np.bincount(body, weights=centres[:, j], minlength=n_bodies) / counts for j in range(3)], axis=1)
+    corners = corners - middle[body][:, None]
+    six = np.einsum("fj,fj->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return np.bincount(body, weights=six, minlength=n_bodies) / 6
+
+
+def _inside_out(
+    vertices: Floats, faces: Ints, body: Ints, volume: Floats, closed: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """(n_bodies,) which closed bodies to turn round.
+
+    A body of negative volume that stands alone is inside out. One inside another body may rightly bound a void, so it
+    goes with the outermost body around it.
+    """
+    inverted = closed & (volume < 0)
+    if not inverted.any() or closed.sum() == 1:
+        return inverted
+    result = inverted.copy()
+    members = np.split(np.argsort(body, kind="stable"), np.cumsum(np.bincount(body))[:-1])
+    low = np.array([vertices[faces[f].ravel()].min(axis=0) for f in members])
+    high = np.array([vertices[faces[f].ravel()].max(axis=0) for f in members])
+    for inner in np.flatnonzero(closed).tolist():
+        around = np.flatnonzero(closed & (low < low[inner]).all(axis=1) & (high > high[inner]).all(axis=1)).tolist()
+        point = vertices[faces[members[inner]][0, 0]]
+        holders = [outer for outer in around if _encloses(vertices[faces[members[outer]]], point)]
+        if holders:
+            result[inner] = inverted[max(holders, key=lambda outer: float(np.prod(high[outer] - low[outer])))]
+    return result
+
+
+def _encloses(triangles: Floats, point: Floats) -> bool:
+    """Whether a closed surface winds round a point: the sum of its solid angles (Van Oosterom and Strackee 1983)."""
+    a, b, c = np.moveaxis(triangles - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    volume = np.einsum("fj,fj->f", a, np.cross(b, c))
+    spread = (
+        la * lb * lc
+        + np.einsum("fj,fj->f", a, b) * lc
+        + np.einsum("fj,fj->f", b, c) * la
+        + np.einsum("fj,fj->f", c, a) * lb
+    )
+    return bool(abs(2 * np.arctan2(volume, spread).sum()) > 2 * np.pi)
+
+
+def _unique_faces(faces: Ints) -> tuple[Ints, int]:
+    """The faces without those whose three corners an earlier one has, and how many those were."""
+    if not len(faces):
+        return faces, 0
+    low, middle, high = np.sort(faces, axis=1).T
+    order = np.lexsort((high, middle, low))
+    same = (
+        (low[order][1:] == low[order][:-1])
+        & (middle[order][1:] == middle[order][:-1])
+        & (high[order][1:] == high[order][:-1])
+    )
+    keep = np.ones(len(faces), bool)
+    keep[order[1:][same]] = False  # lexsort is stable, so that the first of equals stays
+    return faces[keep], int(same.sum())
+
+
+def _double_areas(vertices: Floats, faces: Ints) -> Floats:
+    corners = vertices[faces]
+    doubled: Floats = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return doubled
+
+
+def _count(n: int, one: str, many: str) -> str:
+    return f"{n} {one if n == 1 else many}"
+
+
+def _was(n: int) -> str:
+    return "was" if n == 1 else "were"

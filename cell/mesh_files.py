@@ -1,0 +1,168 @@
+"""From the bytes of a mesh file to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB.
+
+trimesh parses; this module says in one sentence what is wrong where it cannot. Coordinates stay in the file's numbers.
+Vertices at exactly the same place become one, because STL repeats a corner in each face and the others at seams.
+"""
+
+import io
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
+
+_STL_HEADER = 84  # 80 bytes of comment and the number of faces
+_STL_FACE = 50
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's content.
+
+    Raises:
+        FileError: if it is missing, a folder, empty, not readable, or of a kind that is not supported.
+    """
+    supported = ", ".join(SUFFIXES)
+    try:
+        if path.is_dir():
+            raise FileError(f"{path} is a folder; give a mesh file ({supported})")
+        if not path.exists():
+            raise FileError(f"{path} does not exist; give a mesh file ({supported})")
+        if path.suffix.lower() not in SUFFIXES:
+            kind = f"of the kind '{path.suffix}'" if path.suffix else "without a suffix"
+            raise FileError(f"{path} is {kind}, which is not supported; supported are {supported}")
+        content = path.read_bytes()
+    except PermissionError as error:
+        raise FileError(f"{path} may not be read: permission denied; change its rights or copy it") from error
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not content:
+        raise FileError(f"{path} is empty (0 bytes); export the mesh again")
+    return content
+
+
+def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
+    """Vertices and triangles of a mesh file, equal vertices merged, vertices that no face uses dropped.
+
+    Args:
+        path: for the suffix and the sentences only.
+        content: what is in the file.
+
+    Returns:
+        (V, 3) coordinates in the file's own numbers and axes (scenes flattened: each node placed by its transform), and
+        (F, 3) corner indices.
+
+    Raises:
+        FileError: if the content is not a mesh of that kind, has no faces, or a face has a corner that is no number.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".stl":
+        content = _checked_stl(path, content)
+    elif suffix == ".glb":
+        _check_glb(path, content)
+    elif suffix in (".obj", ".off"):
+        content = content.decode(
+            "utf-8", errors="replace"
+        ).encode()  # comments in other encodings are no reason to fail
+    vertices, faces = _parse_with_trimesh(path, suffix, content)
+    if not len(faces):
+        raise FileError(f"{path} holds no faces; it must be a triangle mesh, not points, lines or text")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise FileError(
+            f"{path} is broken: a face refers to vertex {int(faces.max())} (counted from 0), but there are "
+            f"{len(vertices)}; export the mesh again"
+        )
+    vertices, faces = _merge(vertices, faces)
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise FileError(
+            f"{path} has {int(bad.sum())} vertices whose coordinates are not numbers (NaN or infinity); "
+            "repair or export the mesh again"
+        )
+    return vertices, faces
+
+
+def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats, Ints]:
+    import trimesh  # half a second of start-up that only a mesh file needs
+
+    try:
+        loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
+        if isinstance(loaded, trimesh.Scene):
+            parts = [part for part in loaded.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+            loaded = trimesh.util.concatenate(parts) if parts else None
+        if not isinstance(loaded, trimesh.Trimesh):
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+        return np.array(loaded.vertices, np.float64), np.array(loaded.faces, np.int64)
+    except Exception as error:  # a parser meets broken bytes with any exception there is; each is the same to the user
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise FileError(
+            f"{path} cannot be read as {suffix[1:].upper()} ({reason}); it is broken or cut short, export it again"
+        ) from error
+
+
+def _checked_stl(path: Path, content: bytes) -> bytes:
+    """The content of a complete STL file, as binary or as clean ASCII.
+
+    "solid" at the start does not tell the two apart (many binary writers put it there); the size does.
+    """
+    announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
+    if announced is not None and len(content) >= _STL_HEADER + announced * _STL_FACE and announced:
+        return content[: _STL_HEADER + announced * _STL_FACE]
+    if content.lstrip()[:5].lower() == b"solid" and b"facet" in content.lower():
+        text = content.lower()
+        if text.count(b"vertex") != 3 * text.count(b"endfacet"):
+            raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
+        return content.decode("utf-8", errors="replace").encode()
+    if all(byte in b"\t\n\r\f" or 32 <= byte < 127 or byte > 159 for byte in content[:512]):
+        raise FileError(f"{path} is a text file, not an STL mesh; give a mesh ({', '.join(SUFFIXES)})")
+    if announced is None or announced:
+        size = f"{announced} faces ({_STL_HEADER + announced * _STL_FACE} bytes)" if announced else "a longer header"
+        raise FileError(
+            f"{path} is cut short or no STL: it announces {size} but has {len(content)} bytes; "
+            "export or copy the mesh again"
+        )
+    raise FileError(f"{path} holds no faces; export the mesh again")
+
+
+def _check_glb(path: Path, content: bytes) -> None:
+    """A GLB file starts with its magic and its own length."""
+    if content[:4] != b"glTF" or len(content) < 20:
+        raise FileError(f"{path} is not a binary glTF file (GLB); export the mesh again")
+    length = struct.unpack_from("<I", content, 8)[0]
+    if length > len(content):
+        raise FileError(
+            f"{path} is cut short: it announces {length} bytes but has {len(content)}; export or copy the mesh again"
+        )
+    chunk = struct.unpack_from("<I", content, 12)[0]
+    try:
+        extensions = json.loads(content[20 : 20 + chunk]).get("extensionsRequired", [])
+    except (ValueError, AttributeError) as error:
+        raise FileError(f"{path} is broken: its scene description cannot be read; export the mesh again") from error
+    compressed = [name for name in extensions if "compression" in name]
+    if compressed:
+        raise FileError(f"{path} is compressed ({', '.join(compressed)}), which is not supported; export without it")
+
+
+def _merge(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """One vertex for each place (bit-exact), in the order of first use; unused ones dropped."""
+    corners = vertices[faces.ravel()] + 0.0  # minus zero becomes zero
+    bits = np.ascontiguousarray(corners).view(np.uint64)
+    with np.errstate(over="ignore"):
+        key = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
+        for column in (1, 2):
+            key = ((key ^ (key >> np.uint64(29))) + bits[:, column]) * np.uint64(0xBF58476D1CE4E5B9)
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    if not (bits[first][inverse] == bits).all():  # two places with one hash: once in 10^7 files of a million faces
+        _, first, inverse = np.unique(bits, axis=0, return_index=True, return_inverse=True)
+    rank = np.argsort(first)
+    position = np.empty(len(first), np.int64)
+    position[rank] = np.arange(len(first))
+    return corners[first[rank]], position[inverse.ravel()].reshape(-1, 3)

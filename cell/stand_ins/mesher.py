@@ -1,0 +1,113 @@
+"""From an implicit shape to a closed triangle mesh with an exact number of faces and exact bounds.
+
+The field is evaluated coarse to fine, only near the surface; marching cubes (Lewiner et al. 2003, as in scikit-image)
+cuts it; quadric edge collapse brings the mesh to the count (each removes two faces, so an even count is met exactly).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.stand_ins.fields import Field
+from planner.surface import TriangleMesh, collapse_edges
+
+Grid = NDArray[np.float32]
+
+_COARSE, _FINE = 16, 4  # cells along an edge of the blocks of the two levels
+_SLACK = 1.6  # the fields are not exact distances: a block is skipped when 1.6 times its reach clears the surface
+_CHUNK = 32768  # points a call, so that a field's temporaries stay in the processor's cache
+_SNAP = 0.03  # cells: values nearer to zero are pushed away, so that no vertex falls on a grid point (no slivers)
+
+
+def mesh_of(field: Field, low: tuple[float, ...], high: tuple[float, ...], cell: float) -> TriangleMesh:
+    """The largest body of the field's zero set, closed and outward.
+
+    Args:
+        field: the shape [mm].
+        low: corner of a box that holds the shape with at least a cell to spare [mm].
+        high: the opposite corner.
+        cell: edge of a grid cell [mm].
+
+    Returns:
+        The mesh in millimetres.
+    """
+    from skimage.measure import marching_cubes
+
+    values = _sample(field, np.array(low), np.array(high), cell)
+    vertices, faces, _, _ = marching_cubes(values, 0.0)
+    faces = _largest_body(faces, len(vertices))
+    used, faces = np.unique(faces, return_inverse=True)
+    faces = faces.reshape(-1, 3).astype(np.int32)
+    points = vertices[used].astype(np.float64) * cell + np.array(low)
+    return TriangleMesh(points, faces)
+
+
+def to_count(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
+    """The mesh with exactly so many faces, still closed.
+
+    Raises:
+        ArithmeticError: if the count is missed, which is a mistake in the shape's cell size.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    vertices, faces = collapse_edges(mesh.vertices / diagonal, mesh.faces, face_count, 7)
+    if len(faces) != face_count:
+        raise ArithmeticError(f"{len(mesh.faces)} faces were reduced to {len(faces)}, not to {face_count}")
+    return TriangleMesh(vertices * diagonal, faces)
+
+
+def to_bounds(mesh: TriangleMesh, size_mm: tuple[float, float, float]) -> TriangleMesh:
+    """The mesh in metres, scaled per axis to exact bounds; it stands on z = 0 with x and y about the origin."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    size = np.array(size_mm) / 1000
+    corner = np.array([-size[0] / 2, -size[1] / 2, 0.0])
+    return TriangleMesh((mesh.vertices - low) / (high - low) * size + corner, mesh.faces)
+
+
+def _sample(field: Field, low: NDArray[np.float64], high: NDArray[np.float64], cell: float) -> Grid:
+    """The field on a grid; far from the surface a constant of the right sign, large against a cell."""
+    blocks = np.ceil((high - low) / (cell * _COARSE)).astype(int)
+    shape = blocks * _COARSE
+
+    def evaluate(indices: NDArray[np.float32]) -> Grid:
+        out = np.empty(indices.shape[1], np.float32)
+        origin = low.astype(np.float32)[:, None]
+        for start in range(0, len(out), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            out[part] = field(indices[:, part] * np.float32(cell) + origin)
+        return out
+
+    def centres(corners: NDArray[np.int64], edge: int) -> NDArray[np.float32]:
+        return (corners + (edge - 1) / 2).astype(np.float32)
+
+    def near(values: Grid, edge: int) -> NDArray[np.bool_]:
+        reached: NDArray[np.bool_] = np.abs(values) < _SLACK * np.sqrt(3) / 2 * edge * cell
+        return reached
+
+    corners = np.stack(np.meshgrid(*(np.arange(n) * _COARSE for n in blocks), indexing="ij")).reshape(3, -1)
+    coarse = evaluate(centres(corners, _COARSE))
+    ratio = _COARSE // _FINE
+    fine = np.repeat(coarse.reshape(blocks), ratio, 0).repeat(ratio, 1).repeat(ratio, 2)
+    open_blocks = corners[:, near(coarse, _COARSE)] // _FINE
+    inside = np.stack(np.meshgrid(*([np.arange(ratio)] * 3), indexing="ij")).reshape(3, -1)
+    corners = (open_blocks[:, :, None] + inside[:, None]).reshape(3, -1)
+    values = evaluate(centres(corners * _FINE, _FINE))
+    fine[tuple(corners)] = values
+    grid = np.repeat(np.where(fine < 0, np.float32(-1e3), np.float32(1e3)), _FINE, 0).repeat(_FINE, 1).repeat(_FINE, 2)
+
+    corners = corners[:, near(values, _FINE)] * _FINE
+    inside = np.stack(np.meshgrid(*([np.arange(_FINE)] * 3), indexing="ij")).reshape(3, -1)
+    points = (corners[:, :, None] + inside[:, None]).reshape(3, -1)
+    values = evaluate(points.astype(np.float32)) / np.float32(cell)
+    values = np.where(np.abs(values) < _SNAP, np.where(values < 0, -np.float32(_SNAP), np.float32(_SNAP)), values)
+    grid.ravel()[np.ravel_multi_index(tuple(points), tuple(shape))] = values
+    return grid
+
+
+def _largest_body(faces: NDArray[np.int32], n_vertices: int) -> NDArray[np.int32]:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    rows, columns = faces[:, [0, 1]].T.ravel(), faces[:, [1, 2]].T.ravel()
+    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(n_vertices, n_vertices))
+    label = connected_components(graph, directed=False)[1][faces[:, 0]]
+    kept: NDArray[np.int32] = faces[label == np.bincount(label).argmax()]
+    return kept
