@@ -1,0 +1,217 @@
+"""The contract between a plan and any robot controller: what a driver can do, and what it says about the arm.
+
+A driver executes synchronous joint-linear moves through via points at a fraction of the controller's speed: all axes
+start and stop together, each leg is a straight segment in joint space, and the arm stops exactly at every via point.
+The controller owns the timing inside its own limits. That is what the PTP of a real controller does, and all that a
+checked plan needs. Axes travel as set-points (`drivers.setpoints`), so every driver executes exactly what was checked.
+
+    with open_driver("sim://") as driver:
+        driver.move(set_points, speed=0.5)      # returns when the arm stands at the last set-point, or raises
+        driver.state().q                        # axes as the controller reports them [rad]
+
+This layer is no safety device: see docs/drivers.md.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+from drivers.errors import DriverError
+from drivers.setpoints import AXES, Floats, SetPoints, frozen, to_rad
+
+
+class Mode(IntEnum):
+    """The states of a controller; the numbers go over wires."""
+
+    IDLE = 0
+    MOVING = 1
+    IN_POSITION = 2
+    FAULT = 3
+    EMERGENCY_STOP = 4
+
+    @property
+    def sentence(self) -> str:
+        """The state in words."""
+        return _MODE_SENTENCES[self]
+
+
+_MODE_SENTENCES = {
+    Mode.IDLE: "the arm stands, and not at the end of a move (after start, stop or reset)",
+    Mode.MOVING: "the arm moves, or brakes after a stop",
+    Mode.IN_POSITION: "the arm stands at the last set-point of its last move",
+    Mode.FAULT: "a fault is latched; only reset helps",
+    Mode.EMERGENCY_STOP: "the emergency stop is or was pressed; release it, then reset",
+}
+
+
+class Fault(IntEnum):
+    """The faults of our own controller; a foreign controller may report other numbers with its own sentence."""
+
+    NONE = 0
+    WATCHDOG = 4001
+    PLANT = 4002
+    NOT_SETTLED = 4003
+    RESTARTED = 4004
+    EMERGENCY_STOP = 4010
+
+    @property
+    def sentence(self) -> str:
+        """The fault in words; empty for none."""
+        return _FAULT_SENTENCES[self]
+
+
+_FAULT_SENTENCES = {
+    Fault.NONE: "",
+    Fault.WATCHDOG: "the client's heartbeat was lost, so the arm was stopped on its path",
+    Fault.PLANT: "the arm does not follow its set-points",
+    Fault.NOT_SETTLED: "the arm did not come to rest at its set-point in time",
+    Fault.RESTARTED: "the controller was restarted; what it did before is lost",
+    Fault.EMERGENCY_STOP: "the emergency stop was pressed",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotState:
+    """What a controller says about itself, all read at one instant.
+
+    Attributes:
+        mode: the controller's state.
+        axes: (6,) axes as the controller reports them, int32 counts of 1e-4 deg.
+        standing: True where the arm is at rest. In a fault it may still be braking.
+        ack_sequence: number of the last command that the controller answered; 0: none since it started.
+        ack_result: the answer to it (`drivers.commands.Result`).
+        done_sequence: number of the last move that ended, however it ended; 0: none since the controller started.
+        done_result: how it ended: OK at its last set-point, else STOPPED, FAULTED.
+        queue_depth: moves that are accepted and have not ended.
+        fault_code: 0, or the latched fault (`Fault`, or a foreign controller's number).
+        fault_sentence: the latched fault in words; empty where there is none.
+    """
+
+    mode: Mode
+    axes: SetPoints
+    standing: bool
+    ack_sequence: int = 0
+    ack_result: int = 0
+    done_sequence: int = 0
+    done_result: int = 0
+    queue_depth: int = 0
+    fault_code: int = 0
+    fault_sentence: str = ""
+
+    def __post_init__(self) -> None:
+        if np.shape(self.axes) != (AXES,):
+            raise DriverError(f"the reported axes have shape {np.shape(self.axes)}; they must be ({AXES},)")
+        object.__setattr__(self, "axes", frozen(self.axes, np.int32))
+
+    @property
+    def q(self) -> Floats:
+        """(6,) reported joint angles [rad], KUKA signs."""
+        return to_rad(self.axes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capabilities:
+    """What a driver's controller accepts; the client refuses the same things before it sends them.
+
+    Attributes:
+        controller: what stands at the other end, for messages and reports.
+        lower: (6,) smallest set-points, int32 counts of 1e-4 deg.
+        upper: (6,) largest set-points, int32 counts of 1e-4 deg.
+        max_step: (6,) largest change of an axis from one via point to the next, counts of 1e-4 deg.
+        max_speed: largest speed fraction, in (0, 1].
+        max_via: most via points in one move; None: no bound.
+        hardware: True where moves move steel, so that a person has to confirm motion first.
+        simulated_time: True where a move takes no real time.
+    """
+
+    controller: str
+    lower: SetPoints
+    upper: SetPoints
+    max_step: SetPoints
+    max_speed: float
+    max_via: int | None
+    hardware: bool
+    simulated_time: bool
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "max_step"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.int32))
+
+
+class Driver(Protocol):
+    """One robot controller, reached over one wire. Several threads may call it; moves are one at a time."""
+
+    def connect(self) -> None:
+        """Open the wire and learn the controller's state; nothing moves. A second call does nothing.
+
+        Raises:
+            LinkError: if nothing answers, or what answers is no controller of this kind.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop an arm that moves, and give the wire back. May be called twice, and after any failure."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Connect."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        ...
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What the controller accepts."""
+        ...
+
+    def state(self) -> RobotState:
+        """The controller's state now; possible in every mode.
+
+        Raises:
+            NotConnectedError, LinkError.
+        """
+        ...
+
+    def move(self, set_points: SetPoints, speed: float) -> RobotState:
+        """Drive through via points from where the arm stands, and return when it stands at the last one.
+
+        Args:
+            set_points: (N, 6) via points, int32 counts of 1e-4 deg; the arm stops exactly at each. A first row equal to
+                where the arm stands takes no time.
+            speed: fraction of the controller's axis speeds, above 0 up to `capabilities.max_speed`.
+
+        Returns:
+            The state in which the move ended: IN_POSITION.
+
+        Raises:
+            SetPointError: the set-points are broken; nothing was sent.
+            RefusedError: outside limits, speed or step, or in a fault; nothing moved.
+            StoppedError, FaultError, EmergencyStopError: the move ended elsewhere, on its path.
+            StateUnknownError: whether the move was executed cannot be told.
+            NotConnectedError, LinkError.
+        """
+        ...
+
+    def stop(self) -> RobotState:
+        """Brake on the path, drop what is queued, and return when the arm stands. Possible in every mode.
+
+        Raises:
+            NotConnectedError, LinkError.
+        """
+        ...
+
+    def reset(self) -> RobotState:
+        """Clear a latched fault; the arm stays where it is.
+
+        Raises:
+            RefusedError: the cause persists (emergency stop still pressed).
+            StateUnknownError, NotConnectedError, LinkError.
+        """
+        ...

@@ -1,0 +1,280 @@
+"""The simulated controller: one state machine over a plant and a clock, for every wire.
+
+    start --> IDLE --move--> MOVING --stands at the set-point--> IN_POSITION --move--> MOVING
+               ^               |
+               +--- stop ------+         fault (any state) --> FAULT            --reset--> IDLE
+               (brakes first)            e-stop (any state) --> EMERGENCY_STOP  --release, reset--> IDLE
+
+A fault and the emergency stop brake on the path and drop the queue; until a reset every move is refused. Limits are
+checked here, whatever the client checked. Commands follow the sequence-number rule of `drivers.commands`. The
+controller has no thread: each call first lets the time pass that the clock says has passed. A clock that jumps back is
+taken as standing still, one that jumps ahead finishes the motion.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.commands import LAST_SEQUENCE, Answer, Command, Move, Reset, Result, Stop, is_newer, same
+from drivers.contract import Fault, Mode, RobotState
+from drivers.errors import DriverError
+from drivers.limits import Limits, refuse
+from drivers.plant import Plant
+from drivers.profile import TICK, interpolate, resting
+from drivers.setpoints import SetPoints, from_rad, text, to_rad
+
+CYCLE = 0.004
+"""Interpolation cycle [s] in which the controller looks whether the plant has settled."""
+
+SETTLE_LIMIT = 5.0
+"""Time [s] that a plant may take to settle after its reference ended, before that is a fault."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    """An accepted move."""
+
+    sequence: int
+    move: Move
+
+
+class Controller:
+    """A robot controller in software.
+
+    Not thread-safe: whoever puts it behind a wire serialises the calls.
+
+    Args:
+        plant: the arm that it moves.
+        limits: what it lets the arm do.
+        clock: its time.
+        queue_length: how many moves it takes at once, the one that moves included.
+
+    Raises:
+        DriverError: if the plant stands outside the limits.
+    """
+
+    def __init__(self, plant: Plant, limits: Limits, clock: Clock, *, queue_length: int = 1) -> None:
+        if queue_length < 1:
+            raise DriverError(f"a controller's queue of {queue_length} moves takes none; it must be at least 1")
+        self.plant, self.limits = plant, limits
+        self._clock, self._now = clock, _finite(clock.now())
+        self._queue_length = queue_length
+        self._axes = from_rad(plant.reported_axes)
+        if ((self._axes < limits.lower) | (self._axes > limits.upper)).any():
+            raise DriverError(
+                f"the arm stands at {text(self._axes)}, outside the controller's limits; it must start inside"
+            )
+        self._reference, self._elapsed = resting(plant.reported_axes), 0.0
+        self._running: _Job | None = None
+        self._queue: deque[_Job] = deque()
+        self._braking = False
+        self._in_position = False
+        self._fault = Fault.NONE
+        self._fault_detail = ""
+        self._estop_pressed = False
+        self._last: Command | None = None
+        self._answer = Answer(0, Result.OK)
+        self._done, self._done_result = 0, Result.OK
+
+    def command(self, sequence: int, command: Command) -> Answer:
+        """Execute a command if its number is new, and answer.
+
+        Args:
+            sequence: 1 to 65535.
+            command: what to do.
+        """
+        self._pass_time()
+        if not 1 <= sequence <= LAST_SEQUENCE:
+            return Answer(sequence, Result.SEQUENCE)
+        if self._last is not None and sequence == self._answer.sequence:
+            return self._answer if same(command, self._last) else Answer(sequence, Result.REUSED)
+        if not is_newer(sequence, self._answer.sequence):
+            if isinstance(command, Stop):
+                self._brake(Result.STOPPED)
+                self._run(0.0)
+            return Answer(sequence, Result.STALE)
+        result, detail = self._execute(sequence, command)
+        self._run(0.0)  # a move of no length ends at once
+        self._last, self._answer = command, Answer(sequence, result, detail)
+        return self._answer
+
+    def state(self) -> RobotState:
+        """The state now."""
+        self._pass_time()
+        return RobotState(
+            mode=self._mode(),
+            axes=self._axes,
+            standing=self._standing(),
+            ack_sequence=self._answer.sequence,
+            ack_result=self._answer.result,
+            done_sequence=self._done,
+            done_result=self._done_result,
+            queue_depth=self._depth(),
+            fault_code=self._fault,
+            fault_sentence=self._fault_detail or self._fault.sentence,
+        )
+
+    def latch(self, fault: Fault, detail: str = "") -> None:
+        """Latch a fault from outside (a watchdog, a restart): brake, drop the queue. The first of several is kept.
+
+        Args:
+            fault: which one; never NONE.
+            detail: what happened, in words; empty: the fault's own sentence.
+        """
+        self._pass_time()
+        self._latch(fault, detail)
+        self._run(0.0)
+
+    def emergency_stop(self, pressed: bool = True) -> None:
+        """Press or release the emergency stop. It stays latched after its release until a reset."""
+        self._pass_time()
+        self._estop_pressed = pressed
+        if pressed:
+            self._fault, self._fault_detail = Fault.NONE, ""  # it outranks whatever fault is latched
+            self._latch(Fault.EMERGENCY_STOP)
+            self._run(0.0)
+
+    def time_to_wait(self) -> float:
+        """Time [s] after which the state can have changed by itself; 0 where the arm stands."""
+        self._pass_time()
+        if self._standing():
+            return 0.0
+        return (
+            max(self._reference.duration - self._elapsed, TICK) if self._elapsed < self._reference.duration else CYCLE
+        )
+
+    def _execute(self, sequence: int, command: Command) -> tuple[Result, str]:
+        if isinstance(command, Stop):
+            self._brake(Result.STOPPED)
+            return Result.OK, ""
+        if isinstance(command, Reset):
+            return self._reset()
+        if self._fault:
+            return Result.IN_FAULT, f"{self._fault_detail or self._fault.sentence}; reset first"
+        if self._braking or self._depth() >= self._queue_length:
+            return Result.BUSY, ""
+        result, detail = refuse(command, self._start_of_next(), self.limits)
+        if result is Result.OK:
+            self._queue.append(_Job(sequence, command))
+        return result, detail
+
+    def _reset(self) -> tuple[Result, str]:
+        if self._estop_pressed:
+            return Result.ESTOP_PRESSED, ""
+        if not self._standing():
+            return Result.BUSY, ""
+        if self._fault:
+            if not self.plant.settled or self._plant_failure():
+                self._reference, self._elapsed = resting(to_rad(self._axes)), 0.0
+                self.plant.follow(self._reference)
+            if failure := self._plant_failure():
+                return Result.IN_FAULT, f"{failure}; the reset did not cure it"
+            self._fault, self._fault_detail = Fault.NONE, ""
+        return Result.OK, ""
+
+    def _pass_time(self) -> None:
+        now = _finite(self._clock.now())
+        seconds = max(now - self._now, 0.0)
+        self._now = now
+        self._run(seconds)
+
+    def _run(self, seconds: float) -> None:
+        """Let time pass; moves begin and end on the way. A plant that failed is left as it is."""
+        while not self._plant_failed():
+            if self._standing():
+                if not self._queue:
+                    if seconds > 0.0:
+                        self.plant.advance(seconds)
+                        self._plant_failed()
+                    return
+                self._start(self._queue.popleft())
+            left = self._reference.duration - self._elapsed
+            step = min(seconds, left if left > 0.0 else CYCLE)
+            self.plant.advance(step)
+            self._elapsed, seconds = self._elapsed + step, seconds - step
+            if 0.0 < self._reference.duration - self._elapsed <= TICK:
+                self._elapsed = self._reference.duration
+            if self._elapsed >= self._reference.duration:
+                if self.plant.settled:
+                    self._finish()
+                    continue
+                if self._elapsed - self._reference.duration > SETTLE_LIMIT:
+                    self._latch(Fault.NOT_SETTLED)
+                    self._braking = False  # waiting longer for this plant leads nowhere
+            if seconds <= 0.0:
+                self._plant_failed()
+                return
+
+    def _start(self, job: _Job) -> None:
+        velocity = self.limits.velocity * job.move.speed
+        self._reference = interpolate(
+            self._reference.end, to_rad(job.move.set_points), velocity, self.limits.acceleration
+        )
+        self._elapsed, self._running, self._in_position = 0.0, job, False
+        self.plant.follow(self._reference)
+
+    def _finish(self) -> None:
+        """The arm stands at the end of its reference."""
+        if self._running is not None:
+            self._done, self._done_result = self._running.sequence, Result.OK
+            self._in_position = True
+        self._running, self._braking = None, False
+
+    def _brake(self, result: Result) -> None:
+        """Stay on the path, stand as soon as the limits allow, and drop what was accepted."""
+        dropped = ([self._running] if self._running else []) + list(self._queue)
+        self._queue.clear()
+        if dropped:
+            self._done, self._done_result = dropped[-1].sequence, result
+        if self._running is not None:
+            self._running, self._braking = None, True
+            self._reference, self._elapsed = self._reference.braked(self._elapsed), 0.0
+            self.plant.follow(self._reference)
+
+    def _latch(self, fault: Fault, detail: str = "") -> None:
+        if not self._fault:
+            self._fault, self._fault_detail = fault, detail
+        self._brake(Result.FAULTED)
+        self._in_position = False
+
+    def _plant_failed(self) -> bool:
+        """Whether the plant no longer follows; latches the fault. Else remembers where it says it is."""
+        if failure := self._plant_failure():
+            self._latch(Fault.PLANT, f"{Fault.PLANT.sentence}: {failure}")
+            self._braking = False  # nothing can be asked of it any more
+            return True
+        self._axes = from_rad(self.plant.reported_axes)
+        return False
+
+    def _plant_failure(self) -> str:
+        if self.plant.failure:
+            return self.plant.failure
+        return "" if np.isfinite(self.plant.reported_axes).all() else "its axes are no numbers"
+
+    def _depth(self) -> int:
+        return len(self._queue) + (self._running is not None)
+
+    def _standing(self) -> bool:
+        return self._running is None and not self._braking
+
+    def _mode(self) -> Mode:
+        if self._fault is Fault.EMERGENCY_STOP:
+            return Mode.EMERGENCY_STOP
+        if self._fault:
+            return Mode.FAULT
+        if not self._standing():
+            return Mode.MOVING
+        return Mode.IN_POSITION if self._in_position else Mode.IDLE
+
+    def _start_of_next(self) -> SetPoints:
+        """(6,) where the next accepted move will begin, counts."""
+        return self._queue[-1].move.set_points[-1] if self._queue else from_rad(self._reference.end)
+
+
+def _finite(now: float) -> float:
+    if not math.isfinite(now):
+        raise DriverError(f"the controller's clock says {now}; it must say a finite time in seconds")
+    return now

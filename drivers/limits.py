@@ -1,0 +1,166 @@
+"""Limits on the controller's own side: position, speed, acceleration and step size of the six axes."""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drivers.commands import Move, Result
+from drivers.errors import DriverError
+from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, frozen
+
+_ROUNDING = 1e-3  # counts; a limit that is a count but for the rounding of its radians is that count
+
+
+class Bounds(Protocol):
+    """What `refuse` checks against: a controller's limits, or what a driver says of them."""
+
+    @property
+    def lower(self) -> SetPoints:
+        """(6,) smallest set-points, counts."""
+        ...
+
+    @property
+    def upper(self) -> SetPoints:
+        """(6,) largest set-points, counts."""
+        ...
+
+    @property
+    def max_step(self) -> SetPoints:
+        """(6,) largest change of an axis from one via point to the next, counts."""
+        ...
+
+    @property
+    def max_speed(self) -> float:
+        """Largest speed fraction."""
+        ...
+
+    @property
+    def max_via(self) -> int | None:
+        """Most via points in one move; None: no bound."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Limits:
+    """What a controller lets its arm do.
+
+    Attributes:
+        lower: (6,) smallest set-points, int32 counts of 1e-4 deg; a set-point on the limit is inside.
+        upper: (6,) largest set-points, counts.
+        velocity: (6,) axis speeds at speed fraction 1 [rad/s].
+        acceleration: (6,) axis accelerations at every speed fraction [rad/s^2].
+        max_step: (6,) largest change of an axis from one via point to the next, counts.
+        max_speed: largest speed fraction, in (0, 1].
+        max_via: most via points in one move; None: no bound.
+    """
+
+    lower: SetPoints
+    upper: SetPoints
+    velocity: Floats
+    acceleration: Floats
+    max_step: SetPoints
+    max_speed: float = 1.0
+    max_via: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "velocity", "acceleration", "max_step"):
+            values = np.asarray(getattr(self, name))
+            if values.shape != (AXES,):
+                raise DriverError(f"{name} of a controller's limits has shape {values.shape}; it must be ({AXES},)")
+            kind = np.float64 if name in ("velocity", "acceleration") else np.int32
+            object.__setattr__(self, name, frozen(values, kind))
+        if not (self.lower <= self.upper).all():
+            axis = int(np.argmax(self.lower > self.upper))
+            raise DriverError(f"the range of A{axis + 1} is empty; its lower limit must not be above its upper limit")
+        for name in ("velocity", "acceleration"):
+            values = getattr(self, name)
+            if not ((values > 0) & (values < np.inf)).all():
+                raise DriverError(f"{name} of a controller's limits is {values}; every axis must be above 0 and finite")
+        if not (self.max_step > 0).all():
+            raise DriverError("max_step of a controller's limits must be at least one count on every axis")
+        if self.max_via is not None and self.max_via < 1:
+            raise DriverError(f"the most via points of a move are {self.max_via}; they must be at least 1")
+        if not 0 < self.max_speed <= 1:
+            raise DriverError(f"the largest speed fraction is {self.max_speed}; it must be above 0 and at most 1")
+
+    @classmethod
+    def from_rad(
+        cls,
+        lower: ArrayLike,
+        upper: ArrayLike,
+        velocity: ArrayLike,
+        acceleration: ArrayLike,
+        *,
+        max_step: ArrayLike | None = None,
+        max_speed: float = 1.0,
+    ) -> "Limits":
+        """Limits in radians, rounded inwards to counts.
+
+        Args:
+            lower: (6,) smallest joint angles [rad].
+            upper: (6,) largest joint angles [rad].
+            velocity: (6,) axis speeds [rad/s].
+            acceleration: (6,) axis accelerations [rad/s^2].
+            max_step: () or (6,) largest step [rad]; None: the whole range.
+            max_speed: largest speed fraction.
+        """
+        low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (lower, upper))
+        low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
+        if max_step is None:
+            step = np.maximum(high - low, 1)
+        else:
+            step = np.floor(np.broadcast_to(np.degrees(max_step), AXES) * PER_DEGREE + _ROUNDING)
+        return cls(low, high, np.asarray(velocity), np.asarray(acceleration), step, max_speed)
+
+
+def refuse(move: Move, start: SetPoints, bounds: Bounds) -> tuple[Result, str]:
+    """The first reason against a move, with via point, axis and value, or (OK, ""); the same on both sides of a wire.
+
+    Args:
+        move: what is asked for.
+        start: (6,) where the arm will stand when the move begins, counts.
+        bounds: what is allowed.
+    """
+    points = move.set_points
+    if bounds.max_via is not None and len(points) > bounds.max_via:
+        return Result.TOO_MANY_POINTS, (
+            f"the move has {len(points)} via points; the controller takes at most {bounds.max_via} at once"
+        )
+    outside = (points < bounds.lower) | (points > bounds.upper)
+    if outside.any():
+        row, axis = (int(k) for k in np.argwhere(outside)[0])
+        return Result.LIMIT, (
+            f"via point {row} has A{axis + 1} at {points[row, axis] / PER_DEGREE:.4f} deg; it must lie in "
+            f"{bounds.lower[axis] / PER_DEGREE:.4f} to {bounds.upper[axis] / PER_DEGREE:.4f} deg"
+        )
+    if not 0 < move.speed <= bounds.max_speed:  # NaN too
+        return (
+            Result.SPEED,
+            f"the speed fraction is {move.speed:g}; it must be above 0 and at most {bounds.max_speed:g}",
+        )
+    steps = np.abs(np.diff(points.astype(np.int64), axis=0, prepend=start[None].astype(np.int64)))
+    if (steps > bounds.max_step).any():
+        row, axis = (int(k) for k in np.argwhere(steps > bounds.max_step)[0])
+        return Result.STEP, (
+            f"via point {row} is a step of {steps[row, axis] / PER_DEGREE:.4f} deg on A{axis + 1}; it must be at most "
+            f"{bounds.max_step[axis] / PER_DEGREE:.4f} deg"
+        )
+    return Result.OK, ""
+
+
+@cache
+def kr16() -> Limits:
+    """The KUKA KR 16 with a floor-mounted KR C2: ranges and speeds of its data sheet.
+
+    KUKA publishes no accelerations; twice the speed per second (a ramp of 0.5 s) is a common assumption.
+    """
+    velocity = np.radians([156.0, 156.0, 156.0, 330.0, 330.0, 615.0])
+    return Limits.from_rad(
+        np.radians([-185.0, -155.0, -130.0, -350.0, -130.0, -350.0]),
+        np.radians([185.0, 35.0, 154.0, 350.0, 130.0, 350.0]),
+        velocity,
+        2.0 * velocity,
+    )

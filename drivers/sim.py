@@ -1,0 +1,129 @@
+"""`sim://`: the simulated controller in this process, with an ideal arm, or with the plant that the opener injects.
+
+| option | default | meaning |
+|---|---|---|
+| `plant` | `ideal` | which plant moves: `ideal`, or a name that the opener injected |
+| `realtime` | off | wait as long as the arm would; else time jumps to the end of each move |
+| `time_scale` | 1 | with `realtime`: simulated seconds per real second |
+| `start` | 0,-90,90,0,90,0 | axes at which the arm stands first [deg] |
+| `max_speed` | the limits' | largest speed fraction that the controller takes |
+| `max_step_deg` | the limits' | largest step of an axis between via points [deg] |
+
+It has everything that a wire has, numbering and refusals on both sides included, except that nothing can get lost.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from drivers.client import ControllerClient
+from drivers.clock import Clock, RealTimeClock, SimulatedClock
+from drivers.commands import Answer, Command
+from drivers.contract import Capabilities, RobotState
+from drivers.controller import Controller
+from drivers.errors import DriverUrlError
+from drivers.limits import kr16
+from drivers.plant import IdealPlant, Plant
+from drivers.registry import Context
+from drivers.setpoints import PER_DEGREE, from_rad, to_rad
+from drivers.url import DriverUrl
+
+HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
+"""Where the arm stands first [deg]."""
+
+
+class _InProcess:
+    """The link that is a function call."""
+
+    def __init__(self, controller: Controller, simulated_time: bool) -> None:
+        self._controller, self._simulated_time = controller, simulated_time
+
+    def open(self) -> Capabilities:
+        limits = self._controller.limits
+        return Capabilities(
+            controller="simulated controller",
+            lower=limits.lower,
+            upper=limits.upper,
+            max_step=limits.max_step,
+            max_speed=limits.max_speed,
+            max_via=limits.max_via,
+            hardware=False,
+            simulated_time=self._simulated_time,
+        )
+
+    def close(self) -> None:
+        pass
+
+    def send(self, sequence: int, command: Command) -> Answer:
+        return self._controller.command(sequence, command)
+
+    def state(self) -> RobotState:
+        return self._controller.state()
+
+    def time_to_wait(self) -> float:
+        return self._controller.time_to_wait()
+
+
+class SimDriver(ControllerClient):
+    """The simulated controller as a driver. It stands where it was when it is closed and connected again.
+
+    Args:
+        controller: what it talks to.
+        clock: the controller's clock.
+
+    Attributes:
+        controller: for what a wire does not offer: pressing the emergency stop, latching faults.
+        plant: for what a real controller cannot tell: `plant.true_axes`.
+        clock: simulated or real time.
+    """
+
+    def __init__(self, controller: Controller, clock: Clock) -> None:
+        super().__init__(_InProcess(controller, clock.simulated), clock)
+        self.controller, self.clock = controller, clock
+
+    @property
+    def plant(self) -> Plant:
+        """The arm itself, with its true axes."""
+        return self.controller.plant
+
+    @classmethod
+    def from_url(cls, url: DriverUrl, context: Context) -> "SimDriver":
+        """Make the driver that a `sim://` URL describes.
+
+        Args:
+            url: see the table of the module.
+            context: clock, limits and further plants.
+
+        Raises:
+            DriverUrlError: if an option does not exist or its value cannot be.
+        """
+        plants = {"ideal": IdealPlant, **context.plants}
+        plant = url.word("plant", "ideal", tuple(plants))
+        realtime = url.flag("realtime")
+        time_scale = url.number("time_scale", 0.0, above=0.0)
+        start = from_rad(np.radians(url.numbers("start", HOME_DEG)))
+        limits = context.limits or kr16()
+        max_speed = url.number("max_speed", limits.max_speed, above=0.0, at_most=1.0)
+        max_step_deg = url.number("max_step_deg", 0.0, above=0.0, at_most=2**31 / PER_DEGREE - 1.0)
+        url.finish()
+        if url.host or url.path not in ("", "/"):
+            raise DriverUrlError(
+                f"'{url.text}' names a host or a path; the simulated controller has none: sim://?option=value"
+            )
+        if context.clock is not None and realtime:
+            raise DriverUrlError(f"'{url.text}' asks for real time, but the opener gave a clock of its own; choose one")
+        if time_scale and not realtime:
+            raise DriverUrlError(
+                f"'{url.text}' has time_scale without realtime; add &realtime, or leave time_scale away"
+            )
+        limits = dataclasses.replace(limits, max_speed=max_speed)
+        if max_step_deg:
+            limits = dataclasses.replace(
+                limits, max_step=np.full(6, max(1, int(max_step_deg * PER_DEGREE + 0.5)), np.int32)
+            )
+        if ((start < limits.lower) | (start > limits.upper)).any():
+            raise DriverUrlError(
+                f"'{url.text}' starts the arm outside the axis limits; start= takes A1 to A6 in degrees"
+            )
+        clock = context.clock or (RealTimeClock(time_scale or 1.0) if realtime else SimulatedClock())
+        return cls(Controller(plants[plant](to_rad(start)), limits, clock), clock)
