@@ -1,6 +1,6 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
-Every benchmark is a module of this folder with `run() -> list[dict]`; a `chart(rows, folder)` beside it draws its picture.
+Every benchmark is a module of this folder with `run() -> list[dict]`; `chart(rows, folder)` beside it draws a picture.
 Timings are of this machine and this moment: compare rows of one run, not runs.
 """
 

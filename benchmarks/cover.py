@@ -26,9 +26,9 @@ UNLIMITED = 10**15
 def displaced_sphere(n_samples: int, n_views: int, half_angle: float, rng: np.random.Generator) -> Any:
     """Measurability of a bumpy sphere seen from around it, by marching each line of sight over the surface.
 
-    The surface is r(d) = 1 + a smooth random displacement of unit direction d. A view looks at the surface from a standoff of 3
-    along the local normal; a sample counts when it lies in the view's cone, faces it within 75 degrees, and
-    the surface does not rise above the line of sight.
+    The surface is r(d) = 1 + a smooth random displacement of unit direction d. A view looks at the surface from a
+    standoff of 3 along the local normal; a sample counts when it lies in the view's cone, faces it within 75 degrees,
+    and the surface does not rise above the line of sight.
 
     Args:
         n_samples: rows.

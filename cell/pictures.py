@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
 
@@ -85,7 +86,7 @@ def cover_curve(path: Path, marginal_area: Floats, coverable: float, total: floa
     axes.axhline(100.0 * coverable / total, color="#ca6f1e", ls="--", lw=1, label="coverable by reachable candidates")
     axes.axvline(lower_bound, color="#7d3c98", ls=":", lw=1.5, label=f"lower bound: {lower_bound} views")
     axes.set(xlabel="number of views", ylabel="covered area [% of surface]", ylim=(0, 103), xlim=(0, None))
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", fontsize=8)
     _save(figure, path)
@@ -107,12 +108,12 @@ def reach_map(
         verdict: (V,) `Verdict` values.
         part_corners: (8, 3) corners of the part's bounding box in base [m].
         chosen: (n,) indices of the views of the plan.
-        envelope: (E, 2) outline of the wrist centre's envelope, radius and height [m].
+        envelope: (E, 2) places that the wrist centre reaches in the plane of the arm, radius and height [m].
     """
     figure = Figure(figsize=(12.0, 5.6), dpi=110, layout="constrained")
     places = T_base_scanner[:, :3, 3] * 1000.0
     corners = part_corners * 1000.0
-    outline = envelope * 1000.0
+    within = envelope * 1000.0
     for index, (a, b, labels) in enumerate(((0, 1, "xy"), (0, 2, "xz"))):
         axes = figure.add_subplot(1, 2, index + 1)
         for kind in Verdict:
@@ -127,10 +128,10 @@ def reach_map(
         axes.fill([low[0], high[0], high[0], low[0]], [low[1], low[1], high[1], high[1]], color="#999999", alpha=0.6)
         if labels == "xy":
             turn = np.linspace(0, 2 * np.pi, 181)
-            reach = outline[:, 0].max()
+            reach = np.abs(within[:, 0]).max()
             axes.plot(reach * np.cos(turn), reach * np.sin(turn), color="#bbbbbb", lw=1)
         else:
-            axes.plot(outline[:, 0], outline[:, 1], color="#bbbbbb", lw=1)
+            axes.scatter(within[:, 0], within[:, 1], s=9, lw=0, color="#f0f0f0", zorder=0, label="wrist reaches")
         axes.plot(0, 0, "k+", ms=12)
         axes.annotate("robot base", (0, 0), textcoords="offset points", xytext=(6, 6), fontsize=8)
         axes.set(xlabel=f"{labels[0]} in base [mm]", ylabel=f"{labels[1]} in base [mm]", aspect="equal")
@@ -191,4 +192,5 @@ def _equal_box(axes: Axes, points: Floats) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    FigureCanvasAgg(figure).print_png(path, metadata={"Software": "scan-cell"})
+    FigureCanvasAgg(figure)
+    figure.savefig(path, format="png", metadata={"Software": "scan-cell"})

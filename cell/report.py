@@ -1,4 +1,4 @@
-"""The plan's report: one summary (JSON) and the page that a person reads (Markdown). No clock value stands in either."""
+"""The plan's report: the page that a person reads, made from the summary in report.json. It holds no clock value."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -29,9 +29,10 @@ def markdown(summary: Mapping[str, Any]) -> str:
         f"| placement of its centre in base | {_list(settings['placement_mm'])} mm, "
         f"A B C {_list(settings['placement_abc_deg'])} deg |",
         f"| scanner | {settings['scanner']}, standoff {_list(settings['standoffs_mm'])} mm, "
-        f"baseline {settings['baseline_mm']:g} mm, range {settings['range_mm'][0]:g} to {settings['range_mm'][1]:g} mm |",
-        f"| field of view, grazing limits | {_times(settings['fov_deg'])} deg, source {settings['grazing_max_deg']:g} deg, "
-        f"sensor {settings['sensor_grazing_max_deg']:g} deg |",
+        f"baseline {settings['baseline_mm']:g} mm, "
+        f"range {settings['range_mm'][0]:g} to {settings['range_mm'][1]:g} mm |",
+        f"| field of view, grazing limits | {_times(settings['fov_deg'])} deg, "
+        f"source {settings['grazing_max_deg']:g} deg, sensor {settings['sensor_grazing_max_deg']:g} deg |",
         f"| candidates | {settings['candidates']}, {sum(summary['verdicts'].values()):,} |",
         f"| matrix | {settings['fill']}, {summary['n_features']:,} surface samples |",
         f"| selection | {summary['solver']}, {summary['n_views']} views, lower bound {summary['lower_bound']}, "
@@ -49,7 +50,8 @@ def markdown(summary: Mapping[str, Any]) -> str:
         lines += ["", "Collisions are with: " + ", ".join(f"{k} ({n})" for k, n in summary["blockers"].items()) + "."]
     lines += ["", "![Candidates by verdict](reach.png)", "", "## Views in visiting order", ""]
     lines += [
-        "| stop | candidate | adds % of surface | source in base x, y, z mm | A1 .. A6 deg | roll deg | clearance on the way mm |",
+        "| stop | candidate | adds % of surface | source in base x, y, z mm | A1 .. A6 deg | roll deg "
+        "| clearance on the way mm |",
         "|---|---|---|---|---|---|---|",
     ]
     for stop, view in enumerate(summary["views"], start=1):
@@ -71,9 +73,10 @@ def markdown(summary: Mapping[str, Any]) -> str:
         "",
         "## What the numbers mean",
         "",
-        "Visible coverage is the share of 100,000 seeded samples of the reference surface, not those that the optimiser saw, that at "
-        "least one view measures: laser and sensor legs free of part, fixtures, post, pedestal and floor, in the field of view, in "
-        "range, grazing limits kept. The lower bound is over these candidates and samples.",
+        "Visible coverage is the share of 100,000 seeded samples of the reference surface, not those that the "
+        "optimiser saw, that at least one view measures: laser and sensor legs free of part, fixtures, post, pedestal "
+        "and floor, in the field of view, in range, grazing limits kept. The lower bound is over these candidates and "
+        "samples.",
         "",
     ]
     return "\n".join(lines)

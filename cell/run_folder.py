@@ -1,8 +1,8 @@
 """The run folder: an immutable plan on disk, written as `<name>.part` and renamed when it is finished.
 
-Every artefact is on disk as soon as its stage is done, so that a killed run keeps what it had finished; the manifest always
-tells the stage. Artefacts hold no clock value and no machine path: equal inputs and seed give equal bytes. Nothing is
-pickled. The layout is described in docs/run_folder.md and versioned by `SCHEMA`.
+Every artefact is on disk as soon as its stage is done, so that a killed run keeps what it had finished; the manifest
+always tells the stage. Artefacts hold no clock value and no machine path: equal inputs and seed give equal bytes.
+Nothing is pickled. The layout is described in docs/run_folder.md and versioned by `SCHEMA`.
 """
 
 import errno
@@ -152,7 +152,7 @@ class RunFolder:
         return self.target
 
     def fail(self, status: str, exit_code: int, reason: str) -> None:
-        """Keep the unfinished folder with status, stage and reason; never raises, because another error is on its way."""
+        """Keep the unfinished folder with status, stage and reason; never raises: another error is on its way."""
         self.manifest["reason"] = reason
         try:
             self._close(status, exit_code)

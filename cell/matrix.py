@@ -1,0 +1,95 @@
+"""Step 5 with its cache: the part-only measurability matrix, calculated once per part, candidates and scanner."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cell import measurability_cache, scanners
+from cell.errors import FileError
+from cell.narrator import ProgressCallback
+from cell.resolve import Settings
+from cell.scene import Scene
+from planner import measurability, surface
+from planner.closest import closest_face
+from planner.measurability import Measurability
+from planner.ports import RayCaster
+from planner.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from cell.narrator import Narrator
+
+
+def cache_folder() -> Path:
+    """Where matrices are kept: `$XDG_CACHE_HOME/scan-cell/measurability`, else below ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "scan-cell" / "measurability"
+
+
+def surface_features(
+    scene: Scene, reference: TriangleMesh, planning: TriangleMesh, rng: "np.random.Generator"
+) -> SurfaceSamples:
+    """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`)."""
+    if scene.plan.fill == "rays":
+        return surface.face_features(reference, planning)
+    return surface.sample(reference, planning, scene.plan.samples_per_face * len(planning.faces), rng)
+
+
+def part_matrix(
+    scene: Scene,
+    settings: Settings,
+    reference: TriangleMesh,
+    planning: TriangleMesh,
+    features: SurfaceSamples,
+    candidates: Viewpoints,
+    caster: RayCaster,
+    *,
+    narrator: "Narrator | None" = None,
+    use_cache: bool = True,
+    progress: ProgressCallback | None = None,
+) -> Measurability:
+    """Fill M for the part alone, or take it from the cache.
+
+    Args:
+        scene: for the scanner's type and the method.
+        settings: for the scanner's numbers.
+        reference: the part [m], object frame; `caster` casts on it.
+        planning: its decimated copy.
+        features: the rows, from `surface_features`.
+        candidates: the columns.
+        caster: casts on the reference.
+        narrator: is told when a cached matrix is refused or cannot be kept.
+        use_cache: whether to look into the cache and to leave the result there.
+        progress: called with (poses done, poses in all).
+    """
+    method = scene.plan.fill
+    scanner = scanners.load(scene.scanner.type)(**settings.planning_scanner)
+    parameters = dict(scanner.parameters())
+    row_of_face = None
+    if method == "rays":
+        row_of_face = closest_face(
+            surface.face_centres(reference), surface.face_normals(reference),
+            planning.vertices[planning.faces], surface.face_normals(planning),
+        )  # fmt: skip
+    else:
+        parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid
+    key = measurability_cache.cache_key(reference, features, candidates, parameters, method, row_of_face)
+    path = cache_folder() / f"{key[:32]}.npz"
+    if use_cache and path.exists():
+        cached = measurability_cache.load(path, key)
+        if cached.measurability is not None:
+            return cached.measurability
+        if narrator is not None:
+            narrator.note(f"a cached matrix is not used: {cached.reason}; it is calculated anew")
+    M = measurability.fill(
+        candidates, features, scanner, caster, method=method, part=reference, row_of_face=row_of_face, progress=progress
+    )
+    if use_cache:
+        try:
+            measurability_cache.save(path, M, key)
+        except FileError as error:
+            if narrator is not None:
+                narrator.note(f"the matrix is not kept for the next run: {error}")
+    return M

@@ -1,0 +1,254 @@
+"""`cell plan`, steps 1 to 9: part in, measured views in collision-free order and a timed motion out.
+
+`_steps` shows the whole on one screen. Every noun is an immutable value; what a step has finished is on disk before the
+next one starts.
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell import plan_files, scanners, workpiece
+from cell.collision import MujocoCollisionChecker
+from cell.embree import EmbreeRayCaster
+from cell.errors import CellError, FileError, UnreachableError
+from cell.kinematics import Kr16Kinematics
+from cell.matrix import part_matrix, surface_features
+from cell.narrator import Narrator, ProgressCallback
+from cell.occluders import occluders
+from cell.plan_summary import draw, plan_summary
+from cell.resolve import Settings, resolve
+from cell.run_folder import RunFolder
+from cell.scene import Scene
+from cell.view_plan import select_and_connect
+from cell.workpiece import Workpiece
+from cell.world import compile as compile_world
+from planner import coverage, measurability, reach, surface, timing, viewpoints
+from planner.errors import PlannerError
+from planner.reach import Reach
+from planner.surface import TriangleMesh
+from planner.viewpoints import Viewpoints
+
+log = logging.getLogger(__name__)
+
+_FEATURES, _HELD_OUT, _SELECTION, _MOTION = range(4)
+"""Streams of randomness: each step draws from its own, so that one step's appetite does not change another's draws."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanOutcome:
+    """What a finished `cell plan` leaves.
+
+    Attributes:
+        folder: the run folder.
+        exit_code: 0, or 3 where the plan stays below the required coverage.
+        summary: the content of report.json.
+    """
+
+    folder: Path
+    exit_code: int
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """The open run: where files go, who is told, and the seed."""
+
+    folder: RunFolder
+    narrator: Narrator
+    seed: int
+    use_cache: bool
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[ProgressCallback]:
+        """Name the step to the person and to the manifest."""
+        with self.narrator.stage(name) as progress, self.folder.stage(name):
+            yield progress
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """The generator of one stream of randomness."""
+        return np.random.default_rng([self.seed, stream])
+
+
+def plan(
+    scene: Scene,
+    *,
+    scene_path: Path | None,
+    out: Path | None,
+    argv: Sequence[str],
+    use_cache: bool,
+    narrator: Narrator,
+) -> PlanOutcome:
+    """Plan and write the run folder.
+
+    Args:
+        scene: the checked scene, the command line's options in it.
+        scene_path: where it came from; None for the built-in scene.
+        out: the run folder to make; None makes one below sim_runs/.
+        argv: for the manifest.
+        use_cache: whether matrices may be taken from and left in the cache.
+        narrator: is told what goes on.
+
+    Raises:
+        CellError: with one sentence and the exit code; the run folder keeps what was finished, its status and stage.
+    """
+    with narrator.stage("load the part"):
+        part = workpiece.load(scene.part.source, scene.part.units)
+    for finding in part.findings:
+        narrator.note(finding.sentence)
+    settings = resolve(scene, part)
+    inputs = plan_files.input_hashes(scene, part)
+    folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC))
+    run = Run(folder, narrator, scene.plan.seed, use_cache)
+    with _kept_on_failure(folder), _logged(folder.path / "run.log"):
+        plan_files.write_scene(folder, scene_path)
+        summary, exit_code = _steps(run, scene, part, settings)
+    return PlanOutcome(folder.finish(exit_code), exit_code, summary)
+
+
+def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple[dict[str, Any], int]:
+    """Steps 2 to 9 and the report; returns the summary and the exit code."""
+    reference = part.reference
+    scanner = scanners.load(scene.scanner.type)(**settings.scanner)
+
+    with run.step("decimate and sample"):
+        planning = surface.decimate(reference, settings.faces)
+        _note_other_count(run.narrator, len(planning.faces), settings.faces)
+        candidates = _candidates(scene, settings, part, planning)
+        features = surface_features(scene, reference, planning, run.rng(_FEATURES))
+        plan_files.write_meshes(run.folder, reference, planning)
+        plan_files.write_viewpoints(run.folder, candidates)
+
+    with run.step("compile the cell"):
+        world = compile_world(scene, reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
+        checker = MujocoCollisionChecker(world)
+        kinematics = Kr16Kinematics.from_model(world.model)
+        plan_files.write_cell(run.folder, scene, settings, part, world, scanner.parameters())
+
+    with run.step("reach") as progress:
+        reached = reach.solve(
+            candidates, world.T_base_object, world.T_flange_scanner, kinematics, checker, progress=progress
+        )
+        plan_files.write_reach(run.folder, reached)
+        if not reached.reachable.any():
+            raise UnreachableError(_nothing_reachable(reached))
+
+    with run.step("measurability") as progress:
+        casters = [EmbreeRayCaster(reference.vertices, reference.faces)]
+        M = part_matrix(
+            scene, settings, reference, planning, features, candidates, casters[0],
+            narrator=run.narrator, use_cache=run.use_cache, progress=progress,
+        )  # fmt: skip
+        hidden_by = occluders(world)
+        if hidden_by is not None:
+            casters.append(EmbreeRayCaster(hidden_by.vertices, hidden_by.faces))
+            M = measurability.occlude(M, candidates, scanner, casters[1], ray_caster=casters[0], progress=progress)
+        plan_files.write_measurability(run.folder, M)
+
+    with run.step("select, order and connect") as progress:
+        limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
+        chosen = select_and_connect(
+            M, reached, candidates, world, limits, kinematics, checker,
+            coverage=scene.plan.coverage, solver=scene.plan.solver,
+            selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress,
+        )  # fmt: skip
+        motion = timing.retime(chosen.tour.via, chosen.tour.segment, chosen.via_candidate, limits)
+        plan_files.write_motion(run.folder, motion, chosen.tour)
+
+    with run.step("predict coverage"):
+        held_out = surface.sample(reference, planning, coverage.SAMPLES, run.rng(_HELD_OUT))
+        visible = coverage.visible(chosen.T_object_scanner[:, None], held_out, scanner, casters)
+        reachable = candidates.T_object_scanner[reached.reachable]
+        coverable = coverage.coverable(visible, reachable, held_out, scanner, casters)
+
+    with run.step("report"):
+        summary = plan_summary(
+            scene,
+            settings,
+            part,
+            planning,
+            candidates,
+            reached,
+            M,
+            chosen,
+            motion,
+            visible.fraction,
+            coverable.fraction,
+        )
+        plan_files.write_plan(run.folder, summary, chosen, candidates)
+        plan_files.write_report(run.folder, summary)
+        draw(run.folder, scene, part, planning, candidates, reached, M, chosen, motion, world)
+    below = visible.fraction < scene.plan.required_visible
+    return summary, 3 if below else 0
+
+
+def _candidates(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleMesh) -> Viewpoints:
+    """Step 3: candidate viewpoints by the scene's generator."""
+    if scene.plan.candidates == "view-sphere":
+        step_x, step_y = np.deg2rad(scene.plan.view_sphere_step_deg)
+        return viewpoints.view_sphere(part.centre, settings.sphere_radius, step_x, step_y, settings.rolls)
+    return viewpoints.optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
+
+
+def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
+    """Say when the planning mesh is not as coarse as asked for; the plan uses what came out."""
+    if abs(came_out - wanted) > max(2, 0.02 * wanted):
+        narrator.note(
+            f"the planning mesh has {came_out} faces in place of {wanted}: this mesh cannot be decimated closer "
+            "(slivers, several bodies or too few faces); the plan uses these"
+        )
+
+
+def _nothing_reachable(reached: Reach) -> str:
+    counts = ", ".join(f"{count} {verdict.sentence}" for verdict, count in reached.counts().items() if count)
+    worst = next(iter(reached.blockers()), "")
+    return (
+        f"none of the {len(reached)} candidate viewpoints is reachable: {counts}"
+        + (f" (most often {worst})" if worst else "")
+        + "; move the part (--place), change the standoff or allow more --roll values"
+    )
+
+
+@contextmanager
+def _kept_on_failure(folder: RunFolder) -> Iterator[None]:
+    """A run that ends early keeps its folder, with status, stage and reason."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        folder.fail("interrupted", 130, "stopped by Ctrl-C")
+        raise
+    except CellError as error:
+        folder.fail("failed", error.exit_code, str(error))
+        raise
+    except PlannerError as error:
+        folder.fail("failed", CellError.exit_code, str(error))
+        raise
+    except BaseException as error:
+        folder.fail("failed", CellError.exit_code, f"{type(error).__name__}: {error}")
+        raise
+
+
+@contextmanager
+def _logged(path: Path) -> Iterator[None]:
+    """What is logged while the run goes on also stands in its folder."""
+    root = logging.getLogger()
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}; choose a writable --out") from error
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    level = root.level
+    root.addHandler(handler)
+    root.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        root.setLevel(level)
+        root.removeHandler(handler)
+        handler.close()

@@ -1,0 +1,151 @@
+"""Steps 6 to 8: choose views, order them, connect them; a view that cannot be connected is replaced or given up.
+
+The cover is solved, its views are ordered and connected; a view to which no path is found is banned and the cover is
+solved again without it, until every view of the plan is connected.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import SceneError, UnreachableError
+from cell.narrator import ProgressCallback
+from cell.world import World
+from planner import cover, tour
+from planner.cover import Cover
+from planner.measurability import Measurability
+from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
+from planner.reach import Reach
+from planner.readonly import readonly
+from planner.tour import Tour, TourStatus
+from planner.viewpoints import Viewpoints
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedView:
+    """A candidate that was chosen, could not be connected and was banned.
+
+    Attributes:
+        candidate: row of the viewpoints.
+        reason: one sentence.
+    """
+
+    candidate: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConnectedPlan:
+    """Chosen views with the motion through them.
+
+    Attributes:
+        cover: the selection, in order of the area that each view adds.
+        tour: the motion; its views are indices into `cover.views`.
+        candidate: (n,) candidates in visiting order.
+        T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
+        T_base_scanner: (n, 4, 4) the same in base [m].
+        T_base_flange: (n, 4, 4) the same of the flange [m].
+        dropped: candidates that could not be connected.
+    """
+
+    cover: Cover
+    tour: Tour
+    candidate: NDArray[np.int64]
+    T_object_scanner: Floats
+    T_base_scanner: Floats
+    T_base_flange: Floats
+    dropped: tuple[DroppedView, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.candidate)
+        object.__setattr__(self, "candidate", readonly("candidate", self.candidate, (n,), np.int64))
+        for name in ("T_object_scanner", "T_base_scanner", "T_base_flange"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (n, 4, 4)))
+
+    @property
+    def via_candidate(self) -> NDArray[np.int64]:
+        """(N,) candidate taken at each via point of the tour, -1 where none is."""
+        at = self.tour.view
+        return np.where(at >= 0, self.cover.views[np.maximum(at, 0)], -1)
+
+
+def select_and_connect(
+    M: Measurability,
+    reached: Reach,
+    candidates: Viewpoints,
+    world: World,
+    limits: JointLimits,
+    kinematics: Kinematics,
+    checker: CollisionChecker,
+    *,
+    coverage: float,
+    solver: str,
+    selection_rng: np.random.Generator,
+    motion_rng: np.random.Generator,
+    progress: ProgressCallback | None = None,
+) -> ConnectedPlan:
+    """Choose the views and the motion through them.
+
+    Args:
+        M: measurability with occluders applied.
+        reached: reachable candidates and their joint solutions.
+        candidates: the columns of M.
+        world: placement, mount and home.
+        limits: limits of the axes, scaled to the speed that is wanted.
+        kinematics: of the arm.
+        checker: of the cell.
+        coverage: share of the coverable area that is asked for.
+        solver: a name of `planner.cover.SOLVERS`.
+        selection_rng: randomness of the selection.
+        motion_rng: randomness of order and paths.
+        progress: told about the edges of the tour as they become real.
+
+    Raises:
+        SceneError: if home itself is nearer to something than the clearance.
+        UnreachableError: if no view that measures anything can be connected.
+    """
+    banned: dict[int, str] = {}
+    matrix = M.matrix()
+    while True:
+        chosen = cover.solve(
+            matrix, M.features.areas, reached.reachable, rng=selection_rng, coverage=coverage, solver=solver,
+            banned=tuple(banned),
+        )  # fmt: skip
+        if not len(chosen.views):
+            why = "; ".join(f"candidate {view}: {reason}" for view, reason in banned.items())
+            raise UnreachableError(
+                "no view is left that measures the part and can be reached by a free motion"
+                + (f" ({why})" if why else "")
+                + "; change the placement, the standoff or the fixtures"
+            )
+        motion = tour.plan_motion(
+            [reached.q_of(int(view)) for view in chosen.views],
+            world.home,
+            checker,
+            limits,
+            world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
+            motion_rng,
+            progress=progress,
+            T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
+        )
+        if motion.status is TourStatus.HOME_IN_COLLISION:
+            raise SceneError(
+                f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "
+                "the placement or the fixtures"
+            )
+        if not motion.dropped:
+            break
+        for lost in motion.dropped:
+            blocker = f" ({lost.blocker})" if lost.blocker else ""
+            banned[int(chosen.views[lost.view])] = lost.reason.sentence + blocker
+    T_base_flange = kinematics.forward(motion.q)
+    return ConnectedPlan(
+        cover=chosen,
+        tour=motion,
+        candidate=chosen.views[motion.order],
+        T_object_scanner=np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner,
+        T_base_scanner=T_base_flange @ world.T_flange_scanner,
+        T_base_flange=T_base_flange,
+        dropped=tuple(DroppedView(view, reason) for view, reason in banned.items()),
+    )

@@ -1,0 +1,215 @@
+"""`cell plan` as a user meets it: output, run folder, determinism, exit codes and sentences for bad input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SMALL_PLAN, blob, run_cell
+
+CONTRACT = {
+    "manifest.json", "run.log", "scene.toml", "scene.resolved.json", "reference.ply", "planning.ply", "cell.xml",
+    "viewpoints.npz", "reach.npz", "measurability.npz", "plan.json", "motion.npz", "report.md", "report.json",
+    "views.png", "cover.png", "reach.png", "motion.png",
+}  # fmt: skip
+
+
+def test_help_teaches_with_an_example(tmp_path: Path, cache: Path) -> None:
+    """`cell plan --help` shows units, defaults' source and a command that can be copied."""
+    done = run_cell("plan", "--help", cwd=tmp_path, cache=cache)
+    assert done.returncode == 0
+    assert "cell plan part.stl --units mm --place" in done.stdout
+    assert "Exit codes" in done.stdout
+
+
+def test_the_run_folder_is_complete_and_its_manifest_true(planned: Path) -> None:
+    """Every file of the contract is there, finished, and has the sha256 that the manifest gives."""
+    import hashlib
+
+    names = {path.name for path in planned.iterdir()}
+    assert names >= CONTRACT
+    manifest = json.loads((planned / "manifest.json").read_text())
+    assert (manifest["status"], manifest["exit_code"], manifest["seed"]) == ("finished", 0, 3)
+    listed = manifest["artefacts"]
+    assert set(listed) == names - {"manifest.json", "run.log"}
+    for name, digest in listed.items():
+        assert hashlib.sha256((planned / name).read_bytes()).hexdigest() == digest, name
+    for name in ("manifest.json", "scene.resolved.json", "plan.json", "report.json"):
+        assert json.loads((planned / name).read_text())["schema"] == "scan-cell/run/1"
+
+
+def test_arrays_hold_no_pickles(planned: Path) -> None:
+    """Every .npz loads with pickling forbidden."""
+    for path in planned.glob("*.npz"):
+        with np.load(path, allow_pickle=False) as arrays:
+            assert all(arrays[name].dtype != object for name in arrays)
+
+
+def test_equal_input_and_seed_give_equal_bytes(planned: Path, part_file: Path, tmp_path: Path, cache: Path) -> None:
+    """A second run in another place, matrix from the cache, differs in no artefact; clock values are in none."""
+    done = run_cell("plan", str(part_file), "--units", "mm", *SMALL_PLAN, "--out", "again", cwd=tmp_path, cache=cache)
+    assert done.returncode == 0, done.stderr
+    first, second = (json.loads((run / "manifest.json").read_text()) for run in (planned, tmp_path / "again"))
+    assert first["artefacts"] == second["artefacts"]
+
+
+def test_a_calculated_matrix_equals_the_cached_one(
+    planned: Path, part_file: Path, tmp_path: Path, cache: Path
+) -> None:
+    """`--no-cache` gives the same artefacts as a run that found its matrix in the cache."""
+    arguments = ("plan", str(part_file), "--units", "mm", *SMALL_PLAN, "--no-cache", "--out", "fresh")
+    assert run_cell(*arguments, cwd=tmp_path, cache=cache).returncode == 0
+    first, second = (json.loads((run / "manifest.json").read_text()) for run in (planned, tmp_path / "fresh"))
+    assert first["artefacts"] == second["artefacts"]
+
+
+def test_json_prints_one_object_on_stdout(planned: Path) -> None:
+    """The object is the report's; it says views, bound and coverage in fractions."""
+    summary = json.loads((planned / "report.json").read_text())
+    assert summary["lower_bound"] <= summary["n_views"]
+    assert 0.5 < summary["coverage"]["visible"] <= summary["coverage"]["coverable"] <= 1.0
+    assert len(summary["views"]) == summary["n_views"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("plan", "no_such.stl", "--units", "mm"), 6, "no_such.stl"),
+        (("plan", "PART", "--place", "1200,500,0"), 2, "mm, cm, m, um or in"),
+        (("plan", "PART", "--units", "furlong"), 2, "mm"),
+        (("plan", "text.stl", "--units", "mm"), 6, "text.stl"),
+        (("plan", "nan.ply", "--units", "mm"), 6, "nan.ply"),
+        (("plan", "empty.obj", "--units", "mm"), 6, "empty.obj"),
+        (("plan", ".", "--units", "mm"), 6, "."),
+        (("plan", "mzeke"), 2, "mseke"),
+        (("plan", "mseke", "--units", "mm"), 2, "--units"),
+        (("plan", "PART", "--units", "mm", "--place", "1200,500"), 2, "--place"),
+        (("plan", "PART", "--units", "mm", "--place", "0,0,300"), 2, "placement"),
+        (("plan", "PART", "--units", "mm", "--place", "9000,0,0"), 4, "--place"),
+        (("plan", "PART", "--units", "mm", "--scene", "typo.toml"), 2, "did you mean"),
+        (("plan", "PART", "--units", "mm", "--scene", "absent.toml"), 2, "absent.toml"),
+        (("plan", "PART", "--units", "mm", "--scene", "short_range.toml", "--standoff", "600"), 2, "range"),
+        (("plan", "PART", "--units", "mm", "--faces", "100", "--percent", "5"), 2, "one of them"),
+        (("plan", "PART", "--units", "mm", "--coverage", "1.2"), 2, "coverage"),
+        (("plan", "PART", "--units", "mm", "--solver", "magic"), 2, "solver"),
+        (("plan", "PART", "--units", "mm", "--out", "taken"), 6, "taken"),
+    ],
+)  # fmt: skip
+def test_bad_input_gets_one_sentence_and_its_code(
+    arguments: tuple[str, ...], code: int, words: str, part_file: Path, tmp_path: Path, cache: Path
+) -> None:
+    """No traceback; the sentence names what is wrong, and the exit code is the documented one."""
+    (tmp_path / "text.stl").write_text("this is no mesh\n")
+    (tmp_path / "empty.obj").write_text("# nothing\n")
+    mesh = blob(1)
+    mesh.vertices[3, 1] = np.nan
+    (tmp_path / "nan.ply").write_bytes(mesh.export(file_type="ply"))
+    (tmp_path / "typo.toml").write_text("[scaner]\nbaseline_mm = 5\n")
+    (tmp_path / "short_range.toml").write_text("[scanner]\nrange_mm = [100, 400]\n")
+    (tmp_path / "taken").mkdir()
+    filled = tuple(str(part_file) if word == "PART" else word for word in arguments)
+    done = run_cell(*filled, "--faces", "60", cwd=tmp_path, cache=cache) if "--faces" not in filled else run_cell(
+        *filled, cwd=tmp_path, cache=cache
+    )
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert words in done.stderr
+    assert done.stdout == ""
+
+
+def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tmp_path: Path, cache: Path) -> None:
+    """Nothing reachable: the folder stays as .part with what was finished, and says why it ended."""
+    done = run_cell(
+        "plan", str(part_file), "--units", "mm", "--place", "9000,0,0", "--faces", "60", "--out", "far",
+        cwd=tmp_path, cache=cache,
+    )  # fmt: skip
+    assert done.returncode == 4
+    kept = tmp_path / "far.part"
+    manifest = json.loads((kept / "manifest.json").read_text())
+    assert (manifest["status"], manifest["stage"], manifest["exit_code"]) == ("failed", "reach", 4)
+    assert "out of the arm's reach" in manifest["reason"]
+    assert (kept / "reach.npz").exists()
+    assert not (tmp_path / "far").exists()
+
+
+def test_a_required_coverage_that_is_missed_ends_with_code_3(part_file: Path, tmp_path: Path, cache: Path) -> None:
+    """`--require 1` cannot be met (the part stands on its post): code 3, and the finished run is kept."""
+    done = run_cell(
+        "plan", str(part_file), "--units", "mm", *SMALL_PLAN, "--require", "1", "--out", "run", cwd=tmp_path, cache=cache
+    )
+    assert done.returncode == 3
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "finished"
+
+
+def test_a_negative_placement_is_not_taken_for_an_option(part_file: Path, tmp_path: Path, cache: Path) -> None:
+    """`--place -1100,400,100` stands behind the robot and is planned there."""
+    arguments = ("plan", str(part_file), "--units", "mm", "--place", "-1100,400,100", *SMALL_PLAN[2:], "--out", "run")
+    done = run_cell(*arguments, cwd=tmp_path, cache=cache)
+    assert done.returncode in (0, 4), done.stderr
+    folder = tmp_path / ("run" if done.returncode == 0 else "run.part")
+    T = np.array(json.loads((folder / "scene.resolved.json").read_text())["T_base_object"])
+    centre = np.array(json.loads((folder / "scene.resolved.json").read_text())["T_object_centre"])
+    np.testing.assert_allclose((T @ centre)[:3, 3], [-1.1, 0.4, 0.1], atol=1e-9)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("stage", ["reach", "measurability", "select, order and connect"])
+def test_ctrl_c_in_any_stage_keeps_what_was_finished(
+    stage: str, part_file: Path, tmp_path: Path, cache: Path
+) -> None:
+    """An interrupt ends with code 130, one sentence, and a folder that says where it stopped."""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cell", "plan", str(part_file), "--units", "mm", "--faces", "2500", "--no-cache",
+         "--place", "1100,400,100", "--samples", "8", "--out", "run"],
+        cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    manifest = tmp_path / "run.part" / "manifest.json"
+    deadline = time.monotonic() + 120
+    seen = ""
+    while time.monotonic() < deadline and process.poll() is None:
+        seen = json.loads(manifest.read_text())["stage"] if manifest.exists() else ""
+        if seen == stage:
+            break
+        time.sleep(0.005)
+    assert seen == stage, f"the stage never came; it ended at {seen!r}"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    kept = json.loads(manifest.read_text())
+    assert (kept["status"], kept["exit_code"]) == ("interrupted", 130)
+    assert (tmp_path / "run.part" / "reference.ply").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_said_and_nothing_finished_is_lost(tmp_path: Path) -> None:
+    """Writing to a full device raises the one sentence; artefacts written before stay."""
+    from datetime import UTC, datetime
+
+    from cell.errors import FileError
+    from cell.run_folder import RunFolder
+
+    folder = RunFolder.create(tmp_path / "run", [], 0, {}, datetime.now(UTC))
+    folder.write_text("first.txt", "finished")
+    (folder.path / "second.txt").symlink_to("/dev/full")
+    with pytest.raises(FileError, match="the disk is full"):
+        folder.write_text("second.txt", "x" * 100_000)
+    folder.fail("failed", 6, "the disk is full")
+    assert (folder.path / "first.txt").read_text() == "finished"
+    assert json.loads((folder.path / "manifest.json").read_text())["status"] == "failed"
+
+
+def test_no_write_permission_is_said_before_any_work(part_file: Path, tmp_path: Path, cache: Path) -> None:
+    """A run folder below a plain file cannot be made: code 6 and a sentence."""
+    (tmp_path / "file").write_text("")
+    done = run_cell(
+        "plan", str(part_file), "--units", "mm", "--out", "file/run", "--place", "1100,400,100", cwd=tmp_path, cache=cache
+    )
+    assert done.returncode == 6
+    assert "writable --out" in done.stderr
