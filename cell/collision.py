@@ -3,8 +3,9 @@
 Free means: every guarded pair of shapes is at least the clearance apart. Two models of one cell decide it. In the
 *grown* one every box is larger by half the clearance and every other shape carries that half as its margin, so whatever
 is nearer than the clearance is in contact there: `mj_collision` finds these pairs fast, in one call of C. For each of
-them the exact distance (`mj_geomDistance`, GJK) between the true shapes decides. Margins on boxes would not do: MuJoCo's
-box-box routine finds every overlap, but overlooks 1 in 200 pairs that are apart by less than a margin, edge to edge.
+them the exact distance (`mj_geomDistance`, GJK) between the true shapes decides. Margins on boxes would not do:
+MuJoCo's box-box routine finds every overlap, but overlooks 1 in 200 pairs that are apart by less than a margin, edge to
+edge.
 
 So `free`, `contacts` and `distance` agree, and depend on the configuration alone.
 """
@@ -95,7 +96,7 @@ class MujocoCollisionChecker:
         self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
         nearest: dict[str, float] = {}
         for pair in self._candidates(self.clearance)[1]:
-            distance = self._measure(*self._pairs[pair], self.clearance)
+            distance = self._gap(pair, self.clearance)
             if distance < self.clearance:
                 name = self._world.pair_name(*self._pairs[pair])
                 nearest[name] = min(nearest.get(name, np.inf), distance)
@@ -121,7 +122,7 @@ class MujocoCollisionChecker:
             for bound, pair in zip(lower, candidates, strict=True):
                 if bound >= distances[i]:
                     break
-                measured = self._measure(*self._pairs[pair], distances[i])
+                measured = self._gap(pair, distances[i])
                 if measured < distances[i]:
                     distances[i], best = measured, pair
             names.append(self._world.pair_name(*self._pairs[best]) if best >= 0 else "")
@@ -150,6 +151,11 @@ class MujocoCollisionChecker:
         import mujoco
 
         return float(mujoco.mj_geomDistance(self._world.model, self._data, a, b, reach, None))
+
+    def _gap(self, pair: int, reach: float) -> float:
+        """The same for a guarded pair by its index."""
+        a, b = self._pairs[pair]
+        return self._measure(int(a), int(b), reach)
 
     def _clear_after_all(self, configuration: Floats) -> bool:
         """Whether all pairs that touch in the grown model are at least the clearance apart in the true one."""

@@ -13,7 +13,7 @@ link k is displaced by more than sum_i |d_i| R_ik between any two configurations
    rho_i(p, t) <= (rho_i(p, 0) + rho_i(p, 1) + D_ik) / 2. The maximum over p of each term keeps it a bound. R_kk is
    constant; the others follow from i = k - 1 down to 1.
 2. *Chain.* From axis i to the anchor of joint i + 1 (a constant distance), from anchor to anchor (constant lengths),
-   and from anchor k to the farthest point of link k. It holds for all joint angles and caps the first for long segments.
+   and from anchor k to the farthest point of link k. It holds for all joint angles and caps the first on long segments.
 
 Points of a link are the corners of its boxes, and the end centres of its cylinders with their radius added: the
 distance from an axis is convex, so it is largest there. The scanner belongs to link 6. Metres and radians.
