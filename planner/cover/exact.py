@@ -1,9 +1,11 @@
-"""The fewest columns by mixed-integer programming (HiGHS through scipy), stopped by a number of nodes, never by chance.
+"""The fewest columns by mixed-integer programming (HiGHS through scipy), stopped by a number of nodes, not by a clock.
 
-scipy's interface takes no starting solution. The incumbent is used all the same: the model only asks for covers with fewer
-columns than it (so that "infeasible" means the incumbent is optimal), and columns whose reduced cost rules them out of
-such a cover are left out of the model.
+scipy's interface takes no starting solution. The incumbent is used all the same: the model only asks for covers with
+fewer columns than it (so that "infeasible" means the incumbent is optimal), and columns whose reduced cost rules them
+out of such a cover are left out of the model.
 """
+
+from typing import Any
 
 import numpy as np
 
@@ -97,12 +99,12 @@ def _solve_model(problem: CoverProblem, at_most: int, nodes: int, budget: Budget
     n_rows, n_columns = problem.shape
     M = problem.matrix()
     if problem.full:
-        costs, integrality = np.ones(n_columns), np.ones(n_columns)
+        costs, integrality = np.ones(n_columns), np.ones(n_columns, dtype=np.int64)
         constraints = [LinearConstraint(M, lb=1.0)]
     else:
         # y_i = 1 where row i counts as covered; it may stay continuous, because x decides its largest value.
         costs = np.concatenate((np.ones(n_columns), np.zeros(n_rows)))
-        integrality = np.concatenate((np.ones(n_columns), np.zeros(n_rows)))
+        integrality = np.repeat((1, 0), (n_columns, n_rows))
         scale = problem.units.mean()
         weights = np.concatenate((np.zeros(n_columns), problem.units / scale))
         constraints = [
@@ -110,8 +112,8 @@ def _solve_model(problem: CoverProblem, at_most: int, nodes: int, budget: Budget
             LinearConstraint(sp.csr_array(weights[None, :]), lb=problem.required / scale),
         ]
     constraints.append(LinearConstraint(sp.csr_array(costs[None, :]), ub=float(at_most)))
-    options: dict[str, float | int] = {"node_limit": nodes, "mip_rel_gap": 0.0}
     seconds = budget.seconds_left
+    options: Any = {"node_limit": min(nodes, 2**31 - 1), "mip_rel_gap": 0.0}
     if seconds is not None:
         options["time_limit"] = seconds
     result = milp(costs, integrality=integrality, bounds=Bounds(0, 1), constraints=constraints, options=options)

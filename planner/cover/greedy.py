@@ -1,7 +1,7 @@
 """Greedy cover: always the column that covers the largest uncovered area; and the removal of what it made redundant.
 
-Chvatal 1979 (doi:10.1287/moor.4.3.233). Ties go to the first column in canonical order, so the result does not depend on
-how the candidates were numbered.
+Chvatal 1979 (doi:10.1287/moor.4.3.233). Ties go to the first column in canonical order, so the result does not
+depend on how the candidates were numbered.
 """
 
 import numpy as np
@@ -58,7 +58,13 @@ def missing_units(problem: CoverProblem, uncovered: NDArray[np.bool_]) -> int:
 def uncovered_area(problem: CoverProblem, rows: Ints) -> Floats:
     """(V,) units of the given rows that each column covers."""
     columns, lengths = problem.columns_of(rows)
-    return np.bincount(columns, weights=np.repeat(problem.units[rows], lengths), minlength=problem.n_columns)
+    return column_sums(problem, columns, np.repeat(problem.units[rows], lengths))
+
+
+def column_sums(problem: CoverProblem, columns: Ints, weights: Floats) -> Floats:
+    """(V,) sum of the weights by column."""
+    # bincount of nothing is of integers
+    return np.bincount(columns, weights=weights, minlength=problem.n_columns).astype(np.float64, copy=False)
 
 
 def prune(problem: CoverProblem, columns: Ints) -> Ints:

@@ -1,23 +1,22 @@
 """Local search with row weights: keep one column too few, swap until the target is met, repeat.
 
 For full cover this follows RWLS (Gao, Weise, Li 2015, doi:10.1016/j.ejor.2015.05.038): whenever the target is met the
-cover is kept and the column with the smallest loss is removed; otherwise one column leaves (smallest weighted loss, not the one
-that came last), one that covers a randomly drawn uncovered row enters (largest weighted gain, not one that has just left),
-ties to the one that moved longest ago, and every row that is still uncovered gains weight 1. The paper's configuration
-checking is kept in its plainest form: what left in this step does not return in it.
+cover is kept and the column with the smallest loss is removed; otherwise one column leaves (smallest weighted loss, not
+the one that came last), one that covers a randomly drawn uncovered row enters (largest weighted gain, not one that has
+just left), ties to the one that moved longest ago, and every row that is still uncovered gains weight 1. The paper's
+configuration checking is kept in its plainest form: what left in this step does not return in it.
 
-Partial cover needs two changes. A row may stay uncovered for good, so the entering column is the best of all columns rather than
-of one row's; and only a few random uncovered rows gain weight per step (their area once more), with all weights drawn
-back towards the areas when they have grown, so that rows which are best left out do not come to dominate.
+Partial cover needs two changes. A row may stay uncovered for good, so the entering column is the best of all columns
+rather than of one row's; and only a few random uncovered rows gain weight per step (their area once more), with all
+weights drawn back towards the areas when they have grown, so that rows best left out do not come to dominate.
 
 Weights are whole numbers in float64, so gains are exact and a run is the same on every machine.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cover.budget import STEP_WORK, Budget
-from planner.cover.greedy import greedy, prune
+from planner.cover.greedy import column_sums, greedy, prune
 from planner.cover.problem import CoverProblem, Floats, Ints
 
 AREA_WEIGHT = 1000
@@ -27,7 +26,7 @@ BUMPED_ROWS = 4
 """Partial cover: rows that gain weight per step."""
 
 FORGET_ABOVE, FORGET_TO = 3.0, 0.3
-"""Partial cover: when the weights sum to this multiple of their start, their growth is scaled down by the second number."""
+"""Partial cover: when the weights sum to this multiple of their start, their growth is scaled by the second number."""
 
 _BLOCK = 4096  # random numbers drawn at a time
 _NEVER = np.iinfo(np.int64).max
@@ -58,14 +57,15 @@ class _MovingCover:
 
     def rows(self, column: int) -> Ints:
         """Rows that a column covers."""
-        return self._rows[self._starts[column] : self._starts[column + 1]]
+        rows: Ints = self._rows[self._starts[column] : self._starts[column + 1]]
+        return rows
 
     def add(self, column: int, step: int) -> Ints:
         """Add a column; returns the rows that it newly covers."""
         rows = self.rows(column)
         counts = self.counts[rows] + 1
         self.counts[rows] = counts
-        fresh = rows[counts == 1]
+        fresh: Ints = rows[counts == 1]
         shared = rows[counts == 2]
         if len(shared):
             np.subtract.at(self.loss, self._owner[shared], self.weights[shared])
@@ -88,7 +88,8 @@ class _MovingCover:
         if len(alone):
             np.add.at(self.loss, self._owner[alone], self.weights[alone])
         self.stamps[column] = step
-        return rows[counts == 0]
+        uncovered: Ints = rows[counts == 0]
+        return uncovered
 
     def cheapest(self, tabu: int) -> int:
         """Position of the column with the smallest loss, oldest first; the tabu column only if there is no other."""
@@ -102,12 +103,13 @@ class _MovingCover:
         """Replace all weights and recompute the losses."""
         self.weights = weights
         alone = self.counts == 1
-        self.loss = np.bincount(self._owner[alone], weights=weights[alone], minlength=len(self.loss))
+        self.loss[:] = np.bincount(self._owner[alone], weights=weights[alone], minlength=len(self.loss))
 
 
 def _key(values: Floats, stamps: Ints) -> Ints:
     """Whole values with the stamp as tie-break, in one integer: the smallest value first, then the oldest."""
-    return (values.astype(np.int64) << 31) + stamps
+    key: Ints = (values.astype(np.int64) << 31) + stamps
+    return key
 
 
 def local_search(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Ints:
@@ -152,7 +154,7 @@ def _full(problem: CoverProblem, best: Ints, rng: np.random.Generator, budget: B
         row = int(uncovered[int(draws.pop() * len(uncovered))])
         entering = row_columns[row_start[row] : row_start[row + 1]]
         columns, lengths = problem.columns_of(uncovered)
-        weighted = np.bincount(columns, np.repeat(moving.weights[uncovered], lengths), problem.n_columns)
+        weighted = column_sums(problem, columns, np.repeat(moving.weights[uncovered], lengths))
         key = _key(-weighted[entering], moving.stamps[entering])
         if len(entering) > 1:
             key[entering == left] = _NEVER
@@ -219,7 +221,7 @@ def _partial(problem: CoverProblem, best: Ints, rng: np.random.Generator, budget
     return best
 
 
-def _weighted(problem: CoverProblem, rows: Ints, weights: Floats) -> NDArray[np.float64]:
+def _weighted(problem: CoverProblem, rows: Ints, weights: Floats) -> Floats:
     """(V,) weight of the given rows that each column covers."""
     columns, lengths = problem.columns_of(rows)
-    return np.bincount(columns, weights=np.repeat(weights[rows], lengths), minlength=problem.n_columns)
+    return column_sums(problem, columns, np.repeat(weights[rows], lengths))

@@ -1,12 +1,13 @@
 """Meta-RaPS for set cover (Lan, DePuy, Whitehouse 2007, doi:10.1016/j.ejor.2005.09.028): the paper's own solver.
 
-Each iteration builds a cover with the greedy rule, randomised: with probability `priority` a best column is taken, otherwise
-a random one among those within `restriction` of the best. Redundant columns are removed. A cover that is at most
-`improvement` longer than the shortest one built so far is improved: a share `magnitude` of its columns is thrown away
-at random and it is built up again in the same way, kept if not longer, `improvement_iterations` times.
+Each iteration builds a cover with the greedy rule, randomised: with probability `priority` a best column is taken,
+otherwise a random one among those within `restriction` of the best. Redundant columns are removed. A cover that is at
+most `improvement` longer than the shortest one built so far is improved: a share `magnitude` of its columns is thrown
+away at random and it is built up again in the same way, kept if not longer, `improvement_iterations` times.
 
-With unit cost the paper's several priority rules order columns alike, so there is one rule here (uncovered area); its core
-problem is the reduction that every solver gets here, and its penalty on columns that often come out worst is left out.
+With unit cost the paper's several priority rules order columns alike, so there is one rule here (uncovered area); in
+place of its core problem every solver here gets the reduced problem; its penalty on columns that often come out worst
+is left out.
 """
 
 from dataclasses import dataclass

@@ -113,7 +113,9 @@ class CoverProblem:
         data = np.ones(self.n_entries)
         return sp.csr_array((data, self.row_columns, self.row_start), shape=(self.n_rows, self.n_columns))
 
-    def restricted(self, rows: NDArray[np.bool_], columns: NDArray[np.bool_], units: Floats, required: int) -> Any:
+    def restricted(
+        self, rows: NDArray[np.bool_], columns: NDArray[np.bool_], units: Floats, required: int
+    ) -> "CoverProblem":
         """The problem on some rows and columns, in the same order.
 
         Args:
@@ -228,7 +230,7 @@ def candidates(
     usable = np.ones(n_columns, dtype=bool) if allowed is None else np.array(allowed)
     if usable.shape != (n_columns,) or usable.dtype != np.bool_:
         raise PlannerError(
-            f"allowed has shape {usable.shape} and type {usable.dtype}; it must be ({n_columns},) of bool, one per column"
+            f"allowed has shape {usable.shape} and type {usable.dtype}; it must be ({n_columns},) of bool"
         )
     usable = usable.copy()
     usable[column_indices("banned", banned, n_columns)] = False
@@ -280,6 +282,5 @@ def _from_csr(M: Any, units: Floats, required: int, full: bool) -> CoverProblem:
     by_row.sort_indices()
     by_column = sp.csc_array(by_row)
     by_column.sort_indices()
-    return CoverProblem(
-        by_row.indptr, by_row.indices, by_column.indptr, by_column.indices, units, max(required, 0), full
-    )
+    sets = [array.astype(np.int64) for M in (by_row, by_column) for array in (M.indptr, M.indices)]
+    return CoverProblem(sets[0], sets[1], sets[2], sets[3], units, max(required, 0), full)

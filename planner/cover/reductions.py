@@ -1,14 +1,15 @@
 """Exact reductions of a cover problem: smaller, with the same fewest number of columns, and the way back.
 
-Applied in turn until nothing changes (Beasley 1987, doi:10.1016/0377-2217(87)90148-X, and earlier work cited there):
+Applied in turn until nothing changes, on large matrices until little changes (see `WORTHWHILE`); Beasley 1987,
+doi:10.1016/0377-2217(87)90141-X, and earlier work cited there:
 
 * rows covered by the same columns become one row with their summed area;
 * a column whose rows another column covers too is dropped (of identical columns the first in canonical order stays);
 * full cover only: a row is dropped when covering another row (whose columns are a subset of its own) covers it too;
 * a row that cannot stay uncovered and has one column only forces this column.
 
-Subset tests work on bit-packed sets, and only against the sets that share the rarest member. A test whose work (words compared)
-exceeds `SUBSET_WORK` is skipped as a whole; this depends on the problem alone, never on time.
+Subset tests work on bit-packed sets, and only against the sets that share the rarest member. A test whose work (words
+compared) exceeds `SUBSET_WORK` is skipped as a whole; this depends on the problem alone, never on time.
 """
 
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ from planner.cover.problem import CoverProblem, Floats, Ints, gather, set_hash
 
 SUBSET_WORK = 400_000_000
 """Largest number of 64-bit words that one pass of subset tests may compare (about half a second)."""
+
+LARGE, WORTHWHILE = 200_000, 0.02
+"""A matrix with more ones than this gets another round only when the last one removed at least this share of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +57,10 @@ def take(problem: CoverProblem, columns: Ints) -> tuple[CoverProblem, Ints]:
         columns: the chosen columns.
 
     Returns:
-        The rest (their rows and the columns that now cover nothing are gone), and the (V',) original index of its columns.
+        The rest (their rows, and the columns that now cover nothing, are gone), and the (V',) index of its columns.
     """
+    if not len(columns):
+        return problem, np.arange(problem.n_columns)
     uncovered = problem.counts(columns) == 0
     open_columns, _ = problem.columns_of(np.flatnonzero(uncovered))
     useful = np.bincount(open_columns, minlength=problem.n_columns) > 0
@@ -68,7 +74,7 @@ def reduce(problem: CoverProblem) -> Reduction:
     forced: list[Ints] = []
     merged = dominated = 0
     while not problem.trivial:
-        before = problem.shape
+        before = problem.n_rows, problem.n_columns, problem.n_entries
         must = _forced_columns(problem)
         if len(must):
             forced.append(columns[must])
@@ -77,23 +83,39 @@ def reduce(problem: CoverProblem) -> Reduction:
             continue
         units = problem.units
         keep_rows, units = _merge_identical_rows(problem, units)
-        problem = problem.restricted(keep_rows, np.ones(problem.n_columns, bool), units, problem.required)
+        problem = _keep(problem, keep_rows, None, units)
         keep_columns = ~_dominated(
             problem.column_start, problem.column_rows, problem.row_start, problem.row_columns, larger_wins=True
         )
         dominated += int((~keep_columns).sum())
-        problem = problem.restricted(np.ones(problem.n_rows, bool), keep_columns, problem.units, problem.required)
+        problem = _keep(problem, None, keep_columns, problem.units)
         columns = columns[keep_columns]
         if problem.full:
             keep_rows = ~_dominated(
                 problem.row_start, problem.row_columns, problem.column_start, problem.column_rows, larger_wins=False
             )
-            problem = problem.restricted(keep_rows, np.ones(problem.n_columns, bool), problem.units, problem.required)
+            problem = _keep(problem, keep_rows, None, problem.units)
         merged += before[0] - problem.n_rows
-        if problem.shape == before:
+        if problem.shape == before[:2] or before[2] - problem.n_entries < _least_gain(before[2]):
             break
     chosen = np.concatenate(forced) if forced else np.zeros(0, dtype=np.int64)
     return Reduction(problem, chosen, columns, merged, dominated)
+
+
+def _least_gain(n_entries: int) -> float:
+    """Ones that a round must have removed for another one to be made."""
+    return WORTHWHILE * n_entries if n_entries > LARGE else 0.0
+
+
+def _keep(
+    problem: CoverProblem, rows: NDArray[np.bool_] | None, columns: NDArray[np.bool_] | None, units: Floats
+) -> CoverProblem:
+    """The problem on some rows and columns (None: all) with other units; no copy where all are kept."""
+    if (rows is None or rows.all()) and (columns is None or columns.all()):
+        return problem
+    rows = np.ones(problem.n_rows, dtype=bool) if rows is None else rows
+    columns = np.ones(problem.n_columns, dtype=bool) if columns is None else columns
+    return problem.restricted(rows, columns, units, problem.required)
 
 
 def _forced_columns(problem: CoverProblem) -> Ints:

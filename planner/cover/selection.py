@@ -7,7 +7,7 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.cover.bound import bound
 from planner.cover.budget import DEFAULT_WORK, Budget
@@ -118,7 +118,7 @@ def solve(
     The greedy cover and a lower bound are always computed, whatever the solver and the budget.
 
     Args:
-        M: (S, V) measurability matrix, scipy sparse or dense, True where the viewpoint (column) measures the sample (row).
+        M: (S, V) measurability matrix, scipy sparse or dense, True where the viewpoint measures the sample.
         areas: (S,) area of each row [m^2].
         allowed: (V,) bool, which columns may be used (the reachable ones); None: all.
         rng: random choices of the solver.
@@ -131,7 +131,8 @@ def solve(
         clock: seconds, for the guard.
 
     Raises:
-        PlannerError: for input that `candidates` refuses, an unknown solver, or a pinned column that is banned or not allowed.
+        PlannerError: for input that `candidates` refuses, an unknown solver, or a pinned column that is banned or not
+            allowed.
     """
     if solver not in SOLVERS:
         raise PlannerError(f"there is no solver {solver!r}; choose one of {', '.join(SOLVERS)}")

@@ -1,0 +1,168 @@
+"""What every solver of the cover problem promises."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from planner.cover import SOLVERS, Budget, CoverStatus, solve
+
+WORK = 20_000_000
+COVERAGES = (0.0, 0.3, 0.8, 0.95, 1.0)
+
+
+def instance(seed, n_rows=60, n_columns=40, density=0.1):
+    """A random matrix and log-normal areas."""
+    rng = np.random.default_rng(seed)
+    return rng.random((n_rows, n_columns)) < density, rng.lognormal(0, 1, n_rows)
+
+
+def run(M, areas, solver, coverage=1.0, seed=5, **options):
+    """Solve with a fresh generator and the tests' budget."""
+    return solve(
+        M, areas, rng=np.random.default_rng(seed), solver=solver, coverage=coverage, **{"budget": WORK} | options
+    )
+
+
+def covered_share(M, areas, views):
+    """Area that the views cover over what all columns cover."""
+    coverable = areas[M.any(axis=1)].sum()
+    return areas[M[:, views].any(axis=1)].sum() / coverable
+
+
+@pytest.fixture(params=list(SOLVERS))
+def solver(request):
+    """Each solver by name."""
+    return request.param
+
+
+@pytest.mark.parametrize("coverage", COVERAGES)
+@pytest.mark.parametrize("seed", range(3))
+def test_covers_the_target_and_needs_every_view(solver, coverage, seed):
+    """The chosen views reach the share asked for, and without any one of them they would not."""
+    M, areas = instance(seed)
+    result = run(M, areas, solver, coverage)
+    if coverage == 1.0:
+        coverable = M.any(axis=1)
+        assert (M[:, result.views].any(axis=1) == coverable).all()
+        for view in result.views:
+            assert (M[:, np.setdiff1d(result.views, view)].any(axis=1) != coverable).any()
+    else:
+        assert covered_share(M, areas, result.views) >= coverage - 1e-12
+        for view in result.views:
+            assert covered_share(M, areas, np.setdiff1d(result.views, view)) < coverage
+
+
+@pytest.mark.parametrize("coverage", COVERAGES)
+def test_bound_is_not_above_the_plan(solver, coverage):
+    """lower_bound <= views; the status says proven exactly when they are equal, and gap and sentence agree."""
+    for seed in range(4):
+        M, areas = instance(seed)
+        result = run(M, areas, solver, coverage)
+        assert 0 <= result.lower_bound <= len(result.views)
+        assert (result.status is CoverStatus.PROVEN) == (result.lower_bound == len(result.views))
+        assert result.gap == pytest.approx(
+            1 - result.lower_bound / max(len(result.views), 1) if len(result.views) else 0
+        )
+        if result.excess:
+            assert f"at most {result.excess} view" in result.sentence
+
+
+@pytest.mark.parametrize("coverage", [0.9, 1.0])
+def test_same_seed_same_plan(solver, coverage):
+    """Two runs with the same seed and budget agree in every field; work is counted, not timed."""
+    M, areas = instance(8)
+    first, second = (run(M, areas, solver, coverage) for _ in range(2))
+    np.testing.assert_array_equal(first.views, second.views)
+    assert (first.lower_bound, first.work, first.status) == (second.lower_bound, second.work, second.status)
+
+
+@pytest.mark.parametrize("coverage", [0.9, 1.0])
+def test_permuting_columns_changes_nothing_but_indices(solver, coverage):
+    """The plan of the permuted matrix consists of the same sets of rows, in the same order."""
+    rng = np.random.default_rng(0)
+    M = rng.random((50, 30)) < 0.15
+    areas = np.ones(50)  # equal areas make many ties
+    order = rng.permutation(30)
+    plain = run(M, areas, solver, coverage)
+    permuted = run(M[:, order], areas, solver, coverage)
+    assert len(plain.views) > 3
+    np.testing.assert_array_equal(M[:, plain.views], M[:, order][:, permuted.views])
+
+
+def test_views_are_ordered_by_what_they_add(solver):
+    """Marginal areas fall, add up to the covered area, and each is what the view adds to those before it."""
+    M, areas = instance(3)
+    result = run(M, areas, solver)
+    seen = np.zeros(len(areas), dtype=bool)
+    for view, marginal in zip(result.views, result.marginal_area, strict=True):
+        assert marginal == pytest.approx(areas[M[:, view] & ~seen].sum())
+        seen |= M[:, view]
+    assert (np.diff(result.marginal_area) <= 1e-12).all()
+    assert result.curve[-1] == pytest.approx(result.covered_area) == pytest.approx(areas[seen].sum())
+    assert result.coverable_area == pytest.approx(areas[M.any(axis=1)].sum())
+    assert result.total_area == pytest.approx(areas.sum())
+
+
+@pytest.mark.parametrize("coverage", [0.6, 1.0])
+def test_allowed_pinned_and_banned_are_respected(solver, coverage):
+    """Only allowed and not banned columns are used, all pinned ones are, and the target refers to what is usable."""
+    M, areas = instance(11)
+    allowed = np.random.default_rng(1).random(M.shape[1]) < 0.7
+    pinned, banned = np.flatnonzero(allowed)[[3, 9, 3]], np.flatnonzero(allowed)[[0, 5]]
+    result = run(M, areas, solver, coverage, allowed=allowed, pinned=pinned, banned=banned)
+    usable = allowed.copy()
+    usable[banned] = False
+    assert usable[result.views].all()
+    assert set(pinned) <= set(result.views.tolist())
+    assert len(set(result.views.tolist())) == len(result.views)
+    assert covered_share(M[:, usable], areas, np.searchsorted(np.flatnonzero(usable), result.views)) >= coverage - 1e-12
+    np.testing.assert_array_equal(result.uncoverable_rows, np.flatnonzero(~M[:, usable].any(axis=1)))
+    for view in np.setdiff1d(result.views, pinned):
+        rest = np.setdiff1d(result.views, view)
+        assert covered_share(M[:, usable], areas, np.searchsorted(np.flatnonzero(usable), rest)) < coverage
+
+
+def test_sparse_and_dense_input_agree(solver):
+    """csr, csc, coo and dense matrices give the same plan."""
+    M, areas = instance(2)
+    plans = [run(form(M), areas, solver).views for form in (np.asarray, sp.csr_array, sp.csc_matrix, sp.coo_array)]
+    for plan in plans[1:]:
+        np.testing.assert_array_equal(plan, plans[0])
+
+
+def test_clock_guard_stops_the_search_and_says_so(solver):
+    """A guard that has run out at once still gives a cover and a bound; a search that was cut says so."""
+    M, areas = instance(4, 300, 200, 0.05)
+    ticks = iter(np.arange(0, 1e6, 0.5))
+    result = run(M, areas, solver, time_limit_s=0.0, clock=lambda: float(next(ticks)), budget=10**12)
+    assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
+    assert result.status is CoverStatus.TIME_LIMITED
+    assert "time limit" in result.sentence
+    assert 1 <= result.lower_bound < len(result.views)
+
+
+def test_an_interrupted_search_leaves_its_best_cover(solver):
+    """Ctrl-C in a solver reaches the caller, and the budget still holds a cover."""
+    if solver == "greedy":
+        pytest.skip("greedy has no search to interrupt")
+    from planner.cover.problem import candidates
+
+    M, areas = instance(4, 150, 100, 0.05)
+    problem = candidates(M, areas).problem
+
+    class Interrupting(Budget):
+        calls = 0
+
+        def spend(self, work):
+            self.calls += 1
+            if self.calls > 5:
+                raise KeyboardInterrupt
+            return super().spend(work)
+
+    budget = Interrupting(10**9)
+    try:
+        SOLVERS[solver](problem, np.random.default_rng(0), budget)
+    except KeyboardInterrupt:
+        assert budget.calls > 5
+    assert budget.best is not None
+    assert problem.met(problem.counts(budget.best) > 0)

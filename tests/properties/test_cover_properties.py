@@ -1,0 +1,136 @@
+"""Cover problems of any shape: what must hold for all of them."""
+
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from planner.cover import solve
+from planner.cover.bound import evaluate
+from planner.cover.greedy import by_marginal_area, prune
+from planner.cover.problem import candidates, gather, set_hash
+from planner.cover.reductions import reduce
+
+matrices = hnp.arrays(bool, st.tuples(st.integers(0, 12), st.integers(0, 9)))
+
+
+@st.composite
+def problems(draw):
+    """A matrix, areas and a target."""
+    M = draw(matrices)
+    areas = draw(hnp.arrays(float, M.shape[0], elements=st.floats(0, 1e6)))
+    return M, areas, draw(st.sampled_from([0.0, 0.1, 0.5, 0.9, 1.0]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(problems(), st.sampled_from(["auto", "greedy", "meta-raps", "local-search"]), st.integers(0, 3))
+def test_every_claimed_cover_covers(problem, solver, seed):
+    """Whatever the matrix, areas and target: the target is met and the bound is not above the plan."""
+    M, areas, coverage = problem
+    result = solve(M, areas, rng=np.random.default_rng(seed), solver=solver, coverage=coverage, budget=300_000)
+    covered, coverable = M[:, result.views].any(axis=1), M.any(axis=1)
+    if coverage == 1.0:
+        assert (covered == coverable).all()
+    else:
+        assert areas[covered].sum() >= coverage * areas[coverable].sum() * (1 - 1e-11)
+    assert result.lower_bound <= len(result.views)
+
+
+@settings(max_examples=60, deadline=None)
+@given(problems(), st.data())
+def test_any_multipliers_give_a_bound_below_any_cover(problem, data):
+    """L(u) <= columns of every cover, for arbitrary u >= 0, full and partial."""
+    M, areas, coverage = problem
+    canonical = candidates(M, areas, coverage=coverage).problem
+    if canonical.trivial:
+        return
+    u = data.draw(hnp.arrays(float, canonical.n_rows, elements=st.floats(0, 3)))
+    cover = prune(canonical, np.arange(canonical.n_columns))
+    assert evaluate(canonical, u, canonical.matrix().T.tocsr())[0].value <= len(cover)
+
+
+@settings(max_examples=60, deadline=None)
+@given(problems())
+def test_pruned_covers_are_covers_without_a_redundant_column(problem):
+    """Pruning all columns leaves a cover of which no column can go."""
+    M, areas, coverage = problem
+    canonical = candidates(M, areas, coverage=coverage).problem
+    cover = prune(canonical, np.arange(canonical.n_columns))
+    assert canonical.met(canonical.counts(cover) > 0)
+    for column in cover:
+        assert not canonical.met(canonical.counts(np.setdiff1d(cover, column)) > 0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(problems())
+def test_the_canonical_problem_is_the_matrix(problem):
+    """Rows and columns of the canonical problem, mapped back, are the matrix without its empty rows and columns."""
+    M, areas, coverage = problem
+    found = candidates(M, areas, coverage=coverage)
+    again = np.zeros(M.shape, dtype=bool)
+    again[np.ix_(found.rows, found.columns)] = found.problem.matrix().toarray() > 0
+    np.testing.assert_array_equal(again, M)
+    np.testing.assert_array_equal(found.uncoverable_rows, np.flatnonzero(~M.any(axis=1)))
+    assert (found.problem.units >= 1).all()
+    assert found.problem.units.sum() < 2**53
+
+
+@settings(max_examples=60, deadline=None)
+@given(problems())
+def test_reduced_problems_cannot_be_reduced_and_lift_to_covers(problem):
+    """No dominated column is left, no dominated row at full cover, and all reduced columns together lift to a cover."""
+    M, areas, coverage = problem
+    canonical = candidates(M, areas, coverage=coverage).problem
+    reduction = reduce(canonical)
+    rest = reduction.problem
+    lifted = reduction.lift(np.arange(rest.n_columns) if not rest.trivial else np.zeros(0, dtype=np.int64))
+    assert canonical.met(canonical.counts(lifted) > 0)
+    if rest.trivial:
+        return
+    dense = rest.matrix().toarray() > 0
+    for i in range(rest.n_columns):
+        for j in range(rest.n_columns):
+            assert i == j or not (dense[:, i] <= dense[:, j]).all()
+    if rest.full:
+        for i in range(rest.n_rows):
+            for k in range(rest.n_rows):
+                assert i == k or not (dense[i] <= dense[k]).all()
+
+
+@given(st.lists(st.lists(st.integers(0, 99)), min_size=1, max_size=30), st.data())
+def test_gather_concatenates_slices(slices, data):
+    """Against plain Python concatenation, below and above the size at which the method changes."""
+    start = np.cumsum([0] + [len(s) for s in slices])
+    items = np.array([x for s in slices for x in s], dtype=np.int64)
+    which = np.array(data.draw(st.lists(st.integers(0, len(slices) - 1), max_size=40)), dtype=np.int64)
+    joined, lengths = gather(start, items, which)
+    assert joined.tolist() == [x for w in which for x in slices[w]]
+    assert lengths.tolist() == [len(slices[w]) for w in which]
+
+
+@given(st.lists(st.integers(0, 10**6), unique=True, max_size=20), st.randoms())
+def test_set_hash_ignores_order_and_sees_members(members, random):
+    """Equal sets hash alike; adding a member changes the hash."""
+    shuffled = members.copy()
+    random.shuffle(shuffled)
+    extended = [*members, 10**6 + 1]
+    items = np.array(members + shuffled + extended, dtype=np.int64)
+    start = np.cumsum([0, len(members), len(shuffled), len(extended)])
+    a, b, c = set_hash(start, items)
+    assert a == b != c
+
+
+@settings(max_examples=40, deadline=None)
+@given(problems())
+def test_marginal_order_keeps_the_columns_and_their_rows(problem):
+    """Ordering by marginal area is a permutation whose marginal rows partition what the columns cover."""
+    M, areas, _ = problem
+    canonical = candidates(M, areas).problem
+    order, added = by_marginal_area(canonical, np.arange(canonical.n_columns))
+    assert sorted(order.tolist()) == list(range(canonical.n_columns))
+    together = np.concatenate(added) if added else np.zeros(0, dtype=np.int64)
+    assert sorted(together.tolist()) == list(range(canonical.n_rows))
+    gains = [canonical.units[rows].sum() for rows in added]
+    assert all(first >= second for first, second in pairwise(gains))

@@ -1,0 +1,90 @@
+"""Budget, Meta-RaPS parameters and the readable parts of a result."""
+
+import numpy as np
+import pytest
+
+from planner.cover import Budget, CoverStatus, MetaRapsParameters, solve
+from planner.cover.greedy import greedy
+from planner.cover.meta_raps import meta_raps
+from planner.cover.problem import candidates
+from planner.errors import PlannerError
+
+
+def test_budget_counts_work_and_portions_nest():
+    """A portion limits what may be spent inside, and the rest is available again afterwards."""
+    budget = Budget(100)
+    assert budget.spend(20)
+    with budget.portion(0.5):
+        assert budget.left == 40
+        assert not budget.spend(45)
+    assert budget.left == 35
+    assert budget.spend(34)
+    assert not budget.spend(1)
+
+
+def test_clock_guard_is_split_with_the_work():
+    """Half of the budget has half of the seconds; a guard that fires inside is reported but leaves the outer time."""
+    now = [0.0]
+    budget = Budget(100, time_limit_s=10.0, clock=lambda: now[0])
+    with budget.portion(0.5):
+        assert budget.seconds_left == pytest.approx(5.0)
+        now[0] = 6.0
+        assert not budget.spend(1)
+    assert budget.time_limited
+    assert budget.seconds_left == pytest.approx(4.0)
+    assert budget.spend(1)
+
+
+def test_budget_keeps_the_smaller_cover_and_knows_when_it_is_proven():
+    """The best is kept; proven as soon as the bound meets it, and then no work is granted."""
+    budget = Budget(100)
+    assert budget.offer(np.arange(4))
+    assert not budget.offer(np.arange(4) + 1)
+    budget.prove(3)
+    assert not budget.proven
+    assert budget.offer(np.arange(3))
+    assert budget.proven
+    assert not budget.spend(0)
+
+
+@pytest.mark.parametrize("name", ["priority", "restriction", "improvement", "magnitude"])
+def test_meta_raps_refuses_shares_outside_their_range(name):
+    """Each parameter is named in the refusal."""
+    with pytest.raises(PlannerError, match=name):
+        MetaRapsParameters(**{name: 1.5})
+
+
+def test_meta_raps_without_randomness_is_greedy():
+    """Priority 1 and no improvement step build greedy covers, up to ties."""
+    rng = np.random.default_rng(0)
+    M, areas = rng.random((80, 50)) < 0.1, rng.lognormal(0, 1, 80)  # distinct areas: no ties
+    problem = candidates(M, areas).problem
+    plain = MetaRapsParameters(priority=1.0, improvement_iterations=0, iterations=3)
+    budget = Budget(10**8)
+    assert sorted(meta_raps(problem, rng, budget, plain)) == sorted(greedy(problem, rng, Budget(0)))
+
+
+def test_meta_raps_improves_on_greedy():
+    """With its published parameters it finds shorter covers than greedy on most of ten random instances."""
+    better = 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        M = rng.random((100, 100)) < 0.08
+        problem = candidates(M, np.ones(100)).problem
+        better += len(meta_raps(problem, rng, Budget(10**8))) < len(greedy(problem, rng, Budget(0)))
+    assert better >= 7
+
+
+def test_every_status_is_a_sentence():
+    """Values are words for a report; numbers come with Cover.sentence."""
+    for status in CoverStatus:
+        assert " " in status.sentence
+    M = np.eye(3, dtype=bool)
+    assert solve(M, np.ones(3), rng=np.random.default_rng(0)).sentence == CoverStatus.PROVEN.value
+
+
+def test_results_are_read_only():
+    """Arrays of a Cover cannot be changed in place."""
+    result = solve(np.eye(3, dtype=bool), np.ones(3), rng=np.random.default_rng(0))
+    with pytest.raises(ValueError, match="read-only"):
+        result.views[0] = 1
