@@ -19,7 +19,7 @@ from planner.readonly import readonly
 FILE_NAME = "cell.xml"
 
 
-def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = None) -> Path:
+def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = None) -> tuple[str, ...]:
     """Write `cell.xml` into a folder; meshes are inside it.
 
     Part and post are mocap bodies in it, as in the checked model: whoever loads it may move them.
@@ -30,7 +30,7 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
         T_base_object: (4, 4) placement [m]; None is the scene's.
 
     Returns:
-        The file's path.
+        The names of the files written.
     """
     T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
     spec = world.spec.copy()
@@ -47,9 +47,8 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
         for name in ("mpos", "mquat"):
             key.attrib.pop(name, None)
     ElementTree.indent(root)
-    path = folder / FILE_NAME
-    path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
-    return path
+    (folder / FILE_NAME).write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+    return (FILE_NAME,)
 
 
 def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
