@@ -7,6 +7,7 @@ Timings are of this machine and this moment: compare rows of one run, not runs.
 import json
 import os
 import platform
+import sys
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import version
@@ -42,7 +43,7 @@ def main(
     unknown = sorted(set(chosen) - set(REGISTRY))
     if unknown:
         raise typer.BadParameter(f"no benchmark named {', '.join(unknown)}; there are {', '.join(REGISTRY)}")
-    console = Console()
+    console = Console() if sys.stdout.isatty() else Console(width=200)
     console.print(
         f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()}; "
         + ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco", "embreex"))

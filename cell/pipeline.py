@@ -21,7 +21,7 @@ from cell.errors import CellError, FileError, UnreachableError
 from cell.kinematics import Kr16Kinematics
 from cell.matrix import part_matrix, surface_features
 from cell.narrator import Narrator, ProgressCallback
-from cell.occluders import occluders
+from cell.occluders import Occluder, occluder_triangles
 from cell.plan_summary import draw, plan_summary
 from cell.resolve import Settings, resolve
 from cell.run_folder import RunFolder
@@ -145,10 +145,8 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             scene, settings, reference, planning, features, candidates, casters[0],
             narrator=run.narrator, use_cache=run.use_cache, progress=progress,
         )  # fmt: skip
-        hidden_by = occluders(world)
-        if hidden_by is not None:
-            casters.append(EmbreeRayCaster(hidden_by.vertices, hidden_by.faces))
-            M = measurability.occlude(M, candidates, scanner, casters[1], ray_caster=casters[0], progress=progress)
+        casters.append(_caster_of(occluder_triangles(world)))
+        M = measurability.occlude(M, candidates, scanner, casters[1], ray_caster=casters[0], progress=progress)
         plan_files.write_measurability(run.folder, M)
 
     with run.step("select, order and connect") as progress:
@@ -194,6 +192,13 @@ def _candidates(scene: Scene, settings: Settings, part: Workpiece, planning: Tri
         step_x, step_y = np.deg2rad(scene.plan.view_sphere_step_deg)
         return viewpoints.view_sphere(part.centre, settings.sphere_radius, step_x, step_y, settings.rolls)
     return viewpoints.optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
+
+
+def _caster_of(pieces: Sequence[Occluder]) -> EmbreeRayCaster:
+    """One ray caster over several meshes."""
+    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
+    return EmbreeRayCaster(np.concatenate([piece.vertices for piece in pieces]), np.concatenate(faces))
 
 
 def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
