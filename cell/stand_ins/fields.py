@@ -68,14 +68,14 @@ def cylinder(a: Vector, b: Vector, radius: float, rounding: float = 0.0) -> Fiel
     start = np.array(a, np.float32)[:, None]
     axis = np.array(b, np.float32)[:, None] - start
     length = np.float32(np.sqrt((axis**2).sum()))
-    axis = axis / length
-    middle = start + axis * length / 2
+    axis /= length
+    middle = np.asarray(start + axis * length / 2, np.float32)
     r, round_ = np.float32(radius - rounding), np.float32(rounding)
     half = np.float32(length / 2 - rounding)
 
     def field(p: Points) -> Values:
-        q = p - middle
-        along = (q * axis).sum(axis=0)
+        q: Points = np.subtract(p, middle)
+        along: Values = (q * axis).sum(axis=0)
         q -= along * axis
         return _corner(_length(q) - r, np.abs(along) - half) - round_
 
@@ -90,8 +90,8 @@ def box(centre: Vector, half_sides: Vector, rounding: float = 0.0, turn: NDArray
 
     def field(p: Points) -> Values:
         q = _about(p, c, turn)
-        q = np.subtract(np.abs(q), half, out=q)
-        outside = _length(np.maximum(q, 0))
+        np.subtract(np.abs(q), half, out=q)
+        outside = _length(np.maximum(q, np.float32(0)).astype(np.float32, copy=False))
         value: Values = outside + np.minimum(q.max(axis=0), 0) - round_
         return value
 

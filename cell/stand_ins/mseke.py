@@ -30,7 +30,7 @@ def field(rng: np.random.Generator) -> Field:
     head = union(14, head, bun)
     head = displaced(head, _braids)
 
-    cheek = ellipsoid((40, -56, -10), (22, 17, 16))
+    cheek = ellipsoid((40, -46, -8), (25, 20, 20))
     brow = tube([(4, -80, 25), (24, -81, 33), (52, -62, 27)], [6, 7, 5])
     socket = ellipsoid((28, -88, 12), (19, 13, 11), rotation(1, 8))
     lid = ellipsoid((28, -74.5, 11), (16, 9.5, 7.5), rotation(1, 8))
@@ -40,14 +40,7 @@ def field(rng: np.random.Generator) -> Field:
         torus((87, 12, 6), 0, 17, 5),
         ellipsoid((84, 6, -22), (8, 9, 11)),
     )
-    scars = union(
-        0,
-        *(
-            capsule((44 + 4 * i, -69 + 5 * i, -8 + 3 * i), (42 + 4 * i, -63 + 5 * i, -30 + 3 * i), 2.4)
-            for i in range(3)
-        ),
-    )
-    half = mirrored(0, lambda p: _face_half(p, cheek, brow, ear))
+    half = mirrored(0, union(4, cheek, brow, ear))
 
     nose = union(
         5,
@@ -66,13 +59,8 @@ def field(rng: np.random.Generator) -> Field:
     head = union(3, head, mirrored(0, lid))
     head = union(7, head, nose, chin)
     head = union(4, head, lips)
-    head = union(1.5, head, mirrored(0, scars))
     head = displaced(head, ripples(rng, 0.5, 30.0, 8))
     return without(3, head, box((0, 0, -138), (200, 200, 50)))  # sawn off flat below the neck
-
-
-def _face_half(p: Points, cheek: Field, brow: Field, ear: Field) -> Values:
-    return union(4, cheek, brow, ear)(p)
 
 
 def _braids(p: Points) -> Values:

@@ -2,7 +2,20 @@
 
 import numpy as np
 
-from cell.stand_ins.fields import Field, box, capsule, displaced, ellipsoid, ripples, rotation, torus, tube, union
+from cell.stand_ins.fields import (
+    Field,
+    Points,
+    Values,
+    box,
+    capsule,
+    displaced,
+    ellipsoid,
+    ripples,
+    rotation,
+    torus,
+    tube,
+    union,
+)
 
 
 def field(rng: np.random.Generator) -> Field:
@@ -44,15 +57,16 @@ def field(rng: np.random.Generator) -> Field:
     other_hand = union(2.5, ellipsoid((-79, 53, -25), (10, 6.5, 7)), *_fingers())
     belt = torus((0, 0, 0), 1, 22.5, 2.0, 1.6)
     shift, tilt = np.array([[-11.0], [7.0], [0]], np.float32), rotation(2, 12)
-    tilted_belt: Field = lambda p: belt(tilt @ (p - shift))  # noqa: E731 - a shape like those above
+
+    def tilted_belt(p: Points) -> Values:
+        return belt((tilt @ (p - shift)).astype(np.float32, copy=False))
 
     pocket = box((-33, -4, -10), (3, 7, 6), 1.5)
     body = union(8, trunk, front_leg, back_leg)
     body = union(6, body, belly, arm, other_arm, neck)
     body = union(3, body, face, front_foot, back_foot, hand, other_hand)
-    body = union(1.2, body, cap, boule, tilted_belt, pocket)
-    folds = ripples(rng, 0.8, 15.0, 8)
-    return displaced(body, folds)
+    body = union(1.2, body, cap, tilted_belt, pocket)
+    return union(1.2, displaced(body, ripples(rng, 0.8, 15.0, 8)), boule)
 
 
 def _fingers() -> list[Field]:
