@@ -137,8 +137,8 @@ class Part(_Table):
     @field_validator("units")
     @classmethod
     def _given_for_a_file(cls, units: str | None, info: ValidationInfo) -> str | None:
-        path = info.data.get("path", ...)
-        if path is not None and path is not ... and units is None:
+        path = info.data.get("path", "given, but wrong")
+        if path is not None and units is None:
             raise ValueError("is missing; say what the file's numbers are in: mm, cm, m, um or in")
         if path is None and units is not None:
             raise ValueError("is given for a built-in part, which has its own size; leave it out, or give part.path")
