@@ -1,9 +1,10 @@
 """The command line: options in, one run folder and a table (or one JSON object) out.
 
-Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 5 driver, 6 files or run folder,
-70 a bug, 130 Ctrl-C. Heavy modules are imported inside the commands, so that `--help` answers at once.
+Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 5 driver, 6 files or run
+folder, 70 a bug, 130 Ctrl-C. Heavy modules are imported inside the commands, so that `--help` answers at once.
 """
 
+import difflib
 import json
 import os
 import signal
@@ -15,7 +16,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cell.errors import CellError, UsageError
+from cell.errors import CellError, FileError, UsageError
 
 app = typer.Typer(
     add_completion=False,
@@ -36,7 +37,8 @@ _OUTPUT = "Output"
     "cell plan --place 1200,500,0\n\n"
     "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95\n\n"
     "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial\n\n"
-    "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, 130 Ctrl-C."
+    "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, "
+    "130 Ctrl-C."
 )
 def plan(
     part: Annotated[
@@ -149,7 +151,12 @@ def plan(
     options["plan"] = {key: value for key, value in given.items() if value is not None}
     narrator = Narrator(quiet_stdout=as_json)
     outcome = run_plan(
-        load_scene(scene, options), scene_path=scene, out=out, argv=sys.argv[1:], use_cache=not no_cache, narrator=narrator
+        load_scene(scene, options),
+        scene_path=scene,
+        out=out,
+        argv=sys.argv[1:],
+        use_cache=not no_cache,
+        narrator=narrator,
     )
     if as_json:
         sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
@@ -239,13 +246,19 @@ def _placement_option(text: str) -> dict[str, Any]:
 def _part_option(part: str, units: str | None) -> dict[str, Any]:
     from cell.stand_ins import NAMES
 
-    looks_like_file = Path(part).suffix != "" or os.sep in part or Path(part).exists()
-    if part in NAMES and not Path(part).is_file():
+    path = Path(part)
+    if part in NAMES and not path.is_file():
         if units is not None:
             raise UsageError(f"{part} is built in and has its own size; leave --units away")
         return {"name": part}
-    if not looks_like_file:
-        raise UsageError(f"there is no file and no built-in part named {part}; built in are {', '.join(NAMES)}")
+    if path.is_dir():
+        raise FileError(f"{part} is a folder; give a mesh file in it")
+    if not path.exists():
+        if path.suffix == "" and os.sep not in part:
+            close = difflib.get_close_matches(part.lower(), NAMES, n=1)
+            hint = f"did you mean {close[0]}? " if close else ""
+            raise UsageError(f"there is no built-in part and no file {part}; {hint}Built in are {', '.join(NAMES)}")
+        raise FileError(f"there is no file {part}; give the path of a mesh (STL, OBJ, PLY, OFF or GLB)")
     return {"path": str(Path(part).absolute()), "units": units}
 
 

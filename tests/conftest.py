@@ -4,33 +4,23 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
-SMALL_PLAN = ("--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3")
+_SMALL_PLAN = ("--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3")
 
 
-def blob(subdivisions: int = 4) -> trimesh.Trimesh:
+def _blob(subdivisions: int = 4) -> trimesh.Trimesh:
     """A closed, bumpy body of some 110 mm with a dent, in millimetres and off the origin."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     x, y, z = mesh.vertices.T
     radius = 50 + 6 * np.sin(3 * x + 1) * np.cos(2 * y) + 4 * np.sin(4 * z) - 14 * np.exp(-8 * ((x - 1) ** 2 + y**2))
     mesh.vertices = mesh.vertices * radius[:, None] + np.array([20.0, -10.0, 35.0])
     return mesh
-
-
-def run_cell(*arguments: str, cwd: Path, cache: Path, **kwargs: Any) -> subprocess.CompletedProcess[str]:
-    """`python -m cell` in a directory, with its caches kept apart from the user's."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "COLUMNS": "120", "NO_COLOR": "1"}
-    environment.pop("SCAN_CELL_TRACEBACK", None)
-    return subprocess.run(
-        [sys.executable, "-m", "cell", *arguments],
-        cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False, **kwargs,
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -40,18 +30,47 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """`python -m cell` with arguments in a directory `cwd`, its caches kept apart from the user's."""
+
+    def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "COLUMNS": "120", "NO_COLOR": "1"}
+        environment.pop("SCAN_CELL_TRACEBACK", None)
+        return subprocess.run(
+            [sys.executable, "-m", "cell", *arguments],
+            cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def small_plan() -> tuple[str, ...]:
+    """Options of the plan that `planned` holds."""
+    return _SMALL_PLAN
+
+
+@pytest.fixture(scope="session")
+def blob() -> Callable[[int], trimesh.Trimesh]:
+    """Builds the small part at a number of subdivisions, millimetres."""
+    return _blob
+
+
+@pytest.fixture(scope="session")
 def part_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small part as binary STL, millimetres."""
     path = tmp_path_factory.mktemp("part") / "blob.stl"
-    blob().export(path)
+    _blob().export(path)
     return path
 
 
 @pytest.fixture(scope="session")
-def planned(tmp_path_factory: pytest.TempPathFactory, part_file: Path, cache: Path) -> Path:
+def planned(
+    tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> Path:
     """Run folder of one finished plan of the small part."""
     folder = tmp_path_factory.mktemp("runs")
-    done = run_cell("plan", str(part_file), "--units", "mm", *SMALL_PLAN, "--out", "run", "--json", cwd=folder, cache=cache)
+    done = run_cell("plan", str(part_file), "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["n_views"] > 1
     return folder / "run"

@@ -6,11 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SMALL_PLAN, blob, run_cell
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
 
 CONTRACT = {
     "manifest.json", "run.log", "scene.toml", "scene.resolved.json", "reference.ply", "planning.ply", "cell.xml",
@@ -19,9 +22,9 @@ CONTRACT = {
 }  # fmt: skip
 
 
-def test_help_teaches_with_an_example(tmp_path: Path, cache: Path) -> None:
+def test_help_teaches_with_an_example(tmp_path: Path, run_cell: Run) -> None:
     """`cell plan --help` shows units, defaults' source and a command that can be copied."""
-    done = run_cell("plan", "--help", cwd=tmp_path, cache=cache)
+    done = run_cell("plan", "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert "cell plan part.stl --units mm --place" in done.stdout
     assert "Exit codes" in done.stdout
@@ -50,20 +53,22 @@ def test_arrays_hold_no_pickles(planned: Path) -> None:
             assert all(arrays[name].dtype != object for name in arrays)
 
 
-def test_equal_input_and_seed_give_equal_bytes(planned: Path, part_file: Path, tmp_path: Path, cache: Path) -> None:
+def test_equal_input_and_seed_give_equal_bytes(
+    planned: Path, part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
+) -> None:
     """A second run in another place, matrix from the cache, differs in no artefact; clock values are in none."""
-    done = run_cell("plan", str(part_file), "--units", "mm", *SMALL_PLAN, "--out", "again", cwd=tmp_path, cache=cache)
+    done = run_cell("plan", str(part_file), "--units", "mm", *small_plan, "--out", "again", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     first, second = (json.loads((run / "manifest.json").read_text()) for run in (planned, tmp_path / "again"))
     assert first["artefacts"] == second["artefacts"]
 
 
 def test_a_calculated_matrix_equals_the_cached_one(
-    planned: Path, part_file: Path, tmp_path: Path, cache: Path
+    planned: Path, part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
     """`--no-cache` gives the same artefacts as a run that found its matrix in the cache."""
-    arguments = ("plan", str(part_file), "--units", "mm", *SMALL_PLAN, "--no-cache", "--out", "fresh")
-    assert run_cell(*arguments, cwd=tmp_path, cache=cache).returncode == 0
+    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--no-cache", "--out", "fresh")
+    assert run_cell(*arguments, cwd=tmp_path).returncode == 0
     first, second = (json.loads((run / "manifest.json").read_text()) for run in (planned, tmp_path / "fresh"))
     assert first["artefacts"] == second["artefacts"]
 
@@ -101,7 +106,13 @@ def test_json_prints_one_object_on_stdout(planned: Path) -> None:
     ],
 )  # fmt: skip
 def test_bad_input_gets_one_sentence_and_its_code(
-    arguments: tuple[str, ...], code: int, words: str, part_file: Path, tmp_path: Path, cache: Path
+    arguments: tuple[str, ...],
+    code: int,
+    words: str,
+    part_file: Path,
+    tmp_path: Path,
+    run_cell: Run,
+    blob: Callable[[int], Any],
 ) -> None:
     """No traceback; the sentence names what is wrong, and the exit code is the documented one."""
     (tmp_path / "text.stl").write_text("this is no mesh\n")
@@ -113,8 +124,8 @@ def test_bad_input_gets_one_sentence_and_its_code(
     (tmp_path / "short_range.toml").write_text("[scanner]\nrange_mm = [100, 400]\n")
     (tmp_path / "taken").mkdir()
     filled = tuple(str(part_file) if word == "PART" else word for word in arguments)
-    done = run_cell(*filled, "--faces", "60", cwd=tmp_path, cache=cache) if "--faces" not in filled else run_cell(
-        *filled, cwd=tmp_path, cache=cache
+    done = (
+        run_cell(*filled, "--faces", "60", cwd=tmp_path) if "--faces" not in filled else run_cell(*filled, cwd=tmp_path)
     )
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
@@ -122,11 +133,11 @@ def test_bad_input_gets_one_sentence_and_its_code(
     assert done.stdout == ""
 
 
-def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tmp_path: Path, cache: Path) -> None:
+def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
     """Nothing reachable: the folder stays as .part with what was finished, and says why it ended."""
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--place", "9000,0,0", "--faces", "60", "--out", "far",
-        cwd=tmp_path, cache=cache,
+        cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 4
     kept = tmp_path / "far.part"
@@ -137,19 +148,23 @@ def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tm
     assert not (tmp_path / "far").exists()
 
 
-def test_a_required_coverage_that_is_missed_ends_with_code_3(part_file: Path, tmp_path: Path, cache: Path) -> None:
+def test_a_required_coverage_that_is_missed_ends_with_code_3(
+    part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
+) -> None:
     """`--require 1` cannot be met (the part stands on its post): code 3, and the finished run is kept."""
     done = run_cell(
-        "plan", str(part_file), "--units", "mm", *SMALL_PLAN, "--require", "1", "--out", "run", cwd=tmp_path, cache=cache
+        "plan", str(part_file), "--units", "mm", *small_plan, "--require", "1", "--out", "run", cwd=tmp_path
     )
     assert done.returncode == 3
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "finished"
 
 
-def test_a_negative_placement_is_not_taken_for_an_option(part_file: Path, tmp_path: Path, cache: Path) -> None:
+def test_a_negative_placement_is_not_taken_for_an_option(
+    part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
+) -> None:
     """`--place -1100,400,100` stands behind the robot and is planned there."""
-    arguments = ("plan", str(part_file), "--units", "mm", "--place", "-1100,400,100", *SMALL_PLAN[2:], "--out", "run")
-    done = run_cell(*arguments, cwd=tmp_path, cache=cache)
+    arguments = ("plan", str(part_file), "--units", "mm", "--place", "-1100,400,100", *small_plan[2:], "--out", "run")
+    done = run_cell(*arguments, cwd=tmp_path)
     assert done.returncode in (0, 4), done.stderr
     folder = tmp_path / ("run" if done.returncode == 0 else "run.part")
     T = np.array(json.loads((folder / "scene.resolved.json").read_text())["T_base_object"])
@@ -159,9 +174,7 @@ def test_a_negative_placement_is_not_taken_for_an_option(part_file: Path, tmp_pa
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("stage", ["reach", "measurability", "select, order and connect"])
-def test_ctrl_c_in_any_stage_keeps_what_was_finished(
-    stage: str, part_file: Path, tmp_path: Path, cache: Path
-) -> None:
+def test_ctrl_c_in_any_stage_keeps_what_was_finished(stage: str, part_file: Path, tmp_path: Path, cache: Path) -> None:
     """An interrupt ends with code 130, one sentence, and a folder that says where it stopped."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
     process = subprocess.Popen(
@@ -205,11 +218,11 @@ def test_a_full_disk_is_said_and_nothing_finished_is_lost(tmp_path: Path) -> Non
     assert json.loads((folder.path / "manifest.json").read_text())["status"] == "failed"
 
 
-def test_no_write_permission_is_said_before_any_work(part_file: Path, tmp_path: Path, cache: Path) -> None:
+def test_no_write_permission_is_said_before_any_work(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
     """A run folder below a plain file cannot be made: code 6 and a sentence."""
     (tmp_path / "file").write_text("")
     done = run_cell(
-        "plan", str(part_file), "--units", "mm", "--out", "file/run", "--place", "1100,400,100", cwd=tmp_path, cache=cache
+        "plan", str(part_file), "--units", "mm", "--out", "file/run", "--place", "1100,400,100", cwd=tmp_path
     )
     assert done.returncode == 6
     assert "writable --out" in done.stderr

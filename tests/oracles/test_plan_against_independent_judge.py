@@ -2,6 +2,7 @@
 
 import json
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,9 @@ def test_every_view_is_where_its_joint_angles_put_it(run: dict[str, Any]) -> Non
         T_base_flange = links(q)[-1]
         np.testing.assert_allclose(T_base_flange, view["T_base_flange"], atol=1e-9)
         np.testing.assert_allclose(T_base_flange @ T_flange_scanner, view["T_base_scanner"], atol=1e-9)
-        np.testing.assert_allclose(T_base_object @ np.array(view["T_object_scanner"]), view["T_base_scanner"], atol=1e-9)
+        np.testing.assert_allclose(
+            T_base_object @ np.array(view["T_object_scanner"]), view["T_base_scanner"], atol=1e-9
+        )
         nominal = run["viewpoints"]["T_object_scanner"][view["id"], 0]
         assert np.linalg.norm(nominal[:3, 3] - np.array(view["T_object_scanner"])[:3, 3]) < 20e-6
 
@@ -103,11 +106,17 @@ def test_the_motion_keeps_every_limit(run: dict[str, Any]) -> None:
 def fcl_shapes(folder: Path) -> dict[str, list[tuple[str, Any, np.ndarray]]]:
     """Primitives of cell.xml per body with their pose in the body: read as text, no MuJoCo."""
     tree = ET.parse(folder / "cell.xml").getroot()
+    type_of = {}
+    for default in tree.iter("default"):  # a class without a type of its own has its parent's; the shapes' is a box
+        geom = default.find("geom")
+        if default.get("class") and geom is not None:
+            type_of[default.get("class")] = geom.get("type", "box")
     found: dict[str, list[tuple[str, Any, np.ndarray]]] = {}
 
-    def visit(body: ET.Element, name: str) -> None:
+    def visit(body: ET.Element, name: str, inherited: str | None) -> None:
+        inherited = body.get("childclass", inherited)
         for geom in body.findall("geom"):
-            kind = geom.get("type", "sphere")
+            kind = geom.get("type") or type_of.get(geom.get("class", inherited), "sphere")
             size = [float(value) for value in geom.get("size", "").split()]
             T = np.eye(4)
             T[:3, 3] = [float(value) for value in geom.get("pos", "0 0 0").split()]
@@ -118,16 +127,16 @@ def fcl_shapes(folder: Path) -> dict[str, list[tuple[str, Any, np.ndarray]]]:
             elif kind == "cylinder":
                 found.setdefault(name, []).append((geom.get("name", ""), fcl.Cylinder(size[0], 2 * size[1]), T))
         for child in body.findall("body"):
-            visit(child, child.get("name", ""))
+            visit(child, child.get("name", ""), inherited)
 
     world = tree.find("worldbody")
     assert world is not None
-    visit(world, "world")
+    visit(world, "world", None)
     return found
 
 
 def test_the_motion_touches_nothing_when_checked_ten_times_finer(run: dict[str, Any]) -> None:
-    """python-fcl, primitives of the moving links and tool against the part's true triangles, post, pedestal and floor."""
+    """python-fcl: primitives of links and tool against the part's true triangles, post, pedestal and floor."""
     scene, shapes = run["scene.resolved"], fcl_shapes(run["folder"])
     moving = {name: shapes[name] for name in shapes if name.startswith("link_") and name != "link_1"}
     assert len(moving) == 5
@@ -158,7 +167,7 @@ def test_the_motion_touches_nothing_when_checked_ten_times_finer(run: dict[str, 
     via = np.degrees(run["motion"]["via_q"])
     checked, smallest = 0, np.inf
     objects = [(link, fcl.CollisionObject(geometry), T) for link, geometry, T in bodies]
-    for start, end in zip(via[:-1], via[1:], strict=True):
+    for start, end in pairwise(via):
         steps = max(2, int(np.ceil(np.abs(end - start).max() / 0.5)))
         for share in np.linspace(0, 1, steps):
             frames = links(start + share * (end - start))
@@ -221,7 +230,8 @@ def test_predicted_coverage_is_true_by_brute_force(run: dict[str, Any]) -> None:
             fits &= cosine >= np.cos(np.radians(limit))
         for row in np.flatnonzero(fits & ~seen):
             seen[row] = all(
-                not blocked(origin, points[row], triangles) and not behind_post(origin, points[row], T_post_object, post)
+                not blocked(origin, points[row], triangles)
+                and not behind_post(origin, points[row], T_post_object, post)
                 for origin in (source, sensor)
             )
     predicted = run["plan"]["coverage"]["visible"]
