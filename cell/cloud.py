@@ -1,8 +1,8 @@
 """Point clouds: single scans, the merged cloud, point spacing and normals. Object frame, metres.
 
-Normals come from local principal components and are turned toward the place from which the scanner saw the point, which is
-always outside the part. Neighbours that were seen from the opposite side do not take part, so that the two faces of a thin
-sheet keep their own normals.
+Normals come from local principal components and are turned toward the place from which the scanner saw the point, which
+is always outside the part. Neighbours that were seen from the opposite side do not take part, so that the two faces of
+a thin sheet keep their own normals.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from cell import kdtree
 from planner.errors import PlannerError
 from planner.readonly import readonly
 
@@ -21,9 +22,10 @@ Floats = NDArray[np.float64]
 NEIGHBOURS = 12
 """Neighbours for a normal: fewer follow the noise, more round off edges."""
 
-# Where a scan grazes the surface its rows lie far apart, and the nearest points are all of one row: the plane through them
-# then also holds the line of sight. No scanner measures so edge-on a surface, so such a normal is taken from more points.
-_EDGE_ON = 0.2  # cosine between normal and line of sight (78 degrees)
+# Where a scan grazes the surface its rows lie far apart, and the nearest points are all of one row: no plane is sure, or it
+# is the plane that also holds the line of sight. Such a normal is taken from more points.
+_ROW = 0.1  # second over first principal variance; a plane covered evenly has 1, three rows of four have 0.5
+_EDGE_ON = 0.2  # cosine between normal and line of sight (78 degrees): no scanner measures so edge-on a surface
 _MORE_NEIGHBOURS = (3, 8)  # times as many
 _CHUNK = 16_384  # points a pass, so that its arrays stay in the processor's cache
 
@@ -105,8 +107,8 @@ def merge(scans: Sequence[ScanCloud]) -> PointCloud:
 def point_spacing(points: Floats, scan: NDArray[np.integer] | None = None) -> float:
     """Median distance from a point to its nearest neighbour in the same scan [m].
 
-    Within a scan, because overlapping scans put points next to each other by chance, however coarse each scan is. Points
-    that coincide are no neighbours.
+    Within a scan, because overlapping scans put points next to each other by chance, however coarse each scan is.
+    Points that coincide are no neighbours.
 
     Args:
         points: (N, 3) [m].
@@ -119,7 +121,7 @@ def point_spacing(points: Floats, scan: NDArray[np.integer] | None = None) -> fl
     found = [np.empty(0)]
     for group in groups:
         if len(group) > 1:
-            distance = _tree(group).query(group, k=2, workers=2)[0][:, 1]
+            distance = kdtree.nearest(kdtree.build(group), group, 2, workers=2)[0][:, 1]
             found.append(distance[distance > 0])
     distances = np.concatenate(found)
     return float(np.median(distances)) if len(distances) else float("nan")
@@ -138,27 +140,29 @@ def estimate_normals(points: Floats, sensor_positions: Floats, *, neighbours: in
     """
     if len(points) == 0:
         return np.empty((0, 3))
-    toward = np.broadcast_to(sensor_positions, points.shape) - points
-    toward = (toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)).astype(np.float32)
+    sight = np.broadcast_to(sensor_positions, points.shape) - points
+    sight /= np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-12)
+    toward: NDArray[np.float32] = sight.astype(np.float32)
     if len(points) < 3:
-        return toward.astype(np.float64)
-    tree = _tree(points)
-    normals = _principal(tree, points, toward, np.arange(len(points)), neighbours)
+        return sight
+    tree = kdtree.build(points)
+    normals, is_sure = _principal(tree, points, toward, np.arange(len(points)), neighbours)
+    unsure = np.flatnonzero(~is_sure)
     for more in _MORE_NEIGHBOURS:
-        edge_on = np.flatnonzero(np.einsum("nj,nj->n", normals, toward) < _EDGE_ON)
-        normals[edge_on] = _principal(tree, points, toward, edge_on, more * neighbours)
+        normals[unsure], is_sure = _principal(tree, points, toward, unsure, more * neighbours)
+        unsure = unsure[~is_sure]
     return normals
 
 
 def _principal(
     tree: cKDTree, points: Floats, toward: NDArray[np.float32], chosen: NDArray[np.intp], neighbours: int
-) -> Floats:
-    """Normals (len(chosen), 3) of the chosen points from so many neighbours; see `estimate_normals`."""
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Normals (len(chosen), 3) of the chosen points from so many neighbours, and whether those span a plane."""
     count = min(neighbours, len(points))
 
-    def of_part(start: int) -> Floats:
+    def of_part(start: int) -> tuple[Floats, NDArray[np.bool_]]:
         part = chosen[start : start + _CHUNK]
-        index = tree.query(points[part], k=count)[1]
+        _, index = kdtree.nearest(tree, points[part], count)
         # float32 is enough for offsets of neighbours (7 digits of some millimetres), and halves the memory traffic.
         offsets = (points[index] - points[part, None, :]).astype(np.float32)
         weights = (np.einsum("nkj,nj->nk", toward[index], toward[part]) > 0).astype(np.float32)
@@ -166,16 +170,15 @@ def _principal(
         offsets -= (np.einsum("nkj,nk->nj", offsets, weights) / total[:, None])[:, None, :]
         offsets *= weights[:, :, None]
         covariance = np.matmul(offsets.transpose(0, 2, 1), offsets).astype(np.float64)
-        _, vectors = np.linalg.eigh(covariance)
-        normals: Floats = vectors[:, :, 0]
+        values, vectors = np.linalg.eigh(covariance)
+        normals = np.asarray(vectors[:, :, 0], dtype=np.float64)
         normals[total < 3] = toward[part][total < 3]
-        return np.where(np.einsum("nj,nj->n", normals, toward[part])[:, None] < 0, -normals, normals)
+        cosine = np.einsum("nj,nj->n", normals, toward[part])
+        normals[cosine < 0] *= -1
+        return normals, (values[:, 1] > _ROW * values[:, 2]) & (np.abs(cosine) > _EDGE_ON)
 
     with ThreadPoolExecutor(2) as pool:  # NumPy and the tree release the interpreter lock
         parts = list(pool.map(of_part, range(0, len(chosen), _CHUNK)))
-    return np.concatenate([np.empty((0, 3)), *parts])
-
-
-def _tree(points: Floats) -> cKDTree:
-    """A k-d tree with sliding midpoints: builds several times faster than a balanced one and queries as fast."""
-    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+    if not parts:
+        return np.empty((0, 3)), np.empty(0, dtype=np.bool_)
+    return np.concatenate([normals for normals, _ in parts]), np.concatenate([is_sure for _, is_sure in parts])

@@ -1,9 +1,9 @@
 """How far a reconstructed mesh is from the reference: signed, over its area and at its vertices.
 
-The deviation of a point of the mesh is its distance to the closest point of the reference, positive outside the part. The
-numbers (rms, 95 %, mean) are over area-weighted samples of the mesh, so that a region of many small faces counts no more
-than its area; the largest is over samples and vertices. What the mesh lacks does not show here: that is coverage. Object
-frame, metres.
+The deviation of a point of the mesh is its distance to the closest point of the reference, positive outside the part.
+The numbers (rms, 95 %, mean) are over area-weighted samples of the mesh, so that a region of many small faces counts no
+more than its area; the largest is over samples and vertices. What the mesh lacks does not show here: that is coverage.
+Object frame, metres.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Holes of a mesh: its open boundary loops, and faces that close them.
 
-A closing face is invented, so it is marked. A loop is closed by a fan round its middle, which is what can be said about a
-region of which nothing was measured; the fan may cut through the part where the rim of a hole is strongly bent.
+A closing face is invented, so it is marked. A loop is closed by a fan round its middle, which is what can be said about
+a region of which nothing was measured; the fan may cut through the part where the rim of a hole is strongly bent.
 """
 
 import numpy as np

@@ -1,10 +1,10 @@
 """The implicit surface of a point cloud: a signed distance blended from the nearest points and their normals.
 
 A point p with normal n predicts the distance n . (x - p) at x. Averaging these alone (implicit moving least squares,
-Kolluri, ACM Trans. Algorithms 4(2), 2008, doi:10.1145/1361192.1361195) shrinks round parts: a neighbour at distance t on a
-sphere of radius R predicts -t^2 / 2R for a point that is on the sphere. Here every neighbour predicts with the mean of its
-own normal and the blended normal: the chord between two points of a sphere is at right angles to the sum of their normals,
-so that the shrinking cancels. Object frame, metres.
+Kolluri, ACM Trans. Algorithms 4(2), 2008, doi:10.1145/1361192.1361195) shrinks round parts: a neighbour at distance t
+on a sphere of radius R predicts -t^2 / 2R for a point that is on the sphere. Here every neighbour predicts with the
+mean of its own normal and the blended normal: the chord between two points of a sphere is at right angles to the sum of
+their normals, so that the shrinking cancels. Object frame, metres.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from cell import kdtree
 from cell.cloud import PointCloud
 
 Floats = NDArray[np.float64]
@@ -51,15 +51,16 @@ class ImplicitSurface:
     def __init__(self, cloud: PointCloud, *, neighbours: int = NEIGHBOURS) -> None:
         self._points = cloud.points
         self._normals: Singles = cloud.normals.astype(np.float32)
-        self._tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)  # builds faster, queries as fast
+        self._tree = kdtree.build(cloud.points)
         self._neighbours = min(neighbours, len(cloud))
 
     def evaluate(self, positions: Floats) -> FieldValues:
         """The field at positions (N, 3) [m].
 
-        The weight (1 - (d / D)^2)^4, D just beyond the farthest neighbour, reaches zero where a neighbour drops out, and
-        depends on the sideways offset only: at a height h above the surface both d^2 and D^2 grow by h^2. Neighbours that
-        look away from the nearest point's normal get no weight: across a thin sheet they describe the other face.
+        The weight (1 - (d / D)^2)^4, D just beyond the farthest neighbour, reaches zero where a neighbour drops out,
+        and depends on the sideways offset only: at a height h above the surface both d^2 and D^2 grow by h^2.
+        Neighbours that look away from the nearest point's normal get no weight: across a thin sheet they describe the
+        other face.
         """
         starts = range(0, len(positions), _CHUNK)
         with ThreadPoolExecutor(2) as pool:  # NumPy and the tree release the interpreter lock
@@ -71,12 +72,13 @@ class ImplicitSurface:
         return FieldValues(distance, normal, nearest)
 
     def _part(self, positions: Floats) -> tuple[Singles, Singles, Singles]:
-        distance, index = self._tree.query(positions, k=self._neighbours)
-        distance = distance.reshape(-1, self._neighbours).astype(np.float32)
-        index = index.reshape(-1, self._neighbours)
+        exact, index = kdtree.nearest(self._tree, positions, self._neighbours)
+        distance = exact.astype(np.float32)
         offset = (positions[:, None, :] - self._points[index]).astype(np.float32)
         normals = self._normals[index]
         agreement = np.einsum("nkj,nj->nk", normals, normals[:, 0])
+        # A nearest point whose normal nearly all the others contradict has a wrong normal.
+        agreement[(agreement > 0).sum(axis=1) < self._neighbours / 4] *= -1
         ratio = distance / (distance[:, -1:] * np.float32(1.02) + np.float32(1e-12))
         weight = (1 - ratio**2) ** 4 * np.maximum(agreement, 0)
         weight /= weight.sum(axis=1, keepdims=True)
@@ -84,4 +86,5 @@ class ImplicitSurface:
         blended /= np.linalg.norm(blended, axis=1, keepdims=True)
         normals += blended[:, None, :]
         predicted = np.einsum("nkj,nkj->nk", normals, offset)
-        return (np.einsum("nk,nk->n", weight, predicted) / 2, blended, distance[:, 0])
+        value: Singles = np.einsum("nk,nk->n", weight, predicted) / np.float32(2)
+        return value, blended, distance[:, 0]

@@ -1,21 +1,22 @@
 """Closest point of a triangle mesh to each of many points, exact, and on which side of the surface a point lies.
 
-Every face is cut into pieces no larger than a common radius, and a k-d tree holds the pieces' centres. A piece whose centre
-is farther than (distance found so far) + (its radius) cannot hold a closer point; the answer is certified when the next
-piece that the tree would give is farther than that. Where it is not, more pieces are asked for, in the end all of them. So
-the result is the exact closest point up to rounding, whatever the triangles look like. Object frame, metres.
+Every face is cut into pieces no larger than a common radius, and a k-d tree holds the pieces' centres. A piece whose
+centre is farther than (distance found so far) + (its radius) cannot hold a closer point; the answer is certified when
+the next piece that the tree would give is farther than that. Where it is not, more pieces are asked for, in the end all
+of them. So the result is the exact closest point up to rounding, whatever the triangles look like. Object frame,
+metres.
 
-The side follows Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG 11
-(2005), doi:10.1109/TVCG.2005.49: the normal of the face, edge or corner on which the closest point lies decides, which is
-right on closed meshes also where the closest point is on an edge.
+The side follows Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG
+11 (2005), doi:10.1109/TVCG.2005.49: the normal of the face, edge or corner on which the closest point lies decides,
+which is right on closed meshes also where the closest point is on an edge.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from cell import kdtree
 from planner.closest import squared_distance
 from planner.readonly import readonly
 from planner.surface import TriangleMesh, face_normals
@@ -69,7 +70,7 @@ class NearestSurface:
         centres, self._owner, self._radius = _pieces(self._triangles)
         self._largest_radius = float(self._radius.max())
         self._rounding = 1e-12 * float(np.abs(mesh.vertices).max())
-        self._tree = cKDTree(centres, balanced_tree=False, compact_nodes=False)  # builds faster, queries as fast
+        self._tree = kdtree.build(centres)
         self._corner_normals: Floats | None = None
         self._edge_normals: Floats | None = None
         self._smooth: Floats | None = None
@@ -132,20 +133,17 @@ class NearestSurface:
             count = min(count * _MORE, len(self._owner))
         return result
 
-    def _try(
-        self, points: Floats, chosen: Indices, count: int, result: NDArray[np.int32]
-    ) -> NDArray[np.bool_]:
+    def _try(self, points: Floats, chosen: Indices, count: int, result: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Take the best of `count` pieces into `result`; whether it is certain."""
         query = points[chosen]
-        distance, piece = self._tree.query(query, k=count, workers=2)
-        distance, piece = distance.reshape(-1, count), piece.reshape(-1, count)
+        distance, piece = kdtree.nearest(self._tree, query, count, workers=2)
         face = self._owner[piece]
-        first = squared_distance(query, self._triangles, face[:, 0])
+        first = self._squared_distance(query, face[:, 0])
         reach = np.sqrt(first) + self._rounding
         row, column = np.nonzero(distance[:, 1:] - self._radius[piece[:, 1:]] <= reach[:, None])
         squared = np.full(face.shape, np.inf)
         squared[:, 0] = first
-        squared[row, column + 1] = squared_distance(query[row], self._triangles, face[row, column + 1])
+        squared[row, column + 1] = self._squared_distance(query[row], face[row, column + 1])
         best = np.argmin(squared, axis=1)
         rows = np.arange(len(chosen))
         result[chosen] = face[rows, best]
@@ -154,6 +152,10 @@ class NearestSurface:
         found = np.sqrt(squared[rows, best]) + self._rounding
         certain: NDArray[np.bool_] = distance[:, -1] - self._largest_radius > found
         return certain
+
+    def _squared_distance(self, points: Floats, face: NDArray[np.int32]) -> Floats:
+        """(N,) squared distance [m^2] of each point to one face; only these triangles are touched."""
+        return squared_distance(points, self._triangles[face], np.arange(len(face)))
 
     def _pseudonormals(self, closest: ClosestPoints) -> Floats:
         """(N, 3) normals of the feature (face, edge, corner) on which each closest point lies; not of unit length."""
@@ -178,9 +180,7 @@ class NearestSurface:
                 back = _unit(triangles[:, (i + 2) % 3] - triangles[:, i])
                 angle = np.arccos(np.clip(np.einsum("fj,fj->f", out, back), -1, 1))
                 for axis in range(3):
-                    corner[:, axis] += np.bincount(
-                        faces[:, i], angle * self._normals[:, axis], minlength=len(corner)
-                    )
+                    corner[:, axis] += np.bincount(faces[:, i], angle * self._normals[:, axis], minlength=len(corner))
             opposite = np.stack([faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]], axis=1).astype(np.int64)
             opposite.sort(axis=2)
             key = opposite[:, :, 0] * len(corner) + opposite[:, :, 1]
@@ -189,21 +189,22 @@ class NearestSurface:
                 [np.bincount(edge.ravel(), np.repeat(self._normals[:, axis], 3)) for axis in range(3)], axis=1
             )
             self._corner_normals = _unit(corner)
-            self._edge_normals = total[edge].reshape(-1, 3, 3)
+            self._edge_normals = np.asarray(total[edge].reshape(-1, 3, 3), dtype=np.float64)
         return self._corner_normals, self._edge_normals
 
 
 def _unit(vectors: Floats) -> Floats:
     """Vectors of length one along the last axis; a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    unit: Floats = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return unit
 
 
 def _foot_weights(points: Floats, triangles: Floats) -> Floats:
     """Barycentric coordinates of the closest point of one triangle each.
 
-    The foot of the perpendicular where it lies inside, else the nearest of the closest points of the three edges (which is
-    also right for a triangle without area).
+    The foot of the perpendicular where it lies inside, else the nearest of the closest points of the three edges (which
+    is also right for a triangle without area).
 
     Args:
         points: (N, 3) [m].
@@ -248,9 +249,7 @@ def _pieces(triangles: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
     """
     owner = np.arange(len(triangles), dtype=np.int32)
     centre, radius = _centre_and_radius(triangles)
-    area = np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    ).sum()
+    area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1).sum()
     # A piece of radius r cut from a large triangle has about the area r^2; long thin faces give length / r pieces.
     limit = max(float(np.quantile(radius, 0.9)), float(np.sqrt(area / 2 / _PIECES)), radius.sum() / (4 * _PIECES))
     limit = min(limit, float(radius.max()))

@@ -1,9 +1,9 @@
 """Surface of a merged cloud: signed distance on a sparse grid, marching cubes, and nothing where nothing was measured.
 
-The grid is filled only along the surface: first the corners of the cells that hold a point, then from cell to cell across
-faces on which the sign changes, until no datum is near. Marching cubes (scikit-image) turns the filled cells into faces,
-each vertex is put on the implicit surface, and what is farther than two point spacings from any datum is cut away: holes
-stay holes. Object frame, metres.
+The grid is filled only along the surface: first the corners of the cells that hold a point, then from cell to cell
+across faces on which the sign changes, until no datum is near. Marching cubes (scikit-image) turns the filled cells
+into faces, each vertex is put on the implicit surface, and what is farther than two point spacings from any datum is
+cut away: holes stay holes. Object frame, metres.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from cell import kdtree
 from cell.cloud import PointCloud, point_spacing
 from cell.holes import close_holes
 from cell.implicit import FieldValues, ImplicitSurface
@@ -27,10 +27,13 @@ REACH = 2.0
 """Surface farther than this many point spacings from any datum is cut away."""
 
 _GRID = 1.0  # of the point spacing: finer costs with its square and follows the noise
-_LARGEST_GRID = 60_000_000  # nodes of the box round the part (4 bytes each, and a byte of mask); a larger one is coarsened
+_LARGEST_GRID = (
+    60_000_000  # nodes of the box round the part (4 bytes each, and a byte of mask); a larger one is coarsened
+)
 _FEWEST_POINTS = 12
 _LONELY = 3.0  # a point whose fourth neighbour is farther than so many spacings is an outlier
 _OFF_SURFACE = 5.0  # a point so many robust standard deviations off its neighbours' surface is an outlier
+_LEAST = 1e-3  # of a cell: nearer than this to a node or a wall counts as on it
 _CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
@@ -51,7 +54,8 @@ class Reconstruction:
         mesh: the surface, object frame; None unless DONE.
         closed: (F,) True for faces that close a hole: invented, not measured.
         spacing: point spacing that chose the resolution [m]; NaN without points.
-        grid: edge of a grid cell [m]; NaN without a grid.
+        grid: edge of a grid cell [m]; larger than asked for where the box round the points would hold too many cells; NaN
+            without a grid.
         nodes: grid nodes at which the distance was evaluated.
         outliers: points left out because they lie alone or off their neighbours' surface.
         holes: open boundary loops of the measured surface (closed ones included).
@@ -76,7 +80,8 @@ def reconstruct(
 ) -> Reconstruction:
     """Surface of a cloud.
 
-    Two faces of a sheet are kept apart where the sheet is thicker than one grid cell; pass a finer grid for a thinner one.
+    Two faces of a sheet are kept apart where the sheet is thicker than one grid cell; pass a finer grid for a thinner
+    one.
 
     Args:
         cloud: merged scans with normals, object frame.
@@ -95,8 +100,8 @@ def reconstruct(
     kept = without_outliers(cloud, spacing) if len(cloud) >= _FEWEST_POINTS and spacing > 0 else cloud
     outliers = len(cloud) - len(kept)
 
-    def nothing(status: ReconstructionStatus, nodes: int = 0) -> Reconstruction:
-        return Reconstruction(status, None, np.empty(0, np.bool_), spacing, float("nan"), nodes, outliers, 0)
+    def nothing(status: ReconstructionStatus, step: float = float("nan"), nodes: int = 0) -> Reconstruction:
+        return Reconstruction(status, None, np.empty(0, np.bool_), spacing, step, nodes, outliers, 0)
 
     if len(kept) < _FEWEST_POINTS or not spacing > 0:
         return nothing(ReconstructionStatus.TOO_FEW_POINTS)
@@ -106,14 +111,12 @@ def reconstruct(
     volume.fill(surface, kept.points)
     found = volume.contour()
     if found is None:
-        return nothing(ReconstructionStatus.NO_SURFACE, volume.nodes)
+        return nothing(ReconstructionStatus.NO_SURFACE, volume.step, volume.nodes)
     vertices, faces = _settle(surface, *found, cut, volume.step)
     if not len(faces):
-        return nothing(ReconstructionStatus.NO_SURFACE, volume.nodes)
+        return nothing(ReconstructionStatus.NO_SURFACE, volume.step, volume.nodes)
     mesh, closed, holes = close_holes(TriangleMesh(vertices, faces), close=close)
-    return Reconstruction(
-        ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes
-    )
+    return Reconstruction(ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes)
 
 
 def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
@@ -123,8 +126,7 @@ def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
         cloud: merged scans with normals, at least 12 points.
         spacing: point spacing [m].
     """
-    tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)
-    distance, index = tree.query(cloud.points, k=min(9, len(cloud)), workers=2)
+    distance, index = kdtree.nearest(kdtree.build(cloud.points), cloud.points, min(9, len(cloud)), workers=2)
     alone = distance[:, 4] > _LONELY * spacing
     # The height over the neighbours' planes; the median is not moved by an outlier among the neighbours.
     offset = cloud.points[:, None, :] - cloud.points[index[:, 1:]]
@@ -160,8 +162,13 @@ class _Grid:
 
     def fill(self, surface: ImplicitSurface, points: Floats) -> None:
         """Evaluate the nodes along the surface, from the cells that hold a point outward."""
-        cell = np.floor((points - self.origin) / self.step).astype(np.int64)
-        cells = _distinct(cell @ self._stride)
+        # A point on the wall between two cells belongs to both: rounding decides which of them the surface crosses.
+        place = (points - self.origin) / self.step
+        cells = _distinct(
+            np.concatenate(
+                [_distinct(np.floor(place + _LEAST * (2 * c - 1)).astype(np.int64) @ self._stride) for c in _CORNERS]
+            )
+        )
         is_seen = np.zeros(len(self._value), dtype=np.bool_)
         while len(cells):
             is_seen[cells] = True
@@ -181,8 +188,9 @@ class _Grid:
         """Signed distance at nodes; NaN remains where no datum is near."""
         index = np.stack(np.unravel_index(nodes, self.shape), axis=1)
         field = surface.evaluate(self.origin + self.step * index)
-        # Exactly zero would make faces without area.
-        distance = np.where(field.distance == 0, np.float32(1e-9), field.distance)
+        # A surface through a node would make faces without area there; the vertices are put right at the end.
+        least = np.float32(_LEAST * self.step)
+        distance = np.where(field.distance < 0, np.minimum(field.distance, -least), np.maximum(field.distance, least))
         self._value[nodes] = np.where(field.nearest <= self._cut, distance, np.float32(np.nan))
         self.nodes += len(nodes)
 
@@ -206,9 +214,7 @@ class _Grid:
         mask = np.zeros_like(self._is_active)
         mask[self._corner[-1] :] = self._is_active[: -self._corner[-1]]
         volume = np.where(np.isnan(self._value), np.float32(self.step), self._value).reshape(self.shape)
-        vertices, faces, _, _ = marching_cubes(
-            volume, 0.0, mask=mask.reshape(self.shape), gradient_direction="descent", allow_degenerate=False
-        )
+        vertices, faces, _, _ = marching_cubes(volume, 0.0, mask=mask.reshape(self.shape), gradient_direction="descent")
         return self.origin + self.step * vertices.astype(np.float64), faces.astype(np.int32)
 
 

@@ -1,0 +1,125 @@
+"""Closest points and signed distances against brute force, python-fcl and closed forms."""
+
+import fcl
+import numpy as np
+import pytest
+import trimesh
+
+from cell.deviation import deviation
+from cell.nearest import NearestSurface
+from planner.surface import TriangleMesh
+
+
+def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:
+    return TriangleMesh(mesh.vertices, mesh.faces)
+
+
+def _slivers() -> trimesh.Trimesh:
+    """A box of 1000 : 1 : 1 next to a fine ball: long thin faces beside small ones."""
+    return trimesh.util.concatenate(
+        [trimesh.creation.box((1.0, 0.001, 0.001)), trimesh.creation.icosphere(3, 0.02).apply_translation((0.1, 0.1, 0))]
+    )
+
+
+MESHES = {
+    "box of 12 faces": trimesh.creation.box((0.1, 0.2, 0.05)),
+    "ball": trimesh.creation.icosphere(3, 0.1),
+    "torus": trimesh.creation.torus(0.1, 0.03),
+    "slivers": _slivers(),
+    "one triangle": trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0]], [[0, 1, 2]], process=False),
+    "a face without area": trimesh.Trimesh(
+        [[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0.05, 0, 0]], [[0, 1, 2], [0, 3, 1]], process=False
+    ),
+}
+
+
+def _segment(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    length = max(float((b - a) @ (b - a)), 1e-300)
+    step = np.clip((points - a) @ (b - a) / length, 0, 1)
+    return np.linalg.norm(points - a - step[:, None] * (b - a), axis=1)
+
+
+def _brute(points: np.ndarray, mesh: TriangleMesh) -> np.ndarray:
+    """Distance to each triangle in turn: the plane where the foot is inside (by signs of three areas), else the edges."""
+    best = np.full(len(points), np.inf)
+    for a, b, c in mesh.vertices[mesh.faces]:
+        normal = np.cross(b - a, c - a)
+        here = np.minimum(np.minimum(_segment(points, a, b), _segment(points, b, c)), _segment(points, c, a))
+        if normal @ normal > 0:
+            normal = normal / np.linalg.norm(normal)
+            height = (points - a) @ normal
+            foot = points - height[:, None] * normal
+            inside = np.ones(len(points), dtype=bool)
+            for start, end in ((a, b), (b, c), (c, a)):
+                inside &= np.cross(end - start, foot - start) @ normal >= 0
+            here = np.where(inside, np.abs(height), here)
+        best = np.minimum(best, here)
+    return best
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_distance_equals_brute_force(name: str) -> None:
+    """The distance is exact (to 1e-9 of the size) near the surface, far from it, at its middle and on its corners."""
+    mesh = _mesh(MESHES[name])
+    rng = np.random.default_rng(1)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    size = float(np.linalg.norm(high - low))
+    points = np.concatenate(
+        [
+            rng.uniform(low - size / 2, high + size / 2, (150, 3)),
+            mesh.vertices[rng.integers(len(mesh.vertices), size=50)],
+            mesh.vertices[mesh.faces].mean(axis=1)[rng.integers(len(mesh.faces), size=50)] + rng.normal(0, 1e-3, (50, 3)),
+            [mesh.vertices.mean(axis=0), low, 20 * high],
+        ]
+    )
+    closest = NearestSurface(mesh).closest(points)
+    np.testing.assert_allclose(closest.distance, _brute(points, mesh), rtol=0, atol=1e-9 * size)
+    corners = mesh.vertices[mesh.faces[closest.face]]
+    assert (closest.weights >= 0).all()
+    np.testing.assert_allclose(closest.weights.sum(axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("nc,ncj->nj", closest.weights, corners), closest.point, atol=1e-12 * size)
+
+
+def test_distance_equals_fcl() -> None:
+    """python-fcl finds the same distance from outside a torus."""
+    torus = MESHES["torus"]
+    model = fcl.BVHModel()
+    model.beginModel(len(torus.vertices), len(torus.faces))
+    model.addSubModel(np.asarray(torus.vertices), np.asarray(torus.faces))
+    model.endModel()
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-0.2, 0.2, (300, 3))
+    points = points[np.hypot(np.hypot(points[:, 0], points[:, 1]) - 0.1, points[:, 2]) > 0.035]
+    assert len(points) > 200
+    radius = 1e-5
+    found = [
+        fcl.distance(
+            fcl.CollisionObject(model), fcl.CollisionObject(fcl.Sphere(radius), fcl.Transform(np.eye(3), point))
+        )
+        for point in points
+    ]
+    distance = NearestSurface(_mesh(torus)).closest(points).distance
+    np.testing.assert_allclose(np.array(found) + radius, distance, atol=2e-6)
+
+
+def test_sign_on_a_closed_mesh_is_inside_or_outside() -> None:
+    """Also where an edge or a corner of a box is closest, the sign tells inside from outside (closed form)."""
+    half = np.array([0.05, 0.1, 0.025])
+    nearest = NearestSurface(_mesh(MESHES["box of 12 faces"]))
+    points = np.random.default_rng(3).uniform(-2, 2, (3000, 3)) * half
+    beyond = np.abs(points) - half
+    exact = np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
+    np.testing.assert_allclose(nearest.signed(points, nearest.closest(points)), exact, atol=1e-12)
+
+
+def test_deviation_of_a_grown_ball_is_its_growth() -> None:
+    """A fine ball 0.3 mm too large deviates by +0.3 mm all over; one too small by -0.3 mm; facets explain the rest."""
+    reference = _mesh(trimesh.creation.icosphere(5, 0.05))
+    rng = np.random.default_rng(4)
+    sagitta = 0.05 * (0.05 / 0.05 / 2**5) ** 2  # generous: facets of an edge of about R / 2^5
+    for growth in (3e-4, -3e-4):
+        result = deviation(_mesh(trimesh.creation.icosphere(5, 0.05 + growth)), reference, rng, count=20_000)
+        assert result.mean == pytest.approx(growth, abs=sagitta)
+        assert result.rms == pytest.approx(abs(growth), abs=sagitta)
+        assert result.quantile_95 == pytest.approx(abs(growth), abs=sagitta)
+        np.testing.assert_allclose(result.at_vertices, growth, atol=sagitta)

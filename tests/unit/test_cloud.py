@@ -1,0 +1,70 @@
+"""Clouds: normals, point spacing, merging, and refusing what is no number."""
+
+import numpy as np
+import pytest
+
+from cell.cloud import ScanCloud, estimate_normals, merge, point_spacing
+from planner.errors import PlannerError
+
+
+def _ball(count: int, rng: np.random.Generator) -> np.ndarray:
+    points = rng.normal(size=(count, 3))
+    return 0.05 * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def test_normals_of_a_ball_point_away_from_its_middle() -> None:
+    """Within 2.5 degrees for 20,000 points at random (neighbours span 3 degrees), each turned toward its own sensor."""
+    points = _ball(20_000, np.random.default_rng(0))
+    sensors = points * 7 + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape)
+    cosine = np.einsum("nj,nj->n", estimate_normals(points, sensors), points / 0.05)
+    assert np.degrees(np.arccos(cosine.clip(-1, 1))).max() < 2.5
+
+
+def test_rows_far_apart_do_not_turn_normals_across_the_rows() -> None:
+    """A plane scanned at 75 degrees, points 0.3 mm apart in rows 5 mm apart, keeps its own normal."""
+    x, y = np.meshgrid(np.arange(-20, 20, 0.3) * 1e-3, np.arange(-20, 20, 5.0) * 1e-3)
+    points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    sensor = 0.3 * np.array([0, np.sin(np.radians(75)), np.cos(np.radians(75))])
+    rough = points + np.random.default_rng(0).normal(0, 2e-6, points.shape)
+    assert estimate_normals(rough, sensor)[:, 2].min() > 0.99
+
+
+def test_the_two_faces_of_a_thin_sheet_keep_their_own_normals() -> None:
+    """A sheet of 0.3 mm with points 1 mm apart on both faces: the nearest neighbour is across, the normal is not bent."""
+    x, y = np.meshgrid(np.arange(40) * 1e-3, np.arange(40) * 1e-3)
+    face = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    points = np.concatenate([face, face - [0, 0, 3e-4]])
+    sensors = np.where(np.arange(len(points))[:, None] < len(face), [[0.02, 0.02, 0.3]], [[0.02, 0.02, -0.3]])
+    normals = estimate_normals(points, sensors)
+    np.testing.assert_allclose(normals[: len(face), 2], 1, atol=1e-6)
+    np.testing.assert_allclose(normals[len(face) :, 2], -1, atol=1e-6)
+
+
+def test_spacing_is_of_the_scan_not_of_the_overlap() -> None:
+    """Two grids of 1 mm, one shifted by 0.1 mm, have a spacing of 1 mm; taken as one cloud, of 0.1 mm."""
+    x, y = np.meshgrid(np.arange(30) * 1e-3, np.arange(30) * 1e-3)
+    grid = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    both, scan = np.concatenate([grid, grid + [1e-4, 0, 0]]), np.repeat([0, 1], len(grid))
+    assert point_spacing(both, scan) == pytest.approx(1e-3)
+    assert point_spacing(both) == pytest.approx(1e-4)
+    assert np.isnan(point_spacing(grid[:1]))
+    assert np.isnan(point_spacing(grid[[0, 0, 0]]))
+
+
+def test_merge_keeps_order_and_tells_the_scans_apart() -> None:
+    """Points come scan by scan, an empty scan leaves no gap, no scans give an empty cloud."""
+    rng = np.random.default_rng(2)
+    scans = [ScanCloud(_ball(count, rng), np.array([0, 0, 0.5])) for count in (50, 0, 30)]
+    cloud = merge(scans)
+    assert cloud.points.tobytes() == np.concatenate([scans[0].points, scans[2].points]).tobytes()
+    assert cloud.scan.tolist() == [0] * 50 + [2] * 30
+    assert len(merge([])) == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_no_number_is_refused_by_name(bad: float) -> None:
+    """A scan with NaN or infinity says how many points are bad."""
+    points = np.zeros((5, 3))
+    points[3, 1] = bad
+    with pytest.raises(PlannerError, match=r"points of the scan: 1 of 5 have NaN or infinity"):
+        ScanCloud(points, np.zeros(3))

@@ -1,0 +1,61 @@
+"""What the deviation of a mesh counts, and how its histogram reads."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.deviation import area_samples, deviation
+from planner.errors import PlannerError
+from planner.surface import TriangleMesh
+
+BOX = trimesh.creation.box((0.1, 0.1, 0.1))
+REFERENCE = TriangleMesh(BOX.vertices, BOX.faces)
+
+
+def test_a_mesh_that_is_the_reference_deviates_by_nothing() -> None:
+    """Every number is zero up to rounding and the histogram still holds the whole area."""
+    result = deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=1000)
+    assert max(result.rms, abs(result.mean), result.quantile_95, result.largest) < 1e-15
+    assert result.histogram.sum() == pytest.approx(1)
+
+
+def test_area_counts_not_faces() -> None:
+    """One of two equal squares is lifted by 1 mm and cut into 200 faces: its share of the area stays one half."""
+    flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
+    ticks = np.linspace(0, 0.1, 101)
+    strip = np.concatenate([np.stack([ticks, 0 * ticks, 0 * ticks], 1), np.stack([ticks, 0 * ticks + 0.1, 0 * ticks], 1)])
+    i = np.arange(100)
+    fine = np.concatenate([np.stack([i, i + 1, i + 102], 1), np.stack([i, i + 102, i + 101], 1)])
+    lifted = strip + [0.2, 0, 0.001]
+    mesh = TriangleMesh(np.concatenate([flat, lifted]), np.concatenate([[[0, 1, 2], [0, 2, 3]], fine + 4]))
+    plane = np.array([[-1, -1, 0], [2, -1, 0], [2, 2, 0], [-1, 2, 0.0]])
+    result = deviation(mesh, TriangleMesh(plane, [[0, 1, 2], [0, 2, 3]]), np.random.default_rng(1), count=10_000)
+    assert result.mean == pytest.approx(0.0005, rel=1e-3)
+    assert result.rms == pytest.approx(0.001 / np.sqrt(2), rel=1e-3)
+    assert result.largest == pytest.approx(0.001)
+    np.testing.assert_allclose(result.at_vertices, np.r_[np.zeros(4), np.full(202, 0.001)], atol=1e-15)
+    assert result.histogram[result.bin_edges[:-1] > 0.0005].sum() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_samples_lie_on_the_mesh_and_follow_its_area() -> None:
+    """Each sixth of a cube's area holds a sixth of the samples to within one or two strata."""
+    points = area_samples(REFERENCE, 6000, np.random.default_rng(2))
+    assert np.abs(np.abs(points).max(axis=1) - 0.05).max() < 1e-12
+    sides = [(np.abs(points[:, axis] - side) < 1e-12).sum() for axis in range(3) for side in (-0.05, 0.05)]
+    assert np.abs(np.array(sides) - 1000).max() <= 4
+
+
+def test_equal_seeds_give_equal_numbers() -> None:
+    """The same generator state gives bit-equal results."""
+    first, second = (deviation(REFERENCE, REFERENCE, np.random.default_rng(5), count=500) for _ in range(2))
+    assert (first.rms, first.largest) == (second.rms, second.largest)
+    assert first.histogram.tobytes() == second.histogram.tobytes()
+
+
+def test_what_cannot_be_measured_is_refused() -> None:
+    """No samples, and a mesh without area, are named."""
+    with pytest.raises(PlannerError, match="count is 0"):
+        deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=0)
+    line = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
+    with pytest.raises(PlannerError, match="no area"):
+        area_samples(line, 10, np.random.default_rng(0))
