@@ -46,26 +46,29 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     """Draw `fill_speed_accuracy.png`: one panel per part, seconds against the error of predicted visible coverage."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.patheffects import withStroke
 
     figure = Figure(figsize=(11.0, 6.6), dpi=120, layout="constrained")
     axes = figure.subplots(2, 3, sharex=True, sharey=True)
     for axis, part in zip(axes.flat, stand_ins.NAMES, strict=True):
-        for method, marker in (("rays", "s"), ("aimed", "o")):
+        for method, marker, left in (("rays", "s", False), ("aimed", "o", True)):
             points = [row for row in rows if row["part"] == part and row["fill"].startswith(method)]
             seconds = [row["seconds"] for row in points]
             errors = [max(abs(row["error points"]), 0.02) for row in points]
-            axis.plot(seconds, errors, marker=marker, color=_COLOURS[method], linewidth=1.4, markersize=5)
+            axis.plot(seconds, errors, marker=marker, color=_COLOURS[method], linewidth=1.4, markersize=5, label=method)
             for row, x, y in zip(points, seconds, errors, strict=True):
                 label = row["fill"].removeprefix(method).strip().removesuffix("/face")
                 axis.annotate(
-                    label, (x, y), xytext=(0, 6), textcoords="offset points", ha="center", fontsize=8,
-                    color=_COLOURS[method],
+                    f"{label} ({row['views']})", (x, y), xytext=(-6 if left else 6, -3), textcoords="offset points",
+                    ha="right" if left else "left", fontsize=7.5, color=_COLOURS[method],
+                    path_effects=[withStroke(linewidth=2.5, foreground="white")],
                 )  # fmt: skip
         axis.axhline(2.0, color="0.6", linewidth=0.8, linestyle=(0, (4, 3)))
         axis.set_title(part, fontsize=10, loc="left")
         axis.set_xscale("log")
         axis.set_yscale("log")
-        axis.set_ylim(0.015, 120)
+        axis.set_xlim(0.02, 90)
+        axis.set_ylim(0.01, 120)
         axis.grid(color="0.92", linewidth=0.6)
         axis.set_axisbelow(True)
         for side in ("top", "right"):
@@ -74,7 +77,11 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     axes[0, 0].set_yticks(ticks, ["≤ 0.02", "0.1", "1", "2", "10", "100"])
     figure.supylabel("error of predicted visible coverage [percentage points]", fontsize=10)
     figure.supxlabel("time to fill the measurability matrix [s]", fontsize=10)
-    figure.suptitle("Rays (squares, at 4, 2, 1, 0.5 deg) and aimed samples (circles, 1, 2, 4, 8 per face)", fontsize=11)
+    figure.suptitle(
+        "Filled by rays (their spacing) or by aimed legs (samples per face); in brackets: views of the greedy plan",
+        fontsize=11,
+    )
+    axes[0, 0].legend(frameon=False, fontsize=9, loc="upper left")
     FigureCanvasAgg(figure)
     figure.savefig(folder / "fill_speed_accuracy.png", format="png", metadata={"Software": "scan-cell"})
 
