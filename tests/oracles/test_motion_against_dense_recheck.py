@@ -1,0 +1,208 @@
+"""Whole motions of a toy arm among spheres, re-checked ten times finer on the sampled motion by plain distances."""
+
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from planner.edge import STEP
+from planner.ports import JointLimits
+from planner.timing import Motion, move_time, retime
+from planner.tour import MotionBudget, Tour, TourStatus, plan_motion
+
+LIMITS = JointLimits(
+    lower=np.radians([-185, -155, -130, -350, -130, -350]),
+    upper=np.radians([185, 35, 154, 350, 130, 350]),
+    velocity=np.radians([156, 156, 156, 330, 330, 615]),
+    acceleration=np.radians([312, 312, 312, 660, 660, 1230]),
+)
+HOME = np.radians([0.0, -90, 90, 0, 90, 0])
+
+# A chain in the proportions of an industrial arm, stretched forward at q = 0: axes, points on them, balls by link.
+AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], dtype=float)
+POINTS = np.array([[0, 0, 0], [0.26, 0, 0.68], [0.94, 0, 0.68], [0.94, 0, 0.64], [1.61, 0, 0.64], [1.61, 0, 0.64]])
+BALLS = [(2, x, 0.68, 0.12) for x in np.linspace(0.26, 0.94, 5)]
+BALLS += [(3, x, 0.64, 0.1) for x in np.linspace(0.94, 1.5, 5)]
+BALLS += [(5, 1.61, 0.64, 0.09), (6, 1.8, 0.64, 0.06), (6, 1.9, 0.58, 0.05), (6, 1.9, 0.7, 0.05)]
+LINK = np.array([ball[0] for ball in BALLS])
+CENTRE = np.array([[x, 0.0, z] for _, x, z, _ in BALLS])
+RADIUS = np.array([radius for *_, radius in BALLS])
+
+
+def reach() -> np.ndarray:
+    """How far each axis can move any surface point per radian: the stretched chain beyond it."""
+    tool = (np.linalg.norm(CENTRE - POINTS[4], axis=1) + RADIUS)[LINK >= 5].max()
+    spin = (np.abs(CENTRE[:, 2] - 0.64) + RADIUS)[LINK == 6].max()
+    elbow = max(
+        float(np.linalg.norm(POINTS[4] - POINTS[2]) + tool),
+        float((np.linalg.norm(CENTRE - POINTS[2], axis=1) + RADIUS)[LINK == 3].max()),
+    )
+    shoulder = float(np.linalg.norm(POINTS[2] - POINTS[1])) + elbow
+    return np.array([0.26 + shoulder, shoulder, elbow, tool, tool, spin])
+
+
+class Arm:
+    """Balls on an arm against spheres, a floor, and its own tool against its upper arm (both of which move)."""
+
+    clearance = 0.01
+
+    def __init__(self, spheres: np.ndarray) -> None:
+        self.spheres = spheres
+        self.weights = reach()
+
+    def centres(self, q: np.ndarray) -> np.ndarray:
+        """(N, balls, 3) centres of the balls [m], by the product of the joints' rotations."""
+        rotation, position = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
+        out = np.zeros((len(q), len(BALLS), 3))
+        for joint in range(6):
+            x, y, z = AXES[joint]
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            s, c = np.sin(q[:, joint])[:, None, None], np.cos(q[:, joint])[:, None, None]
+            turn = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
+            position = position + (rotation @ (POINTS[joint] - turn @ POINTS[joint])[..., None])[..., 0]
+            rotation = rotation @ turn
+            mine = joint + 1 == LINK
+            out[:, mine] = CENTRE[mine] @ rotation.transpose(0, 2, 1) + position[:, None]
+        return out
+
+    def distances(self, q: np.ndarray) -> np.ndarray:
+        p = self.centres(q)
+        outside = np.linalg.norm(p[:, :, None] - self.spheres[:, :3], axis=3) - RADIUS[:, None] - self.spheres[:, 3]
+        floor = p[:, :, 2] - RADIUS + 0.6
+        tool, upper = LINK == 6, LINK == 2
+        own = np.linalg.norm(p[:, tool, None] - p[:, None, upper], axis=3) - RADIUS[tool, None] - RADIUS[upper]
+        return np.concatenate([outside.reshape(len(q), -1), floor, own.reshape(len(q), -1)], axis=1)
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        return self.distances(q).min(axis=1) >= self.clearance
+
+    def contacts(self, q: np.ndarray) -> tuple[str, ...]:
+        near = self.distances(q[None])[0]
+        return tuple(f"pair {k}" for k in np.argsort(near) if near[k] < self.clearance)
+
+    def distance(self, q: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        near = self.distances(q)
+        return near.min(axis=1), tuple(f"pair {k}" for k in near.argmin(axis=1))
+
+    def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
+        return np.abs(np.asarray(q_to) - q_from) @ self.weights
+
+
+def cell_with_part(seed: int, n: int) -> tuple[Arm, list[np.ndarray], np.ndarray]:
+    """A part on a post between two pillars, and views: two free joint solutions each, tool near the part."""
+    rng = np.random.default_rng(seed)
+    post = [(1.2, 0.2, z, 0.06) for z in np.arange(-0.6, 0.4, 0.12)]
+    pillars = [(x, y, z, 0.08) for x, y in ((0.75, 0.6), (0.75, -0.3)) for z in np.arange(-0.6, 1.2, 0.14)]
+    arm = Arm(np.array([(1.2, 0.2, 0.5, 0.22), *post, *pillars]))
+    q = rng.uniform(LIMITS.lower, LIMITS.upper, (60_000, 6)) * [0.5, 1, 1, 1, 1, 1]
+    q = np.radians(np.round(np.degrees(q), 4))
+    tip = arm.centres(q)[:, LINK == 6].mean(axis=1)
+    near = np.abs(np.linalg.norm(tip - [1.2, 0.2, 0.5], axis=1) - 0.45) < 0.12
+    q = q[near]
+    q = q[arm.free(q)]
+    configurations = [q[2 * k : 2 * k + 2] for k in range(n)]
+    assert all(len(c) == 2 for c in configurations)
+    poses = np.tile(np.eye(4), (n, 1, 1))
+    poses[:, :3, 3] = [arm.centres(c[:1])[0, LINK == 6].mean(axis=0) for c in configurations]
+    return arm, configurations, poses
+
+
+@lru_cache
+def planned(seed: int) -> tuple[Arm, Tour, Motion]:
+    """A tour of eight views and its motion."""
+    arm, configurations, poses = cell_with_part(seed, 8)
+    tour = plan_motion(configurations, HOME, arm, LIMITS, poses, np.random.default_rng(seed))
+    return arm, tour, retime(tour.via, tour.segment, tour.view, LIMITS)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_configuration_of_the_driven_motion_is_in_contact(seed: int) -> None:
+    """Samples at a tenth of the certified spacing keep what certification promises: 0.55 c outside, 0.1 c of itself."""
+    arm, tour, _ = planned(seed)
+    assert tour.status is TourStatus.COMPLETE
+    outside = len(arm.spheres) * len(BALLS) + len(BALLS)
+    for a, b in zip(tour.via[:-1], tour.via[1:], strict=True):
+        n = 10 * (2 + int(arm.travel(a, b) / (2 * STEP * arm.clearance)))
+        near = arm.distances(a + np.linspace(0, 1, n)[:, None] * (b - a))
+        assert near[:, :outside].min() >= (1 - STEP) * arm.clearance
+        assert near[:, outside:].min() >= (1 - 2 * STEP) * arm.clearance
+
+
+def test_the_motions_needed_detours() -> None:
+    """Precondition of this file: straight moves alone would not have done."""
+    assert sum(int(planned(seed)[1].detour.sum()) for seed in range(2)) >= 1
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_limit_is_exceeded_by_samples_or_their_differences(seed: int) -> None:
+    """Speeds, accelerations, first and second finite differences of q stay within the limits without tolerance."""
+    _, tour, motion = planned(seed)
+    speeds = np.diff(motion.q, axis=0) / np.diff(motion.t)[:, None]
+    middles = 0.5 * (motion.t[1:] + motion.t[:-1])
+    accelerations = np.diff(speeds, axis=0) / np.diff(middles)[:, None]
+    for what, limit in (
+        (motion.qd, LIMITS.velocity),
+        (speeds, LIMITS.velocity),
+        (motion.qdd, LIMITS.acceleration),
+        (accelerations, LIMITS.acceleration),
+    ):
+        assert (np.abs(what) <= limit).all()
+        assert (np.abs(what) / limit).max() > 0.99  # the limits are used
+    assert (motion.q >= LIMITS.lower).all()
+    assert (motion.q <= LIMITS.upper).all()
+    assert motion.duration == pytest.approx(tour.duration, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_tour_is_what_its_fields_say(seed: int) -> None:
+    """Home at both ends, each view at its solution exactly once, legs numbered, clearance what the path shows."""
+    arm, tour, _ = planned(seed)
+    _, configurations, _ = cell_with_part(seed, 8)
+    np.testing.assert_allclose(tour.via[[0, -1]], [HOME, HOME], atol=1e-15)
+    np.testing.assert_array_equal(tour.view[tour.view >= 0], tour.order)
+    np.testing.assert_array_equal(tour.via[tour.view >= 0], tour.q)
+    assert sorted(tour.order) == list(range(8))
+    for k, choice, q in zip(tour.order, tour.choice, tour.q, strict=True):
+        np.testing.assert_allclose(q, configurations[k][choice], atol=1e-15)
+    np.testing.assert_array_equal(np.unique(tour.segment), np.arange(9))
+    np.testing.assert_array_equal(tour.segment[tour.view >= 0], np.arange(8))
+    assert tour.duration == pytest.approx(float(move_time(tour.via[:-1], tour.via[1:], LIMITS).sum()))
+    assert tour.lower_bound <= tour.duration
+    for leg in range(9):
+        rows = np.flatnonzero(tour.segment == leg)
+        path = tour.via[max(rows[0] - 1, 0) : rows[-1] + 1]
+        moves = pairwise(path)
+        dense = np.concatenate([a + np.linspace(0, 1, 400)[:, None] * (b - a) for a, b in moves])
+        truth = arm.distances(dense).min()
+        assert truth - 1e-3 <= tour.clearance[leg] <= truth + 0.02  # the truth is sampled too
+        assert tour.detour[leg] == (len(path) > 2)
+
+
+def test_equal_seeds_give_equal_motions() -> None:
+    """Same input and seed, same bytes; progress reports end with every edge of the tour real."""
+    arm, configurations, poses = cell_with_part(1, 6)
+    told: list[tuple[int, int]] = []
+    tours = [
+        plan_motion(
+            configurations, HOME, arm, LIMITS, poses, np.random.default_rng(5), progress=lambda *p: told.append(p)
+        )
+        for _ in range(2)
+    ]
+    assert tours[0].via.tobytes() == tours[1].via.tobytes()
+    assert tours[0].clearance.tobytes() == tours[1].clearance.tobytes()
+    assert told[-1] == (7, 7)
+
+
+def test_few_rounds_still_end_with_a_certified_tour() -> None:
+    """With a single ordering allowed, its edges are made real as they are: complete, certified, not faster."""
+    arm, configurations, poses = cell_with_part(2, 8)
+    hasty = plan_motion(
+        configurations, HOME, arm, LIMITS, poses, np.random.default_rng(0), MotionBudget(rounds=1, path_checks=4000)
+    )
+    assert hasty.status is TourStatus.COMPLETE
+    assert hasty.rounds == 1
+    assert sorted(hasty.order) == list(range(8))
+    for a, b in zip(hasty.via[:-1], hasty.via[1:], strict=True):
+        dense = a + np.linspace(0, 1, 500)[:, None] * (b - a)
+        assert arm.distances(dense).min() > 0

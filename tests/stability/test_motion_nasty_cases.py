@@ -1,0 +1,280 @@
+"""Where ordering, paths and timing could fail, by name."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from planner.edge import quantise
+from planner.errors import PlannerError
+from planner.path import PathStatus, connect
+from planner.ports import JointLimits
+from planner.timing import move_time, retime
+from planner.tour import DropReason, MotionBudget, Tour, TourStatus, plan_motion
+
+RANGE = np.radians([185, 150, 150, 350, 130, 350])
+LIMITS = JointLimits(
+    -RANGE, RANGE, np.radians([156, 156, 156, 330, 330, 615]), np.radians([312, 312, 312, 660, 660, 1230])
+)
+BIG = 100.0
+HOME = np.zeros(6)
+
+
+class Boxes:
+    """A 'tool' that moves 1 m per rad along the first three axes, 1 cm per rad along the others, between boxes."""
+
+    clearance = 0.01
+    scale = np.array([1, 1, 1, 0.01, 0.01, 0.01])
+
+    def __init__(self, *boxes: tuple[list[float], list[float]]) -> None:
+        self.low, self.high = (np.array([box[side] for box in boxes]).reshape(-1, 6) for side in (0, 1))
+        self.interrupt_after = np.inf
+
+    def distances(self, q: np.ndarray) -> np.ndarray:
+        q = q * self.scale
+        return np.linalg.norm(np.maximum(np.maximum(self.low - q[:, None], q[:, None] - self.high), 0.0), axis=2)
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        self.interrupt_after -= len(q)
+        if self.interrupt_after < 0:
+            raise KeyboardInterrupt
+        return (self.distances(q) >= self.clearance).all(axis=1)
+
+    def contacts(self, q: np.ndarray) -> tuple[str, ...]:
+        near = self.distances(q[None])[0]
+        return tuple(f"tool with box {k}" for k in np.argsort(near) if near[k] < self.clearance)
+
+    def distance(self, q: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        near = np.concatenate([self.distances(q), np.full((len(q), 1), 9.0)], axis=1)
+        return near.min(axis=1), tuple(f"tool with box {k}" for k in near.argmin(axis=1))
+
+    def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
+        return np.abs(np.asarray(q_to) - q_from) @ self.scale
+
+
+def rng() -> np.random.Generator:
+    """A fresh generator, the same each time."""
+    return np.random.default_rng(0)
+
+
+def box(**sides: tuple[float, float]) -> tuple[list[float], list[float]]:
+    """A box given by some axes (x, y, z), unbounded in the others."""
+    low, high = [-BIG] * 6, [BIG] * 6
+    for axis, (a, b) in sides.items():
+        low["xyz".index(axis)], high["xyz".index(axis)] = a, b
+    return low, high
+
+
+def at(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    """A set-point with the tool at a place."""
+    return quantise([x, y, z, 0, 0, 0])
+
+
+def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) -> Tour:
+    """Plan over views that are given by their joint solutions."""
+    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    for pose, q in zip(poses, views, strict=True):
+        pose[:3, 3] = q[0, :3] if len(q) else 0.0
+    return plan_motion(views, HOME, checker, LIMITS, poses, rng(), **arguments)  # type: ignore[arg-type]
+
+
+def test_both_ends_equal() -> None:
+    """A path from a configuration to itself is that configuration twice and takes no time."""
+    found = connect(at(1), at(1), Boxes(), LIMITS, rng())
+    assert found.status is PathStatus.STRAIGHT
+    assert found.via.shape == (2, 6)
+    assert found.duration == 0.0
+
+
+@pytest.mark.parametrize(
+    ("x_from", "x_to", "status"),
+    [(0.0, 1.0, PathStatus.START_IN_COLLISION), (1.0, 0.0, PathStatus.GOAL_IN_COLLISION)],
+)
+def test_an_end_in_collision_is_said_with_what(x_from: float, x_to: float, status: PathStatus) -> None:
+    """The end, the pair and the distance are returned, and nothing is searched."""
+    found = connect(at(x_from), at(x_to), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng())
+    assert (found.status, found.via, found.between, found.checks) == (status, None, "tool with box 0", 2)
+    assert found.clearance == 0.0
+
+
+def test_a_wall_across_the_whole_range_has_no_path() -> None:
+    """The search ends at its budget, overshooting by no more than one step, and says what that proves."""
+    found = connect(at(-1), at(1), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng(), 5000)
+    assert found.status is PathStatus.NO_PATH_FOUND
+    assert 5000 <= found.checks < 8000
+    assert "does not prove" in found.status.sentence
+
+
+def test_a_narrow_gap_is_found() -> None:
+    """A door 5 mm wider on each side than the clearance needs, in a wall 20 mm thick: entered and left again."""
+    door = Boxes(box(x=(-0.01, 0.01), y=(-BIG, 0.285)), box(x=(-0.01, 0.01), y=(0.315, BIG)))
+    found = connect(at(-0.5, 0.0), at(0.5, 0.1), door, LIMITS, rng(), 40_000)
+    assert found.status is PathStatus.DETOUR
+    for a, b in zip(found.via[:-1], found.via[1:], strict=True):
+        assert door.distances(a + np.linspace(0, 1, 20_000)[:, None] * (b - a)).min() > 0.5 * door.clearance
+
+
+def test_a_turn_of_700_degrees_is_not_shortened_to_its_equivalent() -> None:
+    """A6 from -350 to 350 deg is a move of 700 deg at the axis' speed; samples run through zero."""
+    via = np.zeros((2, 6))
+    via[:, 5] = -RANGE[5], RANGE[5]
+    motion = retime(via, [0, 0], [-1, -1], LIMITS)
+    assert motion.duration == pytest.approx(700 / 615 + 0.5, rel=1e-6)
+    assert (np.diff(motion.q[:, 5]) > 0).all()
+    assert np.abs(motion.qd[:, 5]).max() <= LIMITS.velocity[5]
+
+
+@pytest.mark.parametrize("distance", [1e-15, 1e-12, 1e-9, 1e-6])
+def test_tiny_moves_have_time_and_samples(distance: float) -> None:
+    """Moves down to 1e-12 rad are timed by their acceleration; below the rounding of angles they count as none."""
+    via = np.full((2, 6), 0.5)
+    via[1, 2] += distance
+    motion = retime(via, [0, 0], [-1, -1], LIMITS)
+    if distance < 1e-13:
+        assert motion.duration == 0.0
+        return
+    moved = via[1, 2] - via[0, 2]
+    assert motion.duration == pytest.approx(2 * np.sqrt(moved / LIMITS.acceleration[2]), rel=1e-6)
+    assert (np.abs(motion.qdd) <= LIMITS.acceleration).all()
+    np.testing.assert_array_equal(motion.q[-1], via[1])
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0])
+@pytest.mark.parametrize("which", ["velocity", "acceleration"])
+def test_a_limit_that_allows_no_motion_is_refused_by_name(which: str, value: float) -> None:
+    """The message names the limit, the axis and what would be valid."""
+    broken = {"velocity": LIMITS.velocity.copy(), "acceleration": LIMITS.acceleration.copy()}
+    broken[which][3] = value
+    limits = JointLimits(LIMITS.lower, LIMITS.upper, **broken)
+    with pytest.raises(PlannerError, match=f"{which} limit of A4 is {value} .* must be above 0"):
+        move_time(HOME, at(1), limits)
+
+
+def test_an_infinite_speed_is_limited_by_acceleration_alone() -> None:
+    """Every move is then a triangle of speed."""
+    limits = JointLimits(LIMITS.lower, LIMITS.upper, np.full(6, np.inf), LIMITS.acceleration)
+    motion = retime(np.array([HOME, at(2.5)]), [0, 0], [-1, -1], limits)
+    assert motion.duration == pytest.approx(2 * np.sqrt(at(2.5)[0] / LIMITS.acceleration[0]), rel=1e-7)
+    assert np.isfinite(motion.qd).all()
+
+
+def test_an_infinite_acceleration_is_refused_by_name() -> None:
+    """A motion that jumps in speed cannot be sampled."""
+    limits = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity, np.full(6, np.inf))
+    with pytest.raises(PlannerError, match="acceleration limit of A1 is inf"):
+        retime(np.array([HOME, at(1)]), [0, 0], [-1, -1], limits)
+
+
+def test_no_view() -> None:
+    """The motion is home, takes no time and can be retimed."""
+    tour = motion_over([], Boxes())
+    assert (tour.status, tour.duration, tour.via.shape, tour.between) == (TourStatus.COMPLETE, 0.0, (1, 6), ())
+    assert retime(tour.via, tour.segment, tour.view, LIMITS).duration == 0.0
+
+
+def test_one_view() -> None:
+    """There and back."""
+    tour = motion_over([at(1)[None]], Boxes())
+    np.testing.assert_array_equal(tour.via, [HOME, at(1), HOME])
+    np.testing.assert_array_equal(tour.view, [-1, 0, -1])
+    np.testing.assert_array_equal(tour.segment, [0, 0, 1])
+
+
+def test_a_view_at_home_and_duplicates() -> None:
+    """Views that cost no move are visited, one after the other, and the motion can be retimed."""
+    tour = motion_over([at(1)[None], HOME[None], at(1)[None], at(1)[None]], Boxes())
+    assert sorted(tour.order) == [0, 1, 2, 3]
+    assert tour.duration == pytest.approx(2 * float(move_time(HOME, at(1), LIMITS)))
+    motion = retime(tour.via, tour.segment, tour.view, LIMITS)
+    assert motion.duration == pytest.approx(tour.duration)
+    assert (np.diff(motion.t) > 0).all()
+
+
+def test_home_in_collision() -> None:
+    """There is no motion; the status says so, with what home touches, and no view is silently lost."""
+    tour = motion_over([at(1)[None], at(2)[None]], Boxes(box(x=(-0.1, 0.1))))
+    assert tour.status is TourStatus.HOME_IN_COLLISION
+    assert tour.home_blocker == "tool with box 0"
+    assert len(tour.via) == 0
+    assert [(d.view, d.reason) for d in tour.dropped] == [(0, DropReason.NO_HOME), (1, DropReason.NO_HOME)]
+
+
+def test_views_that_cannot_be_visited_are_dropped_with_their_reasons() -> None:
+    """No solution, all solutions in collision, all behind a wall: three reasons; the tour over the rest is complete."""
+    wall = Boxes(box(x=(1.5, 1.6)))
+    views = [
+        np.zeros((0, 6)),
+        at(1)[None],
+        np.array([at(1.55), at(1.52, 0.3)]),
+        np.array([at(2.0), at(2.2, 0.5)]),
+        at(-1)[None],
+    ]
+    tour = motion_over(views, wall, budget=MotionBudget(path_checks=3000))
+    assert tour.status is TourStatus.VIEWS_DROPPED
+    assert [(d.view, d.reason) for d in tour.dropped] == [
+        (0, DropReason.NO_SOLUTION),
+        (2, DropReason.IN_COLLISION),
+        (3, DropReason.NO_PATH),
+    ]
+    assert tour.dropped[1].blocker == "tool with box 0"
+    assert sorted(tour.order) == [1, 4]
+
+
+def test_another_branch_is_taken_where_one_is_walled_off() -> None:
+    """A view with one solution behind the wall and one before it keeps the view, at the solution before it."""
+    tour = motion_over([np.array([at(2.0), at(-1.4)])], Boxes(box(x=(1.5, 1.6))), budget=MotionBudget(path_checks=3000))
+    assert tour.status is TourStatus.COMPLETE
+    assert tour.choice.tolist() == [1]
+
+
+def test_all_branches_of_all_views_walled_off() -> None:
+    """Every view is dropped; what remains is a motion that stays at home."""
+    views = [at(2.0)[None], at(2.3)[None]]
+    tour = motion_over(views, Boxes(box(x=(1.5, 1.6))), budget=MotionBudget(path_checks=2000))
+    assert tour.status is TourStatus.VIEWS_DROPPED
+    assert [d.view for d in tour.dropped] == [0, 1]
+    assert tour.via.shape == (1, 6)
+
+
+def test_a_detour_between_views_is_part_of_the_tour() -> None:
+    """Two views on both sides of a bar: the leg between them goes around, is tagged, and its clearance is kept."""
+    bar = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)))
+    tour = motion_over([at(1)[None]], bar)
+    assert tour.detour.tolist() == [True, True]
+    assert (tour.clearance > 0).all()
+    assert tour.between == ("tool with box 0", "tool with box 0")
+    assert (tour.view == 0).sum() == 1
+    assert tour.duration > tour.lower_bound == pytest.approx(2 * float(move_time(HOME, at(1), LIMITS)))
+
+
+@pytest.mark.parametrize("after", [0, 50, 2000])
+def test_an_interrupt_passes_through(after: int) -> None:
+    """Ctrl-C during a check reaches the caller at once."""
+    checker = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)))
+    checker.interrupt_after = after
+    with pytest.raises(KeyboardInterrupt):
+        motion_over([at(1)[None]], checker)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: a.update(ordering="fastest"), "no ordering 'fastest'; it must be one of joint-space, christofides"),
+        (lambda a: a.update(home=np.full(6, 9.0)), "home: number 0 has A1 at 515"),
+        (lambda a: a.update(configurations=[np.full((1, 6), -9.0)]), "joint solution of view 0: number 0 has A1"),
+        (lambda a: a.update(T_base_scanner=np.eye(4)), "T_base_scanner has shape"),
+    ],
+)
+def test_broken_input_is_refused_in_one_sentence(change: Callable[[dict], None], message: str) -> None:
+    """The message names the argument and what would be valid."""
+    arguments = {
+        "configurations": [at(1)[None]],
+        "home": HOME,
+        "checker": Boxes(),
+        "limits": LIMITS,
+        "T_base_scanner": np.eye(4)[None],
+        "rng": rng(),
+    }
+    change(arguments)
+    with pytest.raises(PlannerError, match=message):
+        plan_motion(**arguments)

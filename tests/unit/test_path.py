@@ -1,0 +1,181 @@
+"""Certified edges and paths around boxes in joint space."""
+
+import numpy as np
+import pytest
+
+from planner.edge import STEP, certify, certify_many, clearance_along, quantise, quantise_inside, subdivide
+from planner.errors import PlannerError
+from planner.path import PathStatus, connect, path_time, shorten
+from planner.ports import JointLimits
+from planner.timing import move_time
+
+LIMITS = JointLimits(
+    lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.full(6, 2.0), acceleration=np.full(6, 4.0)
+)
+
+
+class Boxes:
+    """A 'tool' that moves 1 m per rad along each of six axes, between boxes of that space; its travel is exact."""
+
+    clearance = 0.01
+
+    def __init__(self, *boxes: tuple[list[float], list[float]]) -> None:
+        self.low, self.high = (np.array([box[side] for box in boxes]).reshape(-1, 6) for side in (0, 1))
+        self.asked = 0
+
+    def distances(self, q: np.ndarray) -> np.ndarray:
+        outside = np.maximum(np.maximum(self.low - q[:, None], q[:, None] - self.high), 0.0)
+        return np.linalg.norm(outside, axis=2)
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        self.asked += len(q)
+        return (self.distances(q) >= self.clearance).all(axis=1)
+
+    def contacts(self, q: np.ndarray) -> tuple[str, ...]:
+        near = self.distances(q[None])[0]
+        return tuple(f"tool with box {k}" for k in np.argsort(near) if near[k] < self.clearance)
+
+    def distance(self, q: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        near = self.distances(q)
+        return near.min(axis=1), tuple(f"tool with box {k}" for k in near.argmin(axis=1))
+
+    def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(np.asarray(q_to) - q_from, axis=-1)
+
+
+BIG = 10.0
+WALL = ([-0.2] + [-BIG] * 5, [0.2, 0.5] + [BIG] * 4)  # blocks axis 1 from -0.2 to 0.2 wherever axis 2 is below 0.5
+LEFT, RIGHT = quantise([-1.0, 0, 0, 0, 0, 0]), quantise([1.0, 0, 0, 0, 0, 0])
+
+
+def rng() -> np.random.Generator:
+    """A fresh generator, the same each time."""
+    return np.random.default_rng(0)
+
+
+def test_quantised_angles_are_integers_of_a_ten_thousandth_of_a_degree() -> None:
+    """Rounding moves an angle by half a step at most, and rounding again moves it not at all."""
+    q = np.random.default_rng(1).uniform(-6, 6, (1000, 6))
+    rounded = quantise(q)
+    steps = np.degrees(rounded) * 1e4
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+    assert np.abs(np.degrees(rounded - q)).max() <= 0.5e-4 * (1 + 1e-9)
+    np.testing.assert_array_equal(quantise(rounded), rounded)
+
+
+def test_quantising_stays_inside_a_range_that_is_no_multiple() -> None:
+    """Beyond a limit the last multiple inside is taken."""
+    outside = quantise_inside(np.full(6, 9.0), LIMITS)
+    assert (outside <= LIMITS.upper).all()
+    assert np.degrees(LIMITS.upper - outside).max() < 1e-4
+
+
+def test_subdivision_keeps_every_configuration_near_a_checked_one() -> None:
+    """No point of the segment lies farther than STEP clearances from a checked configuration; both ends are checked."""
+    checker = Boxes()
+    marks = subdivide(LEFT, RIGHT, checker)
+    np.testing.assert_array_equal(marks[[0, -1]], [LEFT, RIGHT])
+    dense = LEFT + np.linspace(0, 1, 3001)[:, None] * (RIGHT - LEFT)
+    nearest = np.abs(dense[:, None, 0] - marks[None, :, 0]).min(axis=1)
+    assert nearest.max() <= STEP * checker.clearance * (1 + 1e-12)
+    assert len(marks) <= 2.0 / (2 * STEP * checker.clearance) + 2  # and no finer than that needs
+
+
+def test_an_uneven_travel_bound_is_not_trusted_to_be_linear() -> None:
+    """A bound of which the halves weigh more than half is asked for each half, and answered by more checks."""
+
+    class Uneven(Boxes):
+        def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
+            return np.sqrt(np.linalg.norm(q_to - q_from, axis=-1)) * 0.1  # square root: halves weigh 0.71
+
+    checker = Uneven()
+    marks = subdivide(LEFT, RIGHT, checker)
+    middles = 0.5 * (marks[:-1] + marks[1:])
+    assert checker.travel(marks[:-1], middles).max() <= STEP * checker.clearance
+    assert checker.travel(middles, marks[1:]).max() <= STEP * checker.clearance
+
+
+def test_a_thin_obstacle_between_two_free_ends_is_found() -> None:
+    """A wall of no thickness at all blocks the edge: its clearance zone is wider than the spacing of the checks."""
+    for place in np.linspace(-0.9, 0.9, 61):
+        sheet = Boxes(([place] + [-BIG] * 5, [place] + [BIG] * 5))
+        assert not certify(LEFT, RIGHT, sheet)[0]
+
+
+def test_batched_certification_gives_the_verdicts_of_the_single_one() -> None:
+    """`certify_many` and `certify` agree on random edges, of which some are blocked and some are free."""
+    checker = Boxes(WALL)
+    ends = quantise(np.random.default_rng(2).uniform(-2, 2, (200, 6)))
+    ends = ends[checker.free(ends)]
+    starts, stops = ends[:60], ends[60:120]
+    single = [certify(a, b, checker)[0] for a, b in zip(starts, stops, strict=True)]
+    many, _ = certify_many(starts, stops, checker)
+    assert many.tolist() == single
+    assert 5 < sum(single) < 55
+
+
+def test_a_blocked_edge_is_refused_after_few_checks() -> None:
+    """Bisection finds a wall in the middle with a small share of the checks that a free edge needs."""
+    _, blocked = certify(LEFT, RIGHT, Boxes(WALL))
+    _, free = certify(LEFT, RIGHT, Boxes())
+    assert blocked <= 8 < free / 10
+
+
+def test_a_free_straight_move_is_taken() -> None:
+    """Without obstacle the path is its two ends, and the random numbers are not touched."""
+    source = rng()
+    found = connect(LEFT, RIGHT, Boxes(([2] * 6, [2.5] * 6)), LIMITS, source)
+    assert found.status is PathStatus.STRAIGHT
+    np.testing.assert_array_equal(found.via, [LEFT, RIGHT])
+    assert found.duration == move_time(LEFT, RIGHT, LIMITS)
+    assert source.random() == rng().random()
+
+
+def test_a_detour_goes_around_the_wall() -> None:
+    """Via points are set-points with the given ends; ten times denser than certified, nothing is in contact."""
+    checker = Boxes(WALL)
+    found = connect(LEFT, RIGHT, checker, LIMITS, rng())
+    assert found.status is PathStatus.DETOUR
+    np.testing.assert_array_equal(found.via[[0, -1]], [LEFT, RIGHT])
+    np.testing.assert_array_equal(quantise(found.via), found.via)
+    for a, b in zip(found.via[:-1], found.via[1:], strict=True):
+        n = 10 * len(subdivide(a, b, checker))
+        dense = a + np.linspace(0, 1, n)[:, None] * (b - a)
+        assert checker.distances(dense).min() >= (1 - STEP) * checker.clearance
+    assert found.clearance > 0
+    assert found.between == "tool with box 0"
+    assert found.duration == path_time(found.via, LIMITS)
+
+
+def test_the_work_is_counted() -> None:
+    """`checks` is what the checker was asked, to the last configuration."""
+    checker = Boxes(WALL)
+    found = connect(LEFT, RIGHT, checker, LIMITS, rng())
+    assert found.checks == checker.asked
+
+
+def test_shortening_never_slows_and_keeps_the_ends() -> None:
+    """A zigzag of certified edges becomes faster; the way back straight is found where it is free."""
+    checker = Boxes(([2] * 6, [2.5] * 6))
+    zigzag = quantise(np.array([LEFT, [0, 1, 0, 0, 0, 0], [0.5, -1, 0, 0, 0, 0], RIGHT]))
+    short, _ = shorten(zigzag, checker, LIMITS, rng(), 10_000)
+    np.testing.assert_array_equal(short, [LEFT, RIGHT])
+    around = quantise(np.array([LEFT, [-1, 2, 0, 0, 0, 0], [0, 2.5, 0, 0, 1, 0], [1, 2, 0, 0, 0, 0], RIGHT]))
+    short, _ = shorten(around, Boxes(WALL), LIMITS, rng(), 10_000)
+    assert path_time(short, LIMITS) < 0.7 * path_time(around, LIMITS)
+
+
+def test_the_smallest_clearance_is_found_where_it_is() -> None:
+    """Passing a box at 0.1 m reports 0.1 m and the box; the far one is not named."""
+    checker = Boxes(([-0.05, 0.1] + [-BIG] * 4, [0.05, 1.0] + [BIG] * 4), ([2] * 6, [2.5] * 6))
+    clearance, between = clearance_along(np.array([LEFT, RIGHT]), checker)
+    assert clearance == pytest.approx(0.1, abs=1e-12)
+    assert between == "tool with box 0"
+
+
+def test_a_checker_without_clearance_is_refused() -> None:
+    """Nothing is known between two checks without clearance, so there is nothing to certify with."""
+    checker = Boxes()
+    checker.clearance = 0.0
+    with pytest.raises(PlannerError, match=r"clearance is 0\.0 m; it must be above 0"):
+        connect(LEFT, RIGHT, checker, LIMITS, rng())
