@@ -73,6 +73,8 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
             "utf-8", errors="replace"
         ).encode()  # comments in other encodings are no reason to fail
     vertices, faces = _parse_with_trimesh(path, suffix, content)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise FileError(f"{path} is broken: its vertices have no three coordinates; export the mesh again")
     if not len(faces):
         raise FileError(f"{path} holds no faces; it must be a triangle mesh, not points, lines or text")
     if faces.min() < 0 or faces.max() >= len(vertices):

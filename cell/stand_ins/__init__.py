@@ -117,8 +117,10 @@ def _cache_path(name: str) -> Path | None:
 
 
 def _read(path: Path, part: StandIn) -> TriangleMesh | None:
+    """The mesh in the cache, or none where there is no usable one."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # Opened here, because np.load leaves the file open when it is no archive.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             mesh = TriangleMesh(stored["vertices"], stored["faces"])
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         _log.debug("built-in part is not taken from %s: %s", path, error)

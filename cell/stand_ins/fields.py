@@ -34,6 +34,7 @@ def ellipsoid(centre: Vector, semi_axes: Vector, turn: NDArray[np.float32] | Non
         q /= s
         k1 = _length(q)
         value: Values = np.maximum(k0 * (k0 - 1) / np.maximum(k1, np.float32(1e-6)), deepest)
+        value[k1 < 1e-6] = deepest  # the centre itself, where the quotient is 0 / 0
         return value
 
     return field

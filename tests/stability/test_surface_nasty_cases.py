@@ -1,0 +1,147 @@
+"""Nasty meshes by name: decimation, sampling and viewpoints hold their promises where such methods tend to fail."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+
+from planner.closest import squared_distance
+from planner.surface import TriangleMesh, decimate, face_areas, face_features, face_normals, sample
+from planner.viewpoints import optimal_scanning_zone
+
+
+def sliver_cylinder() -> trimesh.Trimesh:
+    """A CAD cylinder: 400 faces from end to end, each 500 times longer than wide."""
+    return trimesh.creation.cylinder(radius=0.03, height=0.25, sections=400)
+
+
+def thin_plate() -> trimesh.Trimesh:
+    """0.3 m square, 0.2 mm thick, finely meshed."""
+    plate = trimesh.creation.box(extents=(0.3, 0.3, 0.0002))
+    for _ in range(5):
+        plate = plate.subdivide()
+    return plate
+
+
+def needle() -> trimesh.Trimesh:
+    """0.3 m long, 0.4 mm thick."""
+    return trimesh.creation.capsule(height=0.3, radius=0.0002, count=(32, 32))
+
+
+def far_away() -> trimesh.Trimesh:
+    """A part drawn 50 m from its file's origin."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    return ball.apply_translation([50.0, -50.0, 20.0])
+
+
+def microscopic() -> trimesh.Trimesh:
+    """A part of 20 um, as when the units were taken for another."""
+    return trimesh.creation.icosphere(subdivisions=4, radius=1e-5)
+
+
+def enormous() -> trimesh.Trimesh:
+    """A part of 200 m."""
+    return trimesh.creation.icosphere(subdivisions=4, radius=100.0)
+
+
+def dust() -> trimesh.Trimesh:
+    """A ball among 60 crumbs of 80 faces each."""
+    rng = np.random.default_rng(0)
+    crumbs = [trimesh.creation.icosphere(subdivisions=1, radius=0.002) for _ in range(60)]
+    for crumb in crumbs:
+        crumb.apply_translation(0.2 * rng.normal(size=3))
+    return trimesh.util.concatenate([trimesh.creation.icosphere(subdivisions=4, radius=0.1), *crumbs])
+
+
+def open_bowl() -> trimesh.Trimesh:
+    """Half a sphere without thickness."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    return trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] < 0], process=False)
+
+
+def touching_cubes() -> trimesh.Trimesh:
+    """Two cubes that share an edge, so that four faces meet there."""
+    cubes = [trimesh.creation.box(extents=(0.1, 0.1, 0.1)) for _ in range(2)]
+    cubes[1].apply_translation([0.1, 0.1, 0.0])
+    both = trimesh.util.concatenate(cubes)
+    both.merge_vertices()
+    for _ in range(4):
+        both = both.subdivide()
+    return both
+
+
+def one_triangle() -> trimesh.Trimesh:
+    """The least surface there is."""
+    return trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]], process=False)
+
+
+def huge_beside_tiny() -> trimesh.Trimesh:
+    """Two triangles of 1 m beside 5120 of 0.1 mm."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.002).apply_translation([0.5, 0.5, 0.1])
+    floor = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    return trimesh.util.concatenate([floor, ball])
+
+
+CASES: list[Callable[[], trimesh.Trimesh]] = [
+    sliver_cylinder,
+    thin_plate,
+    needle,
+    far_away,
+    microscopic,
+    enormous,
+    dust,
+    open_bowl,
+    touching_cubes,
+    one_triangle,
+    huge_beside_tiny,
+]
+
+
+@pytest.mark.parametrize("face_count", [30, 300])
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face_count: int) -> None:
+    """Whatever the mesh: the planning mesh is clean, samples are on the surface, tags are near, poses are rotations."""
+    body = case()
+    reference = TriangleMesh(body.vertices, body.faces)
+    planning = decimate(reference, face_count)
+    areas = face_areas(planning)
+    assert 1 <= len(planning.faces) <= max(face_count, len(reference.faces))
+    assert (areas > 0).all()
+    assert len(np.unique(np.sort(planning.faces, axis=1), axis=0)) == len(planning.faces)
+    assert len(np.unique(planning.faces)) == len(planning.vertices)
+    extent = float(np.linalg.norm(np.ptp(reference.vertices, axis=0)))
+    low, high = reference.vertices.min(axis=0), reference.vertices.max(axis=0)
+    assert (planning.vertices > low - 0.1 * extent).all()
+    assert (planning.vertices < high + 0.1 * extent).all()
+
+    samples = sample(reference, planning, 1000, np.random.default_rng(1))
+    distance = np.sqrt(squared_distance(samples.points, reference.vertices[reference.faces], samples.face))
+    assert distance.max() < 1e-7 * (extent + np.abs(reference.vertices).max())
+    assert samples.areas.sum() == pytest.approx(body.area, rel=1e-9)
+    everything = np.broadcast_to(np.arange(len(planning.faces)), (1000, len(planning.faces)))
+    to_all = np.sqrt(squared_distance(samples.points[:, None], planning.vertices[planning.faces], everything))
+    same_side = samples.normals @ face_normals(planning).T > 0
+    nearest = np.where(same_side, to_all, np.inf).min(axis=1)
+    chosen = to_all[np.arange(1000), samples.planning_face]
+    comparable = np.isfinite(nearest)
+    assert (chosen[comparable] - nearest[comparable] < 0.05 * extent).all()
+
+    features = face_features(reference, planning)
+    assert ((features.face >= 0) & (features.face < len(reference.faces))).all()
+    viewpoints = optimal_scanning_zone(planning, [3 * extent], [0.0, 1.0])
+    R = viewpoints.T_object_scanner[:, 0, :3, :3]
+    assert len(viewpoints) == 2 * len(planning.faces)
+    assert np.abs(np.einsum("vji,vjk->vik", R, R) - np.eye(3)).max() < 1e-12
+    assert np.abs(np.linalg.det(R) - 1).max() < 1e-12
+
+
+@pytest.mark.parametrize("case", [far_away, microscopic, enormous], ids=lambda case: case.__name__)
+def test_place_and_size_do_not_change_the_decimation(case: Callable[[], trimesh.Trimesh]) -> None:
+    """A ball is decimated to the count and stays a closed ball, wherever and however large it is."""
+    body = case()
+    planning = decimate(TriangleMesh(body.vertices, body.faces), 300)
+    result = trimesh.Trimesh(planning.vertices - body.centroid, planning.faces, process=False)
+    assert len(planning.faces) == 300
+    assert result.is_watertight
+    assert result.volume == pytest.approx(body.copy().apply_translation(-body.centroid).volume, rel=0.03)

@@ -1,0 +1,438 @@
+"""Loading, checking and scaling a part: every format, every problem, each with its one sentence."""
+
+import contextlib
+import hashlib
+import itertools
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.errors import CellError, FileError, UsageError
+from cell.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
+from planner.surface import face_areas
+
+
+def body() -> trimesh.Trimesh:
+    """A closed, lopsided shape off the origin, in millimetres."""
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=50.0)
+    mesh.vertices = mesh.vertices * [1.0, 0.6, 0.8] + [100.0, -20.0, 30.0]
+    return mesh
+
+
+def write(folder: Path, mesh: trimesh.Trimesh, name: str = "part.stl") -> Path:
+    """The mesh as a file of the name's kind."""
+    path = folder / name
+    content = mesh.export(file_type=path.suffix[1:].lower())
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def volume(part: Workpiece) -> float:
+    """Signed volume [m^3]."""
+    corners = part.reference.vertices[part.reference.faces]
+    return float(np.einsum("fj,fj->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+
+
+def kinds(part: Workpiece) -> list[Kind]:
+    """What was found."""
+    return [finding.kind for finding in part.findings]
+
+
+def checked(mesh: trimesh.Trimesh) -> Workpiece:
+    """The mesh (millimetres) through the checks."""
+    return from_mesh("part", np.array(mesh.vertices), np.array(mesh.faces), "mm", "")
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".off", ".glb", ".STL"])
+def test_every_format_gives_the_same_part(tmp_path: Path, suffix: str) -> None:
+    """Faces, closedness, volume and bounds survive each format; nothing is found wrong with a good mesh."""
+    mesh = body()
+    part = load(write(tmp_path, mesh, f"part{suffix}"), "mm")
+    assert part.findings == ()
+    assert len(part.reference.faces) == len(mesh.faces)
+    assert len(part.reference.vertices) == len(mesh.vertices)
+    assert volume(part) == pytest.approx(mesh.volume * 1e-9, rel=1e-5)
+    assert part.bounds == pytest.approx(mesh.bounds * 1e-3, abs=1e-7)
+    assert part.name == "part"
+
+
+def test_ascii_and_binary_stl_are_the_same_part(tmp_path: Path) -> None:
+    """The two dialects differ by the rounding of the text only."""
+    binary = load(write(tmp_path, body(), "binary.stl"), "mm")
+    text = load(_ascii(tmp_path), "mm")
+    assert len(text.reference.faces) == len(binary.reference.faces)
+    assert text.bounds == pytest.approx(binary.bounds, abs=1e-8)
+    assert text.findings == ()
+
+
+def _ascii(folder: Path) -> Path:
+    path = folder / "ascii.stl"
+    path.write_text(body().export(file_type="stl_ascii"))
+    return path
+
+
+def test_a_binary_stl_that_starts_with_solid_is_binary(tmp_path: Path) -> None:
+    """Many writers put the ASCII keyword into the binary header; the size tells the truth."""
+    path = write(tmp_path, body())
+    path.write_bytes(b"solid facet vertex".ljust(80) + path.read_bytes()[80:])
+    assert len(load(path, "mm").reference.faces) == len(body().faces)
+
+
+def test_the_object_frame_is_the_files_own(tmp_path: Path) -> None:
+    """The part is scaled and not moved; its centre is the middle of its bounding box; the hash is the file's."""
+    path = write(tmp_path, body())
+    part = load(path, "mm")
+    assert part.centre == pytest.approx([0.1, -0.02, 0.03], abs=1e-6)
+    assert part.T_object_centre[:3, 3] == pytest.approx(part.centre, abs=0)
+    assert (part.T_object_centre[:3, :3] == np.eye(3)).all()
+    assert part.size == pytest.approx([0.1, 0.06, 0.08], rel=1e-2)
+    assert part.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("units", list(UNITS))
+def test_units_scale_exactly(tmp_path: Path, units: str) -> None:
+    """A file's number times the unit's metres, in every unit."""
+    part = load(write(tmp_path, body(), "part.ply"), units)
+    assert np.ptp(part.bounds, axis=0) == pytest.approx(np.ptp(body().bounds, axis=0) * UNITS[units], rel=1e-6)
+
+
+def test_a_glb_scene_is_flattened(tmp_path: Path) -> None:
+    """Two nodes of one box, one moved and one mirrored, become one part of two bodies, both outward."""
+    scene = trimesh.Scene()
+    box = trimesh.creation.box(extents=(10, 20, 30))
+    scene.add_geometry(box, node_name="a", geom_name="box")
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    mirror[0, 3] = 50
+    scene.add_geometry(box, node_name="b", geom_name="box", transform=mirror)
+    path = tmp_path / "scene.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    part = load(path, "mm")
+    assert kinds(part) == [Kind.BODIES]
+    assert volume(part) == pytest.approx(2 * 6000e-9, rel=1e-6)
+    assert part.size == pytest.approx([0.06, 0.02, 0.03], rel=1e-6)
+
+
+def test_a_built_in_part_needs_no_units(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its name is enough; giving units is refused, because they would change nothing."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    part = load("mug")
+    assert part.name == "mug"
+    assert part.size == pytest.approx([0.06, 0.05, 0.047], abs=1e-9)
+    assert part.findings == ()
+    assert len(part.sha256) == 64
+    with pytest.raises(UsageError, match="leave --units out"):
+        load("mug", "mm")
+
+
+def test_missing_units_are_asked_for(tmp_path: Path) -> None:
+    """Units are never guessed; the sentence says what to pass."""
+    with pytest.raises(UsageError, match="pass --units with one of m, cm, mm, um, in"):
+        load(write(tmp_path, body()))
+
+
+@pytest.mark.parametrize(("units", "hint"), [("MM", "did you mean 'mm'"), ("furlong", "unknown; Valid are m, cm")])
+def test_unknown_units_are_refused_with_the_known(tmp_path: Path, units: str, hint: str) -> None:
+    """The valid ones are listed, the nearest is offered."""
+    with pytest.raises(UsageError, match=hint):
+        load(write(tmp_path, body()), units)
+
+
+def _break(folder: Path, case: str) -> Path:
+    """A path that cannot be loaded."""
+    good = write(folder, body())
+    content = good.read_bytes()
+    text = _ascii(folder).read_text()
+    cases: dict[str, tuple[str, bytes]] = {
+        "empty": ("x.stl", b""),
+        "text named stl": ("x.stl", b"Dear Sir, enclosed find the drawing of the part.\n" * 40),
+        "short text named stl": ("x.stl", b"hello"),
+        "truncated binary": ("x.stl", content[:5000]),
+        "truncated ascii": ("x.stl", text[: len(text) // 2 - 7].encode()),
+        "header only": ("x.stl", content[:84]),
+        "no faces stl": ("x.stl", b"\0" * 84),
+        "nan stl": ("x.stl", content[:96] + struct.pack("<f", float("nan")) + content[100:]),
+        "inf ply": ("x.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                    b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+                    b"0 0 0\n1 0 inf\n0 1 0\n3 0 1 2\n"),
+        "points only": ("x.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+                        b"property float z\nend_header\n0 0 0\n"),
+        "truncated ply": ("x.ply", write(folder, body(), "y.ply").read_bytes()[:3000]),
+        "text named ply": ("x.ply", b"hello\n" * 30),
+        "text named obj": ("x.obj", b"hello\n" * 30),
+        "bad index": ("x.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"),
+        "two coordinates": ("x.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
+        "text named off": ("x.off", b"hello\n" * 30),
+        "truncated off": ("x.off", write(folder, body(), "y.off").read_bytes()[:900]),
+        "text named glb": ("x.glb", b"hello\n" * 30),
+        "truncated glb": ("x.glb", write(folder, body(), "y.glb").read_bytes()[:2000]),
+        "step": ("x.step", b"ISO-10303-21;"),
+        "no suffix": ("x.", b"hello"),
+        "zero area": ("x.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n"),
+    }  # fmt: skip
+    name, data = cases[case]
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("case", "sentence"),
+    [
+        ("empty", "is empty"),
+        ("text named stl", "is a text file, not an STL mesh"),
+        ("short text named stl", "is a text file, not an STL mesh"),
+        ("truncated binary", r"is cut short or no STL: it announces 1280 faces \(64084 bytes\) but has 5000 bytes"),
+        ("truncated ascii", "is cut short: its last facet is not complete"),
+        ("header only", "is cut short"),
+        ("no faces stl", "holds no faces"),
+        ("nan stl", "1 vertices whose coordinates are not numbers"),
+        ("inf ply", "1 vertices whose coordinates are not numbers"),
+        ("points only", "holds no faces"),
+        ("truncated ply", "cannot be read as PLY"),
+        ("text named ply", "cannot be read as PLY"),
+        ("text named obj", "holds no faces"),
+        ("bad index", "OBJ|refers to vertex"),
+        ("two coordinates", "no three coordinates"),
+        ("text named off", "cannot be read as OFF"),
+        ("truncated off", "cannot be read as OFF"),
+        ("text named glb", "is not a binary glTF file"),
+        ("truncated glb", "is cut short"),
+        ("step", "'.step', which is not supported; supported are .stl, .obj, .ply, .off, .glb"),
+        ("no suffix", "not supported"),
+        ("zero area", "every face of x has zero area"),
+    ],
+)
+def test_a_broken_file_is_refused_in_one_sentence(tmp_path: Path, case: str, sentence: str) -> None:
+    """Each broken file raises FileError (exit code 6): one line that names the file and says what to do."""
+    with pytest.raises(FileError, match=sentence) as caught:
+        load(_break(tmp_path, case), "mm")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "x" in message
+    assert len(message) < 400
+    assert caught.value.exit_code == 6
+
+
+def test_what_is_not_there_is_said(tmp_path: Path) -> None:
+    """A missing file, a folder, and a misspelt built-in name each have their own sentence."""
+    with pytest.raises(FileError, match="does not exist"):
+        load(tmp_path / "none.stl", "mm")
+    with pytest.raises(FileError, match="is a folder"):
+        load(tmp_path, "mm")
+    with pytest.raises(FileError, match="did you mean 'mseke'"):
+        load("msekke")
+    with pytest.raises(FileError, match="Built in are mseke, mug"):
+        load("teapot", "mm")
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may read everything")
+def test_a_file_without_permission_is_said(tmp_path: Path) -> None:
+    """The operating system's refusal becomes a sentence."""
+    path = write(tmp_path, body())
+    path.chmod(0)
+    with pytest.raises(FileError, match="permission denied"):
+        load(path, "mm")
+
+
+def test_a_refusal_of_the_system_becomes_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Permission and disk errors while reading, whoever runs the test."""
+    path = write(tmp_path, body())
+
+    def refuse(error: OSError) -> None:
+        def read(_: Path) -> bytes:
+            raise error
+
+        monkeypatch.setattr(Path, "read_bytes", read)
+
+    refuse(PermissionError(13, "Permission denied"))
+    with pytest.raises(FileError, match="permission denied"):
+        load(path, "mm")
+    refuse(OSError(5, "Input/output error"))
+    with pytest.raises(FileError, match="Input/output error"):
+        load(path, "mm")
+
+
+def test_every_error_is_the_users(tmp_path: Path) -> None:
+    """Random damage to a good file of each kind either loads or raises a CellError; never anything else."""
+    rng = np.random.default_rng(11)
+    small = trimesh.creation.icosphere(subdivisions=1, radius=30.0)
+    for suffix, _ in itertools.product((".stl", ".obj", ".ply", ".off", ".glb"), range(25)):
+        content = bytearray(write(tmp_path, small, f"good{suffix}").read_bytes())
+        for position in rng.integers(0, len(content), rng.integers(1, 20)):
+            content[position] = rng.integers(0, 256)
+        path = tmp_path / f"bad{suffix}"
+        path.write_bytes(bytes(content[: rng.integers(1, len(content) + 1)] if rng.random() < 0.4 else content))
+        with contextlib.suppress(CellError):
+            assert np.isfinite(load(path, "mm").bounds).all()
+
+
+def test_an_inverted_body_is_turned_round() -> None:
+    """Negative volume becomes the same positive volume, and it is said."""
+    mesh = body()
+    mesh.invert()
+    part = checked(mesh)
+    assert volume(part) == pytest.approx(body().volume * 1e-9, rel=1e-9)
+    assert kinds(part) == [Kind.INVERTED]
+    assert "inside out" in part.findings[0].sentence
+
+
+def test_mixed_winding_is_made_consistent() -> None:
+    """A random third of the faces turned round: the sentence has their number and the volume is whole again."""
+    mesh = body()
+    faces = np.array(mesh.faces)
+    turned = np.random.default_rng(0).random(len(faces)) < 0.33
+    faces[turned] = faces[turned][:, ::-1]
+    part = from_mesh("part", np.array(mesh.vertices), faces, "mm", "")
+    assert kinds(part) == [Kind.MIXED_WINDING]
+    assert part.findings[0].sentence.startswith(f"{turned.sum()} faces were wound against the others")
+    assert volume(part) == pytest.approx(body().volume * 1e-9, rel=1e-9)
+
+
+def test_mixed_winding_with_most_faces_inward_ends_outward() -> None:
+    """Two thirds turned: made consistent the majority's way, then turned round as a whole."""
+    faces = np.array(body().faces)
+    turned = np.random.default_rng(0).random(len(faces)) < 0.67
+    faces[turned] = faces[turned][:, ::-1]
+    part = from_mesh("part", np.array(body().vertices), faces, "mm", "")
+    assert kinds(part) == [Kind.MIXED_WINDING, Kind.INVERTED]
+    assert volume(part) == pytest.approx(body().volume * 1e-9, rel=1e-9)
+
+
+def test_an_open_surface_keeps_its_winding_and_is_said() -> None:
+    """Half a sphere: a warning with the number of border edges; no face is turned."""
+    mesh = body()
+    kept = mesh.triangles_center[:, 2] > 30.0
+    faces = np.array(mesh.faces)[kept]
+    part = from_mesh("part", np.array(mesh.vertices), faces, "mm", "")
+    assert kinds(part) == [Kind.OPEN]
+    assert part.findings[0].severity is Severity.WARNING
+    border = len(trimesh.Trimesh(mesh.vertices, faces).outline().entities[0].points) - 1
+    assert f"({border} border edges)" in part.findings[0].sentence
+    assert len(part.reference.faces) == kept.sum()
+
+
+def test_an_open_surface_that_is_inside_out_is_doubted_not_changed() -> None:
+    """A sphere with one face missing, turned inside out: nothing is guessed, the doubt is said."""
+    faces = np.array(body().faces)[1:, ::-1]
+    part = from_mesh("part", np.array(body().vertices), faces, "mm", "")
+    assert kinds(part) == [Kind.OPEN, Kind.INVERTED]
+    assert volume(part) < 0
+    assert "seems to be inside out" in part.findings[1].sentence
+
+
+def test_zero_area_and_duplicate_faces_are_dropped_and_counted() -> None:
+    """Both leave the area as it was."""
+    mesh = body()
+    faces = np.array(mesh.faces)
+    dirty = np.vstack([faces, [[0, 0, 1], [5, 5, 5]], faces[:3, [1, 2, 0]], faces[7:8, ::-1]])
+    part = from_mesh("part", np.array(mesh.vertices), dirty, "mm", "")
+    assert [finding.sentence for finding in part.findings] == [
+        "2 faces have no area and were dropped",
+        "4 faces were there twice; one of each was dropped",
+    ]
+    assert face_areas(part.reference).sum() == pytest.approx(mesh.area * 1e-6, rel=1e-9)
+
+
+def test_a_sliver_that_joins_its_neighbours_does_not_open_the_surface() -> None:
+    """A face of three corners on a line has no area, but the surface around it is closed."""
+    vertices = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 0, 0]], float) * 10
+    faces = np.array([[0, 2, 1], [0, 4, 3], [4, 1, 3], [1, 2, 3], [0, 3, 2], [0, 1, 4]])
+    part = from_mesh("part", vertices, faces, "mm", "")
+    assert kinds(part) == [Kind.ZERO_AREA]
+    assert len(part.reference.faces) == 5
+
+
+def test_a_void_inside_a_body_stays_a_void() -> None:
+    """A hollow ball: the inner shell rightly has negative volume; turned as a whole, both shells are turned back."""
+    outer, inner = trimesh.creation.icosphere(subdivisions=2, radius=50.0), trimesh.creation.icosphere(radius=20.0)
+    inner.invert()
+    hollow = trimesh.util.concatenate([outer, inner])
+    part = checked(hollow)
+    assert kinds(part) == [Kind.BODIES]
+    assert volume(part) == pytest.approx(hollow.volume * 1e-9, rel=1e-9)
+    hollow.invert()
+    turned = checked(hollow)
+    assert kinds(turned) == [Kind.INVERTED, Kind.BODIES]
+    assert volume(turned) == pytest.approx(volume(part), rel=1e-9)
+
+
+def test_several_bodies_are_counted_and_each_is_turned_outward() -> None:
+    """Three balls side by side, one inside out."""
+    balls = [trimesh.creation.icosphere(subdivisions=2, radius=20.0) for _ in range(3)]
+    for i, ball in enumerate(balls):
+        ball.apply_translation([60.0 * i, 0, 0])
+    balls[1].invert()
+    part = checked(trimesh.util.concatenate(balls))
+    assert [finding.sentence for finding in part.findings] == [
+        "1 body was inside out (negative volume) and turned round",
+        "the mesh consists of 3 separate bodies; all of them are scanned as one part",
+    ]
+    assert volume(part) == pytest.approx(3 * balls[0].volume * 1e-9, rel=1e-9)
+
+
+def test_a_one_sided_surface_is_said() -> None:
+    """A Moebius strip has no outside; the part is still usable."""
+    n = 40
+    angle = np.arange(n) * 2 * np.pi / n
+    rim = []
+    for side in (-1, 1):
+        radius = 50 + side * 10 * np.cos(angle / 2)
+        rim.append(np.stack([radius * np.cos(angle), radius * np.sin(angle), side * 10 * np.sin(angle / 2)], axis=1))
+    vertices = np.vstack(rim)
+    i = np.arange(n)
+    after = (i + 1) % n
+    low, high, low_after, high_after = i, i + n, np.where(after == 0, n, after), np.where(after == 0, 0, after + n)
+    faces = np.vstack([np.stack([low, low_after, high], 1), np.stack([high, low_after, high_after], 1)])
+    part = from_mesh("strip", vertices, faces, "mm", "")
+    assert Kind.ONE_SIDED in kinds(part)
+
+
+def test_edges_of_more_than_two_faces_are_said() -> None:
+    """Two tetrahedra that share an edge."""
+    vertices = np.array([[0, 0, 0], [30, 0, 0], [0, 30, 0], [0, 0, 30], [0, -30, 0], [0, 0, -30]], float)
+    one = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
+    two = [[0, 4, 1], [0, 1, 5], [1, 4, 5], [0, 5, 4]]
+    part = from_mesh("part", vertices, np.array(one + two), "mm", "")
+    assert Kind.NON_MANIFOLD in kinds(part)
+
+
+@pytest.mark.parametrize(
+    ("size_mm", "units", "sentence"),
+    [
+        (200, "um", "the part is 0.2 mm long; are the units (um) right? It would be 200 mm in mm."),
+        (200, "m", "the part is 200 m long; are the units (m) right? It would be 200 mm in mm."),
+        (0.2, "mm", "the part is 0.2 mm long; are the units (mm) right? It would be 200 mm in m."),
+    ],
+)
+def test_implausible_units_are_doubted(size_mm: float, units: str, sentence: str) -> None:
+    """A warning that names the length and what it would be in a unit that fits the cell; the part stays as told."""
+    ball = trimesh.creation.box(extents=(size_mm,) * 3)
+    part = from_mesh("part", np.array(ball.vertices), np.array(ball.faces), units, "")
+    assert [(finding.kind, finding.severity) for finding in part.findings] == [(Kind.UNITS, Severity.WARNING)]
+    assert part.findings[0].sentence.startswith(sentence.split(" It would")[0])
+    assert sentence.split("It would be ")[1].rstrip(".") in part.findings[0].sentence
+
+
+@pytest.mark.parametrize("size_mm", [5, 60, 223, 1500])
+def test_plausible_sizes_are_not_doubted(size_mm: float) -> None:
+    """Parts that such a cell scans raise no doubt."""
+    assert checked(trimesh.creation.box(extents=(size_mm,) * 3)).findings == ()
+
+
+def test_a_flat_part_is_said() -> None:
+    """A sheet without thickness."""
+    vertices = np.array([[0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]], float)
+    part = from_mesh("sheet", vertices, np.array([[0, 1, 2], [0, 2, 3]]), "mm", "")
+    assert kinds(part) == [Kind.OPEN, Kind.FLAT]
+
+
+def test_values_are_read_only(tmp_path: Path) -> None:
+    """Nobody can change a loaded part."""
+    part = load(write(tmp_path, body()), "mm")
+    for array in (part.reference.vertices, part.reference.faces, part.bounds, part.centre, part.T_object_centre):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
