@@ -1,20 +1,15 @@
 """The whole motion over a set of views: order, joint solutions and certified paths, from home and back.
 
-The order is found with cheap times, the edges of its tour are looked at, and what turns out to collide is priced
-anew, until every edge of the tour is real (the lazy evaluation of sampling-based planning, Bohlin and Kavraki 2000,
-doi:10.1109/ROBOT.2000.844107, on a travelling salesman). As no path is faster than the straight move, a tour that is
-optimal under these prices and whose edges are all real is optimal over the real times as well, as far as the guessed
-prices of colliding moves are not too high.
+The search itself is `planner.tour_search`; this file checks its input, puts the legs together and measures their
+clearance.
 
 A view to which no path is found from any of its joint solutions is dropped and said; the caller may then cover the part
 anew without it.
 """
 
-from collections.abc import Callable
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from enum import IntEnum
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +17,12 @@ from numpy.typing import NDArray
 from planner import order as ordering_of_views
 from planner.edge import clearance_along
 from planner.errors import PlannerError
-from planner.path import CHECKS, path_time
+from planner.path import path_time
 from planner.ports import CollisionChecker, Floats, JointLimits
 from planner.readonly import readonly
-from planner.roadmap import Edge, Roadmap
+from planner.roadmap import Roadmap
 from planner.timing import check_inside, check_limits
-
-Progress = Callable[[int, int], None]
-"""Called with the number of real edges and the number of edges of the tour under work."""
+from planner.tour_search import DEFAULT_BUDGET, MotionBudget, Progress, TourSearch, edges_of
 
 
 class TourStatus(IntEnum):
@@ -87,23 +80,6 @@ class Dropped:
     view: int
     reason: DropReason
     blocker: str
-
-
-@dataclass(frozen=True, slots=True)
-class MotionBudget:
-    """Work that planning a motion may use; no clock is read, so equal input gives an equal motion.
-
-    Attributes:
-        orders: orders that one full ordering may evaluate (`planner.order.sequence`).
-        path_checks: configurations that the search of one detour may check.
-        checks: configurations after which detours get only a token search.
-        rounds: orderings at most; after them the edges of the last tour are made real without ordering again.
-    """
-
-    orders: int = ordering_of_views.EVALUATIONS
-    path_checks: int = CHECKS
-    checks: int = 1_000_000
-    rounds: int = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +143,7 @@ def plan_motion(
     limits: JointLimits,
     T_base_scanner: Floats,
     rng: np.random.Generator,
-    budget: MotionBudget = MotionBudget(),
+    budget: MotionBudget = DEFAULT_BUDGET,
     progress: Progress | None = None,
     *,
     ordering: str = "joint-space",
@@ -220,138 +196,19 @@ def plan_motion(
             blocker = next(iter(checker.contacts(q[0])), "")
             dropped.append(Dropped(k, DropReason.IN_COLLISION, blocker))
 
-    planner = _Planner(roadmap, poses, T_base_home, limits, seed, budget, ordering, progress)
-    planner.views = [k for k in range(len(solutions)) if len(roadmap.nodes_of(k))]
-    nodes = planner.run()
-    dropped += [Dropped(k, DropReason.NO_PATH, "") for k in planner.unconnected]
-    return _tour(roadmap, nodes, planner, tuple(sorted(dropped, key=lambda d: d.view)))
+    search = TourSearch(roadmap, poses, T_base_home, limits, seed, budget, ordering, progress)
+    nodes = search.run()
+    dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
+    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)))
 
 
-class _Planner:
-    """The loop of ordering and looking; holds what changes between rounds."""
-
-    def __init__(
-        self,
-        roadmap: Roadmap,
-        poses: Floats,
-        T_base_home: Floats | None,
-        limits: JointLimits,
-        seed: int,
-        budget: MotionBudget,
-        ordering: str,
-        progress: Progress | None,
-    ) -> None:
-        self.roadmap, self.poses, self.T_base_home, self.limits = roadmap, poses, T_base_home, limits
-        self.seed, self.budget, self.progress = seed, budget, progress
-        self.ordering = ordering_of_views.ORDERINGS[ordering]
-        self.views: list[int] = []
-        self.unconnected: list[int] = []
-        self.baseline, self.lower_bound = 0.0, 0.0
-        self.rounds = 0
-
-    def run(self) -> list[int]:
-        """Nodes of the tour in visiting order, home at both ends; every edge of it is real."""
-        nodes, full, settled_cost = self.order(self.budget.orders, []), True, float("inf")
-        while self.rounds < self.budget.rounds:
-            if self.make_real(nodes):
-                cost = sum(path_time(self.path(a, b), self.limits) for a, b in _edges(nodes))
-                if full or cost >= settled_cost * (1 - 1e-9):
-                    return nodes
-                # Quick orderings brought all edges to light; a full one may find a faster tour over them.
-                settled_cost, full = cost, True
-                nodes = self.order(self.budget.orders, nodes)
-            else:
-                full = False
-                nodes = self.order(self.budget.orders // 10, nodes)
-        while not self.make_real(nodes):
-            self.drop_unconnected()
-            nodes = [node for node in nodes if node == 0 or self.roadmap.active[node]]
-        kept = {self.view_of(node) for node in nodes[1:-1]}
-        self.unconnected += [k for k in self.views if k not in kept]
-        return nodes
-
-    def make_real(self, nodes: list[int]) -> bool:
-        """Look at the tour's edges; where all straight moves were looked at before, search the blocked ones.
-
-        Returns:
-            Whether every edge of this tour is real now, and was priced so when the tour was ordered.
-        """
-        edges = _edges(nodes)
-        if not self.roadmap.look(edges):
-            self.tell(edges)
-            return False
-        blocked = [e for e in edges if self.roadmap.blocked(*e)]
-        for a, b in blocked:
-            if self.roadmap.active[a] and self.roadmap.active[b]:
-                self.roadmap.search(a, b)
-                self.tell(edges)
-        self.tell(edges)
-        return not blocked
-
-    def order(self, evaluations: int, before: list[int]) -> list[int]:
-        """Order the views under the current prices, beginning with the order of an earlier tour."""
-        self.drop_unconnected()
-        roadmap, nodes = self.roadmap, [self.roadmap.nodes_of(k) for k in self.views]
-        numbers = np.full(len(roadmap.q), -1)
-        flat = np.concatenate([np.zeros(1, dtype=np.int64), *nodes])
-        numbers[flat] = np.arange(len(flat))
-        edge_time = {
-            (int(numbers[a]), int(numbers[b])): time
-            for (a, b), time in roadmap.prices().items()
-            if numbers[a] >= 0 and numbers[b] >= 0
-        }
-        place = {view: k for k, view in enumerate(self.views)}
-        start = [place[v] for node in before[1:-1] if (v := self.view_of(node)) in place]
-        found = self.ordering(
-            [roadmap.q[n] for n in nodes],
-            roadmap.q[0],
-            self.limits,
-            T_base_scanner=self.poses[self.views],
-            T_base_home=self.T_base_home,
-            rng=np.random.default_rng([self.seed, self.rounds]),
-            budget=evaluations,
-            edge_time=edge_time,
-            start=np.array(start) if len(start) == len(self.views) and start else None,
-        )
-        if self.rounds == 0:  # no edge was looked at: times of straight moves, which no path undercuts
-            self.baseline, self.lower_bound = found.baseline_duration, found.lower_bound
-        self.rounds += 1
-        return [0, *(int(nodes[k][i]) for k, i in zip(found.order, found.choice, strict=True)), 0]
-
-    def drop_unconnected(self) -> None:
-        """Move views that lost their last joint solution to `unconnected`."""
-        lost = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
-        self.unconnected += lost
-        self.views = [k for k in self.views if k not in lost]
-
-    def view_of(self, node: int) -> int:
-        """View to which a node belongs."""
-        return int(np.searchsorted(self.roadmap.offsets, node, side="right")) - 1
-
-    def path(self, a: int, b: int) -> Floats:
-        """Certified via points of a real edge."""
-        found = self.roadmap.path(a, b)
-        assert found is not None, "only real edges are asked for"
-        return found
-
-    def tell(self, edges: list[Edge]) -> None:
-        """Report how many of the tour's edges are real."""
-        if self.progress is not None:
-            self.progress(sum(self.roadmap.path(a, b) is not None for a, b in edges), len(edges))
-
-
-def _edges(nodes: list[int]) -> list[Edge]:
-    """Edges of a tour; none where it has no view."""
-    return list(pairwise(nodes)) if len(nodes) > 2 else []
-
-
-def _tour(roadmap: Roadmap, nodes: list[int], planner: _Planner, dropped: tuple[Dropped, ...]) -> Tour:
+def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[Dropped, ...]) -> Tour:
     """Put the legs together and measure their clearance."""
-    views = [planner.view_of(node) for node in nodes[1:-1]]
+    views = [search.view_of(node) for node in nodes[1:-1]]
     via, segment, view = [roadmap.q[:1]], [0], [-1]
     clearance, between, detour, duration = [], [], [], 0.0
-    for leg, (a, b) in enumerate(_edges(nodes)):
-        path = planner.path(a, b)
+    for leg, (a, b) in enumerate(edges_of(nodes)):
+        path = search.path(a, b)
         via.append(path[1:])
         segment += [leg] * (len(path) - 1)
         view += [-1] * (len(path) - 2) + [views[leg] if leg < len(views) else -1]
@@ -359,7 +216,7 @@ def _tour(roadmap: Roadmap, nodes: list[int], planner: _Planner, dropped: tuple[
         clearance.append(nearest)
         between.append(pair)
         detour.append(len(path) > 2)
-        duration += path_time(path, planner.limits)
+        duration += path_time(path, search.limits)
     visited = np.array(nodes[1:-1], dtype=np.int64)
     return Tour(
         order=np.array(views, dtype=np.int64),
@@ -372,13 +229,13 @@ def _tour(roadmap: Roadmap, nodes: list[int], planner: _Planner, dropped: tuple[
         between=tuple(between),
         detour=np.array(detour, dtype=bool),
         duration=duration,
-        baseline_duration=planner.baseline,
-        lower_bound=planner.lower_bound,
+        baseline_duration=search.baseline,
+        lower_bound=search.lower_bound,
         dropped=dropped,
         status=TourStatus.VIEWS_DROPPED if dropped else TourStatus.COMPLETE,
         home_blocker="",
         checks=roadmap.checks,
-        rounds=planner.rounds,
+        rounds=search.rounds,
     )
 
 
