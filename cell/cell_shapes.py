@@ -8,11 +8,11 @@ Which pairs are guarded, and why the others are not:
 | link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 turns above both without ever coming down |
 | base with anything that stands still | no: neither moves; `cell.scene_limits` looks once, when the scene is built |
 | links among themselves | as models/kr16.xml says: neighbours share a bearing |
-| bracket with base, link_1..link_4 | yes |
-| bracket with link_5, link_6 | no: bolted to link_6, whose only motion against link_5 turns about the bracket's end |
-| housing with base, link_1..link_4 | yes |
-| housing with link_5 | yes, unless a full turn of A6, the only motion between the two, keeps the clearance anyhow |
-| housing with link_6, bracket | no: one rigid piece |
+| bracket, housing with base, link_1..link_3 | yes |
+| bracket, housing with link_4 | yes, unless they keep the clearance whatever A5 and A6 are |
+| housing with link_5 | yes, unless it keeps the clearance whatever A6 is |
+| bracket with link_5 | no: bolted to link_6, it only turns about its own end against link_5 |
+| bracket, housing, link_6 among themselves | no: one rigid piece |
 
 Every pair is guarded with the same margin, the scene's clearance; MuJoCo 4 *adds* the margins of two shapes, so each
 carries half.
@@ -20,6 +20,7 @@ carries half.
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,16 +40,19 @@ POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""
 
 # Collision classes: two shapes are a candidate pair when one's type meets the other's affinity.
-_ARM, _CELL, _GROUND, _BRACKET, _HOUSING = 1, 2, 4, 8, 16
+_CELL, _GROUND, _TOOL = 2, 4, 8  # the links' own class among themselves, 1, is that of models/kr16.xml
 _LINK_MEETS = {
-    "base": _BRACKET | _HOUSING,
-    "link_1": _CELL | _BRACKET | _HOUSING,
-    "link_2": _CELL | _GROUND | _BRACKET | _HOUSING,
-    "link_3": _CELL | _GROUND | _BRACKET | _HOUSING,
-    "link_4": _CELL | _GROUND | _BRACKET | _HOUSING,
-    "link_5": _CELL | _GROUND | _HOUSING,
+    "base": _TOOL,
+    "link_1": _CELL | _TOOL,
+    "link_2": _CELL | _GROUND | _TOOL,
+    "link_3": _CELL | _GROUND | _TOOL,
+    "link_4": _CELL | _GROUND | _TOOL,
+    "link_5": _CELL | _GROUND | _TOOL,
     "link_6": _CELL | _GROUND,
 }
+
+
+_WRIST_STEP = np.deg2rad(3.0)
 
 
 def prepare_robot(spec: mujoco.MjSpec) -> None:
@@ -64,19 +68,19 @@ def prepare_robot(spec: mujoco.MjSpec) -> None:
 
 
 def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> None:
-    """Bracket and housing, in a body whose frame is the flange's."""
+    """Bracket and housing, each in a body of its own whose frame is the flange's."""
     import mujoco
 
     flange = robot.load().site(robot.FLANGE)
-    tool = spec.body("link_6").add_body(name="tool", pos=flange.pos, quat=flange.quat)
+    last = spec.body("link_6")
     half = np.array(scene.housing.size_mm) / 2000.0
-    tool.add_geom(
+    last.add_body(name="housing", pos=flange.pos, quat=flange.quat).add_geom(
         name="housing",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=half,
         pos=T_flange_housing[:3, 3],
         quat=quaternion(T_flange_housing[:3, :3]),
-        contype=_BRACKET | _HOUSING,
+        contype=_TOOL,
         conaffinity=_CELL | _GROUND,
         rgba=[0.1, 0.1, 0.12, 1],
     )
@@ -88,36 +92,58 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = _turn_z_to(end / length), end / 2
         radius = scene.housing.bracket_diameter_mm / 2000.0
-        bracket = add_cylinder(tool, "bracket", radius, length, T)
-        bracket.contype, bracket.conaffinity = _BRACKET, _CELL | _GROUND
+        body = last.add_body(name="bracket", pos=flange.pos, quat=flange.quat)
+        bracket = add_cylinder(body, "bracket", radius, length, T)
+        bracket.contype, bracket.conaffinity = _TOOL, _CELL | _GROUND
+        spec.add_exclude(name="bolted_bracket_link_5", bodyname1="bracket", bodyname2="link_5")
 
 
-def housing_clears_hand(model: mujoco.MjModel, clearance: float) -> bool:
-    """Whether housing and link_5 keep the clearance [m] at every angle of A6.
+def exclude_what_the_wrist_keeps_apart(spec: mujoco.MjSpec, model: mujoco.MjModel, clearance: float) -> bool:
+    """Switch off the pairs of bracket or housing with link_4 or link_5 that keep the clearance [m] at all wrist angles.
 
-    Between two of the angles looked at no point of the housing moves farther than half a step of A6 at its radius.
+    Returns:
+        Whether any was switched off, so that the specification must be compiled again.
+    """
+    pieces = [name for name in ("housing", "bracket") if spec.geom(name) is not None]
+    apart = [
+        (piece, link)
+        for piece in pieces
+        for link, axes in (("link_5", ("A6",)), ("link_4", ("A5", "A6")))
+        if (piece, link) != ("bracket", "link_5") and _wrist_keeps_apart(model, piece, link, axes, clearance)
+    ]
+    for piece, link in apart:
+        spec.add_exclude(name=f"apart_{piece}_{link}", bodyname1=piece, bodyname2=link)
+    return bool(apart)
+
+
+def _wrist_keeps_apart(model: mujoco.MjModel, piece: str, link: str, axes: tuple[str, ...], clearance: float) -> bool:
+    """Whether a piece of the tool keeps the clearance from a link at every angle of the axes between the two.
+
+    Looked at on a grid of angles. Both axes run through the wrist centre, so from a node of the grid to any angle half
+    a step away no point of the piece moves farther than half a step times its distance from there, per axis.
     """
     import mujoco
 
     data = mujoco.MjData(model)
-    housing, axis = model.geom("housing").id, model.joint("A6").id
-    hand = np.flatnonzero(model.geom_bodyid == model.body("link_5").id)
     mujoco.mj_kinematics(model, data)
-    offset = np.cross(data.geom_xpos[housing] - data.xanchor[axis], data.xaxis[axis])
-    radius = float(np.linalg.norm(offset) + model.geom_rbound[housing])
-    angles, step = np.linspace(0.0, 2 * np.pi, 181, retstep=True)
-    reach = clearance + radius * step / 2
-    for angle in angles:
-        data.qpos[model.jnt_qposadr[axis]] = angle
+    geom = model.geom(piece).id
+    shapes = np.flatnonzero(model.geom_bodyid == model.body(link).id)
+    joints = [model.joint(axis) for axis in axes]
+    farthest = float(np.linalg.norm(data.geom_xpos[geom] - data.xanchor[joints[0].id]) + model.geom_rbound[geom])
+    grids, slack = [], 0.0
+    for joint in joints:
+        low, high = joint.range if joint.name == "A5" else (0.0, 2 * np.pi)
+        angles, step = np.linspace(low, high, int(np.ceil((high - low) / _WRIST_STEP)) + 1, retstep=True)
+        grids.append(angles)
+        slack += farthest * step / 2
+    reach = clearance + slack
+    addresses = [int(joint.qposadr[0]) for joint in joints]
+    for angles in itertools.product(*grids):
+        data.qpos[addresses] = angles
         mujoco.mj_kinematics(model, data)
-        if any(mujoco.mj_geomDistance(model, data, housing, geom, reach, None) < reach for geom in hand):
+        if any(mujoco.mj_geomDistance(model, data, geom, shape, reach, None) < reach for shape in shapes):
             return False
     return True
-
-
-def release_housing_from_hand(spec: mujoco.MjSpec) -> None:
-    """Switch the pair housing with link_5 off."""
-    spec.geom("housing").contype = _BRACKET
 
 
 def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:

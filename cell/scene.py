@@ -29,7 +29,7 @@ Units = Literal["mm", "cm", "m", "um", "in"]
 
 RESERVED_NAMES = (
     *("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6"),
-    *("tool", "bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
+    *("bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
 )
 
 

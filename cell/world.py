@@ -163,8 +163,7 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
-    if cell_shapes.housing_clears_hand(model, scene.clearance_mm / 1000.0):
-        cell_shapes.release_housing_from_hand(spec)
+    if cell_shapes.exclude_what_the_wrist_keeps_apart(spec, model, scene.clearance_mm / 1000.0):
         model = _compiled(spec)
     world = World(
         scene=scene,

@@ -1,0 +1,75 @@
+"""`cell check` behind the command: numbers, contacts and problems of a scene."""
+
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from cell.check import check_scene
+from cell.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> dict:
+    """A part of 200 mm as the scene's [part] table."""
+    path = tmp_path_factory.mktemp("part") / "ball.stl"
+    trimesh.creation.icosphere(2, 100.0).export(path)
+    return {"path": str(path), "units": "mm"}
+
+
+def test_the_arm_s_envelope_is_the_data_sheet_s(ball: dict) -> None:
+    """KUKA gives 1611 mm to the wrist centre; lowest and highest wrist within the limits of A2 and A3."""
+    envelope = check_scene(Scene.model_validate({"part": ball})).envelope
+    assert envelope.wrist_reach_mm == pytest.approx(1610.9, abs=0.1)
+    assert envelope.wrist_lowest_mm == pytest.approx(-385.9, abs=0.1)
+    assert envelope.wrist_highest_mm == pytest.approx(2025.9, abs=0.1)
+    assert envelope.wrist_to_source_mm == pytest.approx(158 + 120)
+
+
+def test_a_good_scene_has_no_problems(ball: dict) -> None:
+    """The built-in cell with a ball: nothing touches at home, everything is listed and serialises."""
+    result = check_scene(Scene.model_validate({"part": ball}))
+    assert (result.problems, result.contacts_at_home, result.exit_code) == ((), (), 0)
+    assert result.placement_mm == (1200.0, 500.0, 0.0)
+    assert result.part_size_mm == (200.0, 200.0, 200.0)
+    assert result.housing_mm == (37.5, 0.0, 90.0)
+    assert result.bracket_length_mm == pytest.approx(60.0)
+    assert set(result.obstacles) == {"floor", "pedestal", "part", "post"}
+    assert result.joint_limits_deg["A2"] == (-155.0, 35.0)
+    assert result.nearest_at_home_mm > 100
+    summary = json.loads(json.dumps(result.summary(), allow_nan=False))
+    assert summary["ok"] is True
+    assert all(isinstance(name, str) and isinstance(value, str) for name, value in result.rows())
+
+
+def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
+    """A fixture in the arm's way: what it touches, how deep, what to change, exit code 2."""
+    wall = {"name": "wall", "shape": "box", "size_mm": [50, 900, 900], "position_mm": [700, 0, 1300]}
+    result = check_scene(Scene.model_validate({"part": ball, "fixtures": [wall]}))
+    assert result.exit_code == 2
+    pairs = {pair: distance for pair, distance in result.contacts_at_home}
+    assert any(pair.endswith("with wall") and distance < 0 for pair, distance in pairs.items())
+    assert len(result.problems) == 1
+    assert "fixtures[0].position_mm" in result.problems[0]
+    assert result.summary()["contacts_at_home"][0].keys() == {"pair", "distance_mm"}
+
+
+@pytest.mark.parametrize(
+    ("x", "beyond"), [(2200, False), (2270, False), (2300, True), (9000, True)]
+)  # 1610.9 + 278 + the standoff of 300 + the ball's radius of 100 = 2288.9
+def test_a_part_out_of_reach_is_said(ball: dict, x: float, beyond: bool) -> None:
+    """Beyond arm, tool and standoff no point of the part can be measured."""
+    result = check_scene(Scene.model_validate({"part": ball, "placement": {"position_mm": [x, 0, 500]}}))
+    assert any("out of reach" in problem for problem in result.problems) == beyond
+
+
+def test_a_missing_mesh_of_a_fixture_is_the_loader_s_problem(tmp_path: Path) -> None:
+    """A fixture's file is looked for when the scene is read, with its key."""
+    from cell.errors import SceneError
+    from cell.scene import load_scene
+
+    path = tmp_path / "scene.toml"
+    path.write_text("[[fixtures]]\nname='vice'\nshape='mesh'\npath='vice.stl'\nunits='mm'\n")
+    with pytest.raises(SceneError, match=r"fixtures\[0\]\.path is 'vice.stl'"):
+        load_scene(path)
