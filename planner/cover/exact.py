@@ -9,22 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from planner.cover.bound import ROUNDING, bound, without_useless_columns
+from planner.cover.bound import ROUNDING, Bound, bound, without_useless_columns
 from planner.cover.budget import Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.problem import CoverProblem, Ints
 from planner.cover.reductions import reduce
 
-NODE_WORK = 60
-"""Charge of one branch-and-bound node for each one of the model's matrix (a few dual simplex pivots)."""
+NODE_WORK = 1000
+"""Charge of one branch-and-bound node for each one of the model's matrix."""
 
-ROOT_NODES = 40
-"""The root (relaxation, cuts, heuristics) counts as this many nodes."""
-
-
-def node_limit(problem: CoverProblem, budget: Budget) -> int:
-    """Nodes that the budget pays for on this problem; zero when not even the root is affordable."""
-    return max(budget.left // max(NODE_WORK * problem.n_entries, 1) - ROOT_NODES + 1, 0)
+ROOT_NODES = 100
+"""The root (relaxation, cuts, and HiGHS's heuristics, which scipy cannot switch off) counts as this many nodes."""
 
 
 def exact(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Ints:
@@ -38,10 +33,7 @@ def exact(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> In
     Returns:
         Columns of the best cover, which is the incumbent or greedy one if none with fewer columns was found.
     """
-    if budget.best is None:
-        greedy(problem, rng, budget)
-    best = budget.best
-    assert best is not None
+    best = greedy(problem, rng, budget) if budget.best is None else budget.best
     if problem.trivial or budget.proven:
         return best
     if budget.dual is None:
@@ -49,36 +41,52 @@ def exact(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> In
             budget.dual = bound(problem, len(best), budget)
         if budget.proven:
             return best
-    return _improve(problem, best, max(node_limit(problem, budget), 1), budget)
+    return improve_or_prove(problem, best, budget.dual, budget, at_least_root=True)
 
 
-def _improve(problem: CoverProblem, best: Ints, nodes: int, budget: Budget) -> Ints:
-    """Look for a cover with fewer columns than the incumbent."""
-    assert budget.dual is not None
-    core = without_useless_columns(problem, budget.dual, len(best))
+def improve_or_prove(problem: CoverProblem, best: Ints, known: Bound, budget: Budget, *, at_least_root: bool) -> Ints:
+    """Look for a cover with fewer columns than the best, or prove that there is none.
+
+    Args:
+        problem: what to cover.
+        best: the incumbent.
+        known: bound whose reduced costs rule columns out.
+        budget: work; receives what is proven or found.
+        at_least_root: solve the root even where the budget does not pay for it; otherwise do nothing then.
+
+    Returns:
+        The best cover.
+    """
+    core = without_useless_columns(problem, known, len(best))
     if core is None:
         budget.prove(len(best))
         return best
-    reduction = reduce(core[0])
-    fewer = len(best) - 1 - len(reduction.forced)  # columns that the reduced problem may use
-    if fewer < 0 or (fewer == 0 and not reduction.problem.trivial):
-        budget.prove(len(best))
+    # The reductions of a core that is far too large would cost more than they could save.
+    if not at_least_root and _nodes(core[0], budget, discount=10) == 0:
         return best
+    reduction = reduce(core[0])
+    nodes = _nodes(reduction.problem, budget)
+    if nodes == 0 and not at_least_root:
+        return best
+    fewer = len(best) - 1 - len(reduction.forced)  # columns that the reduced problem may use
     if reduction.problem.trivial:
         found: Ints | None = np.zeros(0, dtype=np.int64)
-        lower = len(reduction.forced)
+        inner = 0
+    elif fewer <= 0:
+        found, inner = None, fewer + 1
     else:
-        found, inner = _solve_model(reduction.problem, fewer, nodes, budget)
-        lower = len(reduction.forced) + inner
-    budget.prove(min(lower, len(best)))  # covers outside the core have at least len(best) columns
+        found, inner = _solve_model(reduction.problem, fewer, max(nodes, 1), budget)
+    budget.prove(min(len(reduction.forced) + inner, len(best)))  # covers outside the core have at least len(best)
     if found is None:
         return best
     # HiGHS may miss an area target by its feasibility tolerance; the exact test is ours.
     cover = prune(problem, complete(problem, core[1][reduction.lift(found)]))
-    if len(cover) < len(best):
-        budget.offer(cover)
-        return cover
-    return best
+    return cover if budget.offer(cover) else best
+
+
+def _nodes(problem: CoverProblem, budget: Budget, discount: int = 1) -> int:
+    """Nodes that the budget pays for; zero when not even the root is affordable."""
+    return max(discount * budget.left // max(NODE_WORK * problem.n_entries, 1) - ROOT_NODES + 1, 0)
 
 
 def _solve_model(problem: CoverProblem, at_most: int, nodes: int, budget: Budget) -> tuple[Ints | None, int]:

@@ -71,7 +71,7 @@ def test_meta_raps_improves_on_greedy():
         rng = np.random.default_rng(seed)
         M = rng.random((100, 100)) < 0.08
         problem = candidates(M, np.ones(100)).problem
-        better += len(meta_raps(problem, rng, Budget(10**8))) < len(greedy(problem, rng, Budget(0)))
+        better += len(meta_raps(problem, rng, Budget(3 * 10**7))) < len(greedy(problem, rng, Budget(0)))
     assert better >= 7
 
 
