@@ -1,9 +1,9 @@
 """Certified straight joint segments: free between the checks too, not only at them.
 
 The argument. Let `c` be the checker's clearance, so that at a free configuration every guarded pair is at least `c`
-apart. A segment is subdivided at the configurations q_0 .. q_n such that from each q_k to the midpoints between it
-and its neighbours no point of arm or tool moves farther than `d = STEP * c` (the checker's `travel` bounds this; it
-is asked for each half on its own, so nothing is assumed about how the bound behaves under subdivision). Every
+apart. A segment is subdivided evenly at the configurations q_0 .. q_n such that from each q_k to the midpoints between
+it and its neighbours no point of arm or tool moves farther than `d = STEP * c`: with n >= travel / (2 d), as such a
+half is a share 1 / (2 n) of the segment and the checker's `travel` bounds displacement in proportion. Every
 configuration q of the segment lies in such a half, so each point of arm and tool is within `d` of where it was at a
 checked configuration, and
 
@@ -76,20 +76,7 @@ def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats
     Raises:
         PlannerError: if the checker keeps no clearance, without which nothing between two checks is known.
     """
-    allowed = STEP * checker.clearance
-    if not allowed > 0:
-        raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
-    if np.array_equal(q_from, q_to):
-        return q_from[None]
-    whole = float(checker.travel(q_from[None], q_to[None])[0])
-    count = max(1, int(np.ceil(whole / (2.0 * allowed))))
-    while True:
-        halves = q_from + np.linspace(0.0, 1.0, 2 * count + 1)[:, None] * (q_to - q_from)
-        halves[-1] = q_to
-        if (checker.travel(halves[:-1], halves[1:]) <= allowed).all():
-            return halves[::2]
-        # Rarely: the bound is uneven along the segment, or rounding lifted it above its exact share.
-        count += max(1, count // 8)
+    return _subdivide_many(q_from[None], q_to[None], checker)[0]
 
 
 def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker, *, ends_free: bool = False) -> tuple[bool, int]:
@@ -125,7 +112,7 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
     Returns:
         (N,) True where the segment is certified, and how many configurations were checked.
     """
-    segments = [subdivide(a, b, checker) for a, b in zip(q_from, q_to, strict=True)]
+    segments = _subdivide_many(q_from, q_to, checker)
     waiting = [_bisection_batches(len(s), True) for s in segments]
     certified, checks, active = np.ones(len(segments), dtype=bool), 0, list(range(len(segments)))
     while active:
@@ -181,6 +168,20 @@ def along(via: Floats, checker: CollisionChecker, samples: int) -> Floats:
     )
     pieces = [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(via[:-1], via[1:], parts, strict=True)]
     return np.concatenate([*pieces, via[-1:]])
+
+
+def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> list[Floats]:
+    """`subdivide` for (N, 6) and (N, 6) ends, with one call for all travels."""
+    allowed = STEP * checker.clearance
+    if not allowed > 0:
+        raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
+    counts = np.maximum(1, np.ceil(checker.travel(q_from, q_to) / (2.0 * allowed))).astype(int)
+    found = []
+    for start, stop, count in zip(q_from, q_to, counts, strict=True):
+        configurations = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (stop - start)
+        configurations[-1] = stop
+        found.append(start[None] if np.array_equal(start, stop) else configurations)
+    return found
 
 
 def _bisection_batches(count: int, ends_free: bool) -> Iterator[NDArray[np.int64]]:

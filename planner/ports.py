@@ -226,7 +226,8 @@ class CollisionChecker(Protocol):
             q_to: (N, 6) [rad].
 
         Returns:
-            (N,) length [m]; never smaller than the true displacement of any point between any two configurations of
-            the segment.
+            (N,) length [m], a bound in proportion: between two configurations of the segment that are a share f of it
+            apart, no point is displaced by more than f times the length. A bound on speed along the segment gives
+            this, a bound on displacement alone would not; certifying a segment rests on it (`planner.edge`).
         """
         ...

@@ -81,20 +81,6 @@ def test_subdivision_keeps_every_configuration_near_a_checked_one() -> None:
     assert len(marks) <= 2.0 / (2 * STEP * checker.clearance) + 2  # and no finer than that needs
 
 
-def test_an_uneven_travel_bound_is_not_trusted_to_be_linear() -> None:
-    """A bound of which the halves weigh more than half is asked for each half, and answered by more checks."""
-
-    class Uneven(Boxes):
-        def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
-            return np.sqrt(np.linalg.norm(q_to - q_from, axis=-1)) * 0.1  # square root: halves weigh 0.71
-
-    checker = Uneven()
-    marks = subdivide(LEFT, RIGHT, checker)
-    middles = 0.5 * (marks[:-1] + marks[1:])
-    assert checker.travel(marks[:-1], middles).max() <= STEP * checker.clearance
-    assert checker.travel(middles, marks[1:]).max() <= STEP * checker.clearance
-
-
 def test_a_thin_obstacle_between_two_free_ends_is_found() -> None:
     """A wall of no thickness at all blocks the edge: its clearance zone is wider than the spacing of the checks."""
     for place in np.linspace(-0.9, 0.9, 61):
