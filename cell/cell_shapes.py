@@ -9,8 +9,8 @@ Which pairs are guarded, and why the others are not:
 | base with anything that stands still | no: neither moves; `cell.scene_limits` looks once, when the scene is built |
 | links among themselves | as models/kr16.xml says: neighbours share a bearing |
 | bracket, housing with base, link_1..link_3 | yes |
-| bracket, housing with link_4 | yes, unless they keep the clearance whatever A5 and A6 are |
-| housing with link_5 | yes, unless it keeps the clearance whatever A6 is |
+| bracket, housing with link_4 | yes, unless they keep apart whatever A5 and A6 are |
+| housing with link_5 | yes, unless they keep apart whatever A6 is |
 | bracket with link_5 | no: bolted to link_6, it only turns about its own end against link_5 |
 | bracket, housing, link_6 among themselves | no: one rigid piece |
 
@@ -53,6 +53,7 @@ _LINK_MEETS = {
 
 
 _WRIST_STEP = np.deg2rad(3.0)
+_APART = 0.01  # m
 
 
 def prepare_robot(spec: mujoco.MjSpec) -> None:
@@ -98,22 +99,22 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
         spec.add_exclude(name="bolted_bracket_link_5", bodyname1="bracket", bodyname2="link_5")
 
 
-def exclude_what_the_wrist_keeps_apart(spec: mujoco.MjSpec, model: mujoco.MjModel, clearance: float) -> bool:
-    """Switch off the pairs of bracket or housing with link_4 or link_5 that keep the clearance [m] at all wrist angles.
+def exclude_what_the_wrist_keeps_apart(spec: mujoco.MjSpec, model: mujoco.MjModel, clearance: float) -> None:
+    """Switch off the pairs of bracket or housing with link_4 or link_5 that keep apart at all wrist angles.
 
-    Returns:
-        Whether any was switched off, so that the specification must be compiled again.
+    Apart means by the clearance [m] or, where that is larger, by `_APART`: what the mount fixes is no collision, and a
+    large clearance to the cell must not make every configuration one.
     """
     pieces = [name for name in ("housing", "bracket") if spec.geom(name) is not None]
     apart = [
         (piece, link)
         for piece in pieces
         for link, axes in (("link_5", ("A6",)), ("link_4", ("A5", "A6")))
-        if (piece, link) != ("bracket", "link_5") and _wrist_keeps_apart(model, piece, link, axes, clearance)
+        if (piece, link) != ("bracket", "link_5")
+        and _wrist_keeps_apart(model, piece, link, axes, min(clearance, _APART))
     ]
     for piece, link in apart:
         spec.add_exclude(name=f"apart_{piece}_{link}", bodyname1=piece, bodyname2=link)
-    return bool(apart)
 
 
 def _wrist_keeps_apart(model: mujoco.MjModel, piece: str, link: str, axes: tuple[str, ...], clearance: float) -> bool:

@@ -145,6 +145,7 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
     cell_shapes.prepare_robot(spec)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
+    cell_shapes.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
     cell_shapes.add_ground(spec, scene)
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
     post_body = spec.worldbody.add_body(name="post", mocap=True)
@@ -158,13 +159,12 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
             cell_shapes.POST_LENGTH,
             cell_shapes.shift(0.0, 0.0, -cell_shapes.POST_LENGTH / 2),
         )
+    _require_new_names(scene, {geom.name for geom in spec.geoms})
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     for geom in spec.geoms:
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
-    if cell_shapes.exclude_what_the_wrist_keeps_apart(spec, model, scene.clearance_mm / 1000.0):
-        model = _compiled(spec)
     world = World(
         scene=scene,
         model=model,
@@ -187,6 +187,12 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
 
         require_possible(world)
     return world
+
+
+def _require_new_names(scene: Scene, taken: set[str]) -> None:
+    for i, fixture in enumerate(scene.fixtures):
+        if fixture.name in taken:
+            raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
