@@ -1,8 +1,8 @@
 """Collision checks: configurations per second beside disagreements with python-fcl on the same shapes.
 
 Rows compare ways to run MuJoCo on one cell, and the checker's services. Rates are per second of processor time, which a
-shared machine disturbs least, and per second of wall time. Disagreements are counted on configurations of which many lie
-within 10 mm of contact, against fcl's box, cylinder and hull routines (overlap or not).
+shared machine disturbs least, and per second of wall time. Disagreements are counted on configurations of which many
+lie within 10 mm of contact, against fcl's box, cylinder and hull routines (overlap or not).
 """
 
 import time
