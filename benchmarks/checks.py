@@ -1,4 +1,4 @@
-"""Visible coverage of a run folder measured again from its files: other samples, trimesh's ray interface, own conditions."""
+"""Visible coverage of a run folder measured again from its files: other samples, trimesh's rays, own conditions."""
 
 import json
 from pathlib import Path

@@ -1,7 +1,7 @@
 """The paper's Table 5 on the built-in Mseke: reachable viewpoints, views and coverage over the part's position.
 
-One candidate per face, as in the paper (roll 0 alone), and the same with the two rolls of the default. The paper gives the
-robot with respect to the object's centre; docs/frames.md says how that is read.
+One candidate per face, as in the paper (roll 0 alone), and the same with the two rolls of the default. The paper gives
+the robot with respect to the object's centre; docs/frames.md says how that is read.
 """
 
 from time import perf_counter
