@@ -23,14 +23,14 @@ from planner.ports import Floats, JointLimits
 from planner.readonly import readonly
 from planner.timing import check_inside, move_time
 
-EVALUATIONS = 20_000
+EVALUATIONS = 10_000
 """Default budget of the local search: orders evaluated, each with its exact best joint solutions."""
 
 _ALWAYS_EXACT = 10_000_000
 """Price (`generalised_tsp.exact_work`) up to which the exact search is always run: 8 views of 24 solutions, 10 ms."""
 
-_EXACT_PER_EVALUATION = 4
-"""Additions of the exact search that take the time of one addition of the local search, measured."""
+_EXACT_PER_EVALUATION = 6
+"""Additions of the exact search that are worth one of the local search: 4 take its time, and a proof is worth more."""
 
 EdgeTimes = Mapping[tuple[int, int], float]
 
