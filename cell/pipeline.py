@@ -23,6 +23,7 @@ from cell.matrix import part_matrix, surface_features
 from cell.narrator import Narrator, ProgressCallback
 from cell.occluders import Occluder, occluder_triangles
 from cell.plan_summary import draw, plan_summary
+from cell.prediction import Prediction
 from cell.resolve import Settings, resolve
 from cell.run_folder import RunFolder
 from cell.scene import Scene
@@ -148,24 +149,21 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         casters.append(_caster_of(occluder_triangles(world)))
         M = measurability.occlude(M, candidates, scanner, casters[1], ray_caster=casters[0], progress=progress)
         plan_files.write_measurability(run.folder, M)
+        held_out = surface.sample(reference, planning, coverage.SAMPLES, run.rng(_HELD_OUT))
+        prediction = Prediction.of(held_out, scanner, casters, candidates.T_object_scanner[reached.reachable])
 
     with run.step("select, order and connect") as progress:
         limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
         chosen = select_and_connect(
-            M, reached, candidates, world, limits, kinematics, checker,
+            M, reached, candidates, world, limits, kinematics, checker, prediction,
             coverage=scene.plan.coverage, solver=scene.plan.solver,
             selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress,
         )  # fmt: skip
         motion = timing.retime(chosen.tour.via, chosen.tour.segment, chosen.via_candidate, limits)
         plan_files.write_motion(run.folder, motion, chosen.tour)
 
-    with run.step("predict coverage"):
-        held_out = surface.sample(reference, planning, coverage.SAMPLES, run.rng(_HELD_OUT))
-        visible = coverage.visible(chosen.T_object_scanner[:, None], held_out, scanner, casters)
-        reachable = candidates.T_object_scanner[reached.reachable]
-        coverable = coverage.coverable(visible, reachable, held_out, scanner, casters)
-
     with run.step("report"):
+        visible = prediction.visible(chosen.T_object_scanner[:, None])
         summary = plan_summary(
             scene,
             settings,
@@ -177,7 +175,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             chosen,
             motion,
             visible.fraction,
-            coverable.fraction,
+            prediction.coverable_with(visible),
         )
         plan_files.write_plan(run.folder, summary, chosen, candidates)
         plan_files.write_report(run.folder, summary)

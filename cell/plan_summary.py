@@ -79,6 +79,7 @@ def plan_summary(
             "visible": visible,
             "coverable": coverable,
             "visible_of_coverable": visible / coverable if coverable > 0 else 0.0,
+            "target_on_features": chosen.target,
             "planned_on_features": cover.covered_area / cover.total_area,
             "coverable_on_features": cover.coverable_area / cover.total_area,
         },
@@ -165,8 +166,9 @@ def _views_per_face(M: Measurability, views: Any, faces: int) -> Floats:
     counts = np.asarray(M.matrix()[:, views].sum(axis=1)).ravel()
     face = M.features.planning_face
     samples = np.bincount(face, minlength=faces)
-    total: Floats = np.bincount(face, weights=counts, minlength=faces)
-    return np.divide(total, samples, out=np.zeros(faces), where=samples > 0)
+    total = np.bincount(face, weights=counts, minlength=faces)
+    average: Floats = np.divide(total, samples, out=np.zeros(faces), where=samples > 0)
+    return average
 
 
 def _mm_or_none(metres: float) -> float | None:

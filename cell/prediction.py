@@ -1,0 +1,56 @@
+"""Predicted coverage of a plan on samples that the optimiser has not seen (definitions: planner/coverage.py)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import coverage
+from planner.coverage import Coverage
+from planner.ports import Floats, RayCaster, Scanner
+from planner.surface import SurfaceSamples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """The held-out samples with what reachable candidates measure of them.
+
+    Attributes:
+        samples: of the reference, not those of the matrix.
+        scanner: the sensor's law.
+        casters: the part's and the occluders', object frame.
+        coverable: what at least one reachable candidate measures.
+    """
+
+    samples: SurfaceSamples
+    scanner: Scanner
+    casters: Sequence[RayCaster]
+    coverable: Coverage
+
+    @classmethod
+    def of(
+        cls, samples: SurfaceSamples, scanner: Scanner, casters: Sequence[RayCaster], T_object_scanner: Floats
+    ) -> "Prediction":
+        """Ask the reachable candidates.
+
+        Args:
+            samples: held-out samples of the reference.
+            scanner: the sensor's law.
+            casters: the part's and the occluders', object frame.
+            T_object_scanner: (n, K, 4, 4) poses of the reachable candidates [m].
+        """
+        return cls(samples, scanner, casters, coverage.visible(T_object_scanner, samples, scanner, casters))
+
+    def visible(self, T_object_scanner: Floats) -> Coverage:
+        """Visible coverage of views (n, K, 4, 4) [m]."""
+        return coverage.visible(T_object_scanner, self.samples, self.scanner, self.casters)
+
+    def share_of_coverable(self, T_object_scanner: Floats) -> float:
+        """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable."""
+        return self.visible(T_object_scanner).area / self.coverable.area if self.coverable.area > 0 else 1.0
+
+    def coverable_with(self, visible: Coverage) -> float:
+        """Coverable share of the surface, what a plan's own poses measure included (they differ by micrometres)."""
+        either: NDArray[np.bool_] = self.coverable.covered | visible.covered
+        return float(self.samples.areas[either].sum() / self.samples.areas.sum())
