@@ -66,7 +66,7 @@ def meta_raps(
     Args:
         problem: what to cover.
         rng: all random choices.
-        budget: one construction costs the entries that it touches and `STEP_WORK` for each column.
+        budget: one construction costs the entries that it touches and a third of `STEP_WORK` for each column.
         parameters: see `MetaRapsParameters`.
 
     Returns:
@@ -124,6 +124,6 @@ def _construct(
         missing -= int(problem.units[fresh].sum())
         gains -= uncovered_area(problem, fresh)
         chosen.append(column)
-    # every row that was open at first is gathered at most twice: once at the start, once when it is covered
-    budget.spend(6 * work + len(chosen) * STEP_WORK)
+    # each row that was open at first is gathered at most twice: at the start and when it is covered
+    budget.spend(4 * work + len(chosen) * STEP_WORK // 3)
     return prune(problem, np.array(chosen, dtype=np.int64))
