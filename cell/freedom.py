@@ -16,11 +16,11 @@ from planner.readonly import readonly
 
 Floats = NDArray[np.float64]
 
-WEAK = 1e-3
+WEAK = 2e-4
 """A motion is free when its mean square along the normals is below this share of its mean square in all directions.
 
-That is 3 % of the motion: facets and the noise of normals (1 to 2 degrees) pretend that much, and a correction found
-from it would be mostly noise.
+That is 1.4 % of the motion, as much as normals that are wrong by 0.8 degree pretend: a correction found from it would
+be mostly noise. Planes, cylinders and spheres come out below 1e-5, a head seen from one side above 7e-4.
 """
 
 _NO_TURN = 0.1  # a free motion whose turning part is below this share of it counts as a translation

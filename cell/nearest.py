@@ -109,12 +109,29 @@ class NearestSurface:
         surface itself does not resist.
         """
         if self._smooth is None:
-            corner, _ = self._adjacent_normals()
-            at_corners = corner[self.mesh.faces]
-            flat = np.broadcast_to(self._normals[:, None, :], at_corners.shape)
-            round_here = np.einsum("fcj,fcj->fc", at_corners, flat) >= _CREASE
-            self._smooth = np.where(round_here[:, :, None], at_corners, flat)
+            self._smooth = self._round_normals()
         return _unit(np.einsum("nc,ncj->nj", closest.weights, self._smooth[closest.face]))
+
+    def _round_normals(self) -> Floats:
+        """(F, 3, 3) unit normals of the corners of faces; a crease at a vertex parts its faces into sides."""
+        corner, _ = self._adjacent_normals()
+        faces = self.mesh.faces
+        smooth = corner[faces]
+        sharp_face, sharp_corner = np.nonzero(np.einsum("fcj,fj->fc", smooth, self._normals) < _CREASE)
+        # At a crease, only the faces at the vertex that look about the same way as this one are averaged.
+        order = np.argsort(faces.ravel(), kind="stable")
+        start = np.searchsorted(faces.ravel()[order], np.arange(len(corner) + 1))
+        vertex = faces[sharp_face, sharp_corner]
+        count = start[vertex + 1] - start[vertex]
+        row = np.repeat(np.arange(len(vertex)), count)
+        place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+        other = self._normals[order[start[vertex][row] + place] // 3]
+        own = self._normals[sharp_face][row]
+        other = np.where(np.einsum("nj,nj->n", own, other)[:, None] >= _CREASE, other, 0.0)
+        total = np.zeros((len(vertex), 3))
+        np.add.at(total, row, other)
+        smooth[sharp_face, sharp_corner] = _unit(total)
+        return np.asarray(smooth, dtype=np.float64)
 
     def _closest_face(self, points: Floats) -> NDArray[np.int32]:
         """(N,) the face that holds the closest point; the certificate of the module docstring."""

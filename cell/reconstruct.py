@@ -26,7 +26,7 @@ Indices = NDArray[np.int64]
 REACH = 2.0
 """Surface farther than this many point spacings from any datum is cut away."""
 
-_GRID = 1.0  # of the point spacing: finer costs with its square and follows the noise
+_GRID = 1.25  # of the point spacing: finer costs with its square and, measured, hardly gains
 _LARGEST_GRID = (
     60_000_000  # nodes of the box round the part (4 bytes each, and a byte of mask); a larger one is coarsened
 )
@@ -54,8 +54,8 @@ class Reconstruction:
         mesh: the surface, object frame; None unless DONE.
         closed: (F,) True for faces that close a hole: invented, not measured.
         spacing: point spacing that chose the resolution [m]; NaN without points.
-        grid: edge of a grid cell [m]; larger than asked for where the box round the points would hold too many cells; NaN
-            without a grid.
+        grid: edge of a grid cell [m]; larger than asked for where the box round the points would hold too many cells;
+            NaN without a grid.
         nodes: grid nodes at which the distance was evaluated.
         outliers: points left out because they lie alone or off their neighbours' surface.
         holes: open boundary loops of the measured surface (closed ones included).
@@ -85,7 +85,7 @@ def reconstruct(
 
     Args:
         cloud: merged scans with normals, object frame.
-        grid: edge of a cell [m]; None takes one point spacing.
+        grid: edge of a cell [m]; None takes 1.25 point spacings.
         reach: surface farther than so many point spacings from any datum is cut away, > 0.
         close: whether to close the holes that remain; the faces that do are marked in `closed`.
 

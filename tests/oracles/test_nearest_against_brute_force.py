@@ -17,7 +17,10 @@ def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:
 def _slivers() -> trimesh.Trimesh:
     """A box of 1000 : 1 : 1 next to a fine ball: long thin faces beside small ones."""
     return trimesh.util.concatenate(
-        [trimesh.creation.box((1.0, 0.001, 0.001)), trimesh.creation.icosphere(3, 0.02).apply_translation((0.1, 0.1, 0))]
+        [
+            trimesh.creation.box((1.0, 0.001, 0.001)),
+            trimesh.creation.icosphere(3, 0.02).apply_translation((0.1, 0.1, 0)),
+        ]
     )
 
 
@@ -40,7 +43,7 @@ def _segment(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _brute(points: np.ndarray, mesh: TriangleMesh) -> np.ndarray:
-    """Distance to each triangle in turn: the plane where the foot is inside (by signs of three areas), else the edges."""
+    """Distance to each triangle in turn: the plane where the foot is inside (signs of three areas), else the edges."""
     best = np.full(len(points), np.inf)
     for a, b, c in mesh.vertices[mesh.faces]:
         normal = np.cross(b - a, c - a)
@@ -68,7 +71,8 @@ def test_distance_equals_brute_force(name: str) -> None:
         [
             rng.uniform(low - size / 2, high + size / 2, (150, 3)),
             mesh.vertices[rng.integers(len(mesh.vertices), size=50)],
-            mesh.vertices[mesh.faces].mean(axis=1)[rng.integers(len(mesh.faces), size=50)] + rng.normal(0, 1e-3, (50, 3)),
+            mesh.vertices[mesh.faces].mean(axis=1)[rng.integers(len(mesh.faces), size=50)]
+            + rng.normal(0, 1e-3, (50, 3)),
             [mesh.vertices.mean(axis=0), low, 20 * high],
         ]
     )

@@ -56,8 +56,8 @@ def test_outliers_of_one_percent_do_not_show() -> None:
 
 def test_two_blobs_without_overlap_stay_apart() -> None:
     """Two patches a metre from each other give two surfaces and nothing between."""
-    points = _plane(30)
-    result = reconstruct(merge([ScanCloud(points, SENSOR), ScanCloud(points + [1, 0, 0], SENSOR + [1, 0, 0])]))
+    points, aside = _plane(30), np.array([1.0, 0.0, 0.0])
+    result = reconstruct(merge([ScanCloud(points, SENSOR), ScanCloud(points + aside, SENSOR + aside)]))
     assert result.mesh is not None
     assert result.holes == 2
     assert not ((result.mesh.vertices[:, 0] > 0.03) & (result.mesh.vertices[:, 0] < 0.97)).any()
@@ -66,7 +66,9 @@ def test_two_blobs_without_overlap_stay_apart() -> None:
 def test_a_sharp_edge_is_rounded_by_less_than_a_spacing() -> None:
     """Two planes that meet at 90 degrees: no vertex farther than half a pitch from both, most within a micrometre."""
     flat = _plane(40)
-    wall = np.stack([np.full(len(flat), flat[:, 0].max() + 0.5e-3), flat[:, 1], flat[:, 0] - flat[:, 0].max() - 0.5e-3], 1)
+    wall = np.stack(
+        [np.full(len(flat), flat[:, 0].max() + 0.5e-3), flat[:, 1], flat[:, 0] - flat[:, 0].max() - 0.5e-3], 1
+    )
     sensor = np.array([0.25, 0, 0.25])
     result = reconstruct(merge([ScanCloud(np.concatenate([flat, wall]), sensor)]))
     assert result.mesh is not None

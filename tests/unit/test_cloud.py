@@ -30,7 +30,7 @@ def test_rows_far_apart_do_not_turn_normals_across_the_rows() -> None:
 
 
 def test_the_two_faces_of_a_thin_sheet_keep_their_own_normals() -> None:
-    """A sheet of 0.3 mm with points 1 mm apart on both faces: the nearest neighbour is across, the normal is not bent."""
+    """A sheet of 0.3 mm with points 1 mm apart on both faces: the nearest is across, normals are not bent."""
     x, y = np.meshgrid(np.arange(40) * 1e-3, np.arange(40) * 1e-3)
     face = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
     points = np.concatenate([face, face - [0, 0, 3e-4]])
@@ -44,7 +44,7 @@ def test_spacing_is_of_the_scan_not_of_the_overlap() -> None:
     """Two grids of 1 mm, one shifted by 0.1 mm, have a spacing of 1 mm; taken as one cloud, of 0.1 mm."""
     x, y = np.meshgrid(np.arange(30) * 1e-3, np.arange(30) * 1e-3)
     grid = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
-    both, scan = np.concatenate([grid, grid + [1e-4, 0, 0]]), np.repeat([0, 1], len(grid))
+    both, scan = np.concatenate([grid, grid + np.array([1e-4, 0, 0])]), np.repeat([0, 1], len(grid))
     assert point_spacing(both, scan) == pytest.approx(1e-3)
     assert point_spacing(both) == pytest.approx(1e-4)
     assert np.isnan(point_spacing(grid[:1]))

@@ -23,10 +23,12 @@ def test_area_counts_not_faces() -> None:
     """One of two equal squares is lifted by 1 mm and cut into 200 faces: its share of the area stays one half."""
     flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
     ticks = np.linspace(0, 0.1, 101)
-    strip = np.concatenate([np.stack([ticks, 0 * ticks, 0 * ticks], 1), np.stack([ticks, 0 * ticks + 0.1, 0 * ticks], 1)])
+    strip = np.concatenate(
+        [np.stack([ticks, 0 * ticks, 0 * ticks], 1), np.stack([ticks, 0 * ticks + 0.1, 0 * ticks], 1)]
+    )
     i = np.arange(100)
     fine = np.concatenate([np.stack([i, i + 1, i + 102], 1), np.stack([i, i + 102, i + 101], 1)])
-    lifted = strip + [0.2, 0, 0.001]
+    lifted = strip + np.array([0.2, 0, 0.001])
     mesh = TriangleMesh(np.concatenate([flat, lifted]), np.concatenate([[[0, 1, 2], [0, 2, 3]], fine + 4]))
     plane = np.array([[-1, -1, 0], [2, -1, 0], [2, 2, 0], [-1, 2, 0.0]])
     result = deviation(mesh, TriangleMesh(plane, [[0, 1, 2], [0, 2, 3]]), np.random.default_rng(1), count=10_000)

@@ -1,0 +1,195 @@
+"""Registration where it may slide, turn or find nothing, by name."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from cell.cloud import ScanCloud
+from cell.freedom import FreeKind
+from cell.registration import RegistrationStatus, register
+from planner.errors import PlannerError
+from planner.surface import TriangleMesh
+
+SENSOR = np.array([0.0, 0.0, 0.3])
+
+
+def _patch(shape: str, side: int = 60) -> np.ndarray:
+    """Points 0.8 mm apart on the upper side of a surface that has its top or middle at the origin."""
+    x, y = np.meshgrid((np.arange(side) - side / 2 + 0.5) * 0.8e-3, (np.arange(side) - side / 2 + 0.5) * 0.8e-3)
+    x, y = x.ravel(), y.ravel()
+    inside = x**2 + y**2 < 0.024**2
+    x, y = x[inside], y[inside]
+    height = {
+        "plane": 0 * x,
+        "cylinder": np.sqrt(0.03**2 - y**2) - 0.03,
+        "sphere": np.sqrt(0.03**2 - x**2 - y**2) - 0.03,
+        "cone": -np.hypot(x, y),
+        "extrusion": 0.003 * np.sin(y / 0.006),
+        "saddle and ripples": (x**2 - 0.7 * y**2) / 0.05 + 0.001 * np.sin(x / 0.004) * np.cos(y / 0.005),
+    }[shape]
+    return np.stack([x, y, height], axis=1)
+
+
+def _model(shape: str) -> TriangleMesh:
+    """The same surface, larger than the patch and finely tessellated."""
+    n = 161
+    x, y = np.meshgrid(np.linspace(-0.0295, 0.0295, n), np.linspace(-0.0295, 0.0295, n))
+    if shape == "sphere":
+        ball = trimesh.creation.icosphere(5, 0.03)
+        return TriangleMesh(ball.vertices - [0, 0, 0.03], ball.faces)
+    height = {
+        "plane": 0 * x,
+        "cylinder": np.sqrt(0.03**2 - y**2) - 0.03,
+        "cone": -np.hypot(x, y),
+        "extrusion": 0.003 * np.sin(y / 0.006),
+        "saddle and ripples": (x**2 - 0.7 * y**2) / 0.05 + 0.001 * np.sin(x / 0.004) * np.cos(y / 0.005),
+    }[shape]
+    index = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (index[i : i + n - 1, j : j + n - 1].ravel() for i, j in ((0, 0), (0, 1), (1, 1), (1, 0)))
+    return TriangleMesh(
+        np.stack([x.ravel(), y.ravel(), height.ravel()], axis=1),
+        np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]),
+    )
+
+
+T, R = FreeKind.TRANSLATION, FreeKind.ROTATION
+FREE = {
+    "plane": ([T, T, R], "a plane"),
+    "cylinder": ([T, R], "a cylinder"),
+    "sphere": ([R, R, R], "a sphere"),
+    "cone": ([R], "a surface of revolution"),
+    "extrusion": ([T], "an extruded profile"),
+    "saddle and ripples": ([], ""),
+}
+
+
+@pytest.mark.parametrize("shape", FREE)
+@pytest.mark.parametrize("noise", [0.0, 10e-6])
+def test_what_the_surface_does_not_show_is_said_and_not_corrected(shape: str, noise: float) -> None:
+    """Rank, names and sentence are right; the seen part of the error is taken out, nothing along the free one."""
+    true = _patch(shape)
+    true[:, 2] += np.random.default_rng(0).normal(0, noise, len(true)) if noise else 0.0
+    error = np.eye(4)
+    error[:3, :3] = Rotation.from_rotvec([0.002, -0.001, 0.003]).as_matrix()
+    error[:3, 3] = [0.0003, -0.0002, 0.0004]
+    result = register([ScanCloud(true, SENSOR).moved(error)], _model(shape)).scans[0]
+    kinds, name = FREE[shape]
+    assert [motion.kind for motion in result.free] == kinds
+    assert result.rank == 6 - len(kinds)
+    assert result.status is (RegistrationStatus.PARTLY_FREE if kinds else RegistrationStatus.CONVERGED)
+    assert result.sentence.startswith(result.status.value)
+    assert name in result.sentence
+    assert result.rms_after < max(result.rms_before / 20, 1.2 * noise)
+    # The correction has no part along a free motion: its velocity field is at right angles to the motion's.
+    moved = ScanCloud(true, SENSOR).moved(error).points
+    field = ScanCloud(moved, SENSOR).moved(result.T_correction).points - moved
+    for motion in result.free:
+        if motion.kind is T:
+            slide = np.broadcast_to(motion.direction, moved.shape)
+            assert abs(np.mean(np.einsum("nj,nj->n", field, slide))) < 30e-6
+    if shape == "plane":
+        turn = Rotation.from_matrix(result.T_correction[:3, :3]).as_rotvec()
+        assert abs(turn[2]) < 0.0003  # of 0.003 that were put in
+    if not kinds:
+        np.testing.assert_allclose(result.T_correction @ error, np.eye(4), atol=2e-4)
+
+
+def test_a_cylinder_turns_about_its_own_axis() -> None:
+    """The axis is named: along x, through the middle 30 mm below the top."""
+    result = register([ScanCloud(_patch("cylinder"), SENSOR)], _model("cylinder")).scans[0]
+    slide, turn = result.free
+    np.testing.assert_allclose(np.abs(slide.direction), [1, 0, 0], atol=0.01)
+    np.testing.assert_allclose(np.abs(turn.direction), [1, 0, 0], atol=0.01)
+    np.testing.assert_allclose(turn.point[1:], [0, -0.03], atol=0.5e-3)
+    assert "turning about (1.00" in turn.sentence
+
+
+def test_a_sphere_turns_about_its_middle() -> None:
+    """All three axes pass within 0.5 mm of the middle."""
+    result = register([ScanCloud(_patch("sphere"), SENSOR)], _model("sphere")).scans[0]
+    for motion in result.free:
+        beside = np.cross(motion.point - [0, 0, -0.03], motion.direction)
+        assert np.linalg.norm(beside) < 0.5e-3
+
+
+NOTHING = {
+    "a view that sees nothing": (np.empty((0, 3)), RegistrationStatus.EMPTY),
+    "one point": (np.zeros((1, 3)), RegistrationStatus.TOO_FEW_POINTS),
+    "eleven points": (_patch("plane")[:11], RegistrationStatus.TOO_FEW_POINTS),
+    "a scan of something else": (_patch("plane") + np.array([0, 0, 0.1]), RegistrationStatus.NO_OVERLAP),
+}
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_scans_that_cannot_be_registered_keep_their_pose(name: str) -> None:
+    """The status says why, the correction is the identity, and a good scan beside it is still registered."""
+    points, status = NOTHING[name]
+    good = ScanCloud(_patch("saddle and ripples") + np.array([0, 0, 3e-4]), SENSOR)
+    bad, other = register([ScanCloud(points, SENSOR), good], _model("saddle and ripples")).scans
+    assert bad.status is status
+    assert bad.T_correction.tobytes() == np.eye(4).tobytes()
+    assert bad.rank == 0
+    assert other.status is RegistrationStatus.CONVERGED
+    assert other.T_correction[2, 3] == pytest.approx(-3e-4, abs=5e-6)
+
+
+def test_no_scans() -> None:
+    """Nothing in, nothing out."""
+    result = register([], _model("plane"))
+    assert result.scans == ()
+    assert np.isnan(result.rms_before)
+
+
+def test_one_view_without_a_model_stays() -> None:
+    """There is nothing to match it to, and that is said."""
+    result = register([ScanCloud(_patch("saddle and ripples"), SENSOR)], None).scans[0]
+    assert result.status is RegistrationStatus.NO_OVERLAP
+    assert result.T_correction.tobytes() == np.eye(4).tobytes()
+
+
+def test_two_views_without_overlap_are_registered_to_the_model_alone() -> None:
+    """Two corners of the surface: no pair is formed, both come right; without a model both stay."""
+    patch = _patch("saddle and ripples")
+    left, right = patch[patch[:, 0] < -0.006] + [0, 0, 3e-4], patch[patch[:, 0] > 0.006] - [0, 0, 2e-4]
+    scans = [ScanCloud(left, SENSOR), ScanCloud(right, SENSOR)]
+    result = register(scans, _model("saddle and ripples"), reach=2e-3)
+    assert result.overlaps == ()
+    assert all(scan.status is RegistrationStatus.CONVERGED for scan in result.scans)
+    assert result.rms_after < result.rms_before / 20
+    alone = register(scans, None, reach=2e-3)
+    assert all(scan.status is RegistrationStatus.NO_OVERLAP for scan in alone.scans)
+
+
+def test_outliers_of_one_percent_do_not_pull() -> None:
+    """One point in a hundred up to 5 mm off changes the correction by less than 5 micrometres."""
+    clean = _patch("saddle and ripples") + np.array([2e-4, -1e-4, 3e-4])
+    dirty = clean.copy()
+    rng = np.random.default_rng(0)
+    bad = rng.choice(len(dirty), len(dirty) // 100, replace=False)
+    dirty[bad, 2] += rng.uniform(0, 0.005, len(bad))
+    model = _model("saddle and ripples")
+    a, b = (register([ScanCloud(points, SENSOR)], model, samples=10_000).scans[0] for points in (clean, dirty))
+    difference = (
+        ScanCloud(clean, SENSOR).moved(a.T_correction).points - ScanCloud(clean, SENSOR).moved(b.T_correction).points
+    )
+    assert np.linalg.norm(difference, axis=1).max() < 5e-6
+    assert 0.9 < b.used < 1
+
+
+def test_an_error_beyond_reach_is_not_made_worse() -> None:
+    """Twenty millimetres off: whatever comes out, it fits no worse than before, or the reported pose is kept."""
+    scan = ScanCloud(_patch("saddle and ripples") + np.array([0.02, 0.01, 0.0]), SENSOR)
+    result = register([scan], _model("saddle and ripples")).scans[0]
+    if result.status is RegistrationStatus.REJECTED:
+        assert result.T_correction.tobytes() == np.eye(4).tobytes()
+    else:
+        assert not result.rms_after > result.rms_before + 2e-6
+
+
+def test_nan_is_refused_by_name() -> None:
+    """A scan with NaN never gets as far as registration."""
+    points = _patch("plane")
+    points[5] = np.nan
+    with pytest.raises(PlannerError, match=r"points of the scan: 1 of .* NaN"):
+        register([ScanCloud(points, SENSOR)], _model("plane"))
