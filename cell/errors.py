@@ -4,10 +4,11 @@
     |-- UsageError          2       a wrong option or an impossible combination
     |-- SceneError          2       the scene file, or a scene that cannot be
     |-- UnreachableError    4       no candidate viewpoint can be reached
+    |-- DriverFailureError  5       the robot controller, or the wire to it
     `-- FileError           6       a mesh, a run folder or the disk
 
 Every message is one clear sentence: the fact, what would be valid, and where. Coverage below the requirement (exit code 3)
-is a result, not an error. A driver's failure has code 5, a bug 70, Ctrl-C 130.
+is a result, not an error. A bug has code 70, Ctrl-C 130.
 """
 
 
@@ -33,6 +34,12 @@ class UnreachableError(CellError):
     """The robot reaches no candidate viewpoint."""
 
     exit_code = 4
+
+
+class DriverFailureError(CellError):
+    """The driver failed; the message is the driver's own sentence."""
+
+    exit_code = 5
 
 
 class FileError(CellError):

@@ -71,7 +71,7 @@ def occluder_triangles(
     top = world.post_top(T)
     if scene.post.enabled and top[2] > floor:
         # No longer than to the floor, unlike its collision shape.
-        vertices, faces = _cylinder(scene.post.diameter_mm / 2000.0, float(top[2] - floor))
+        vertices, faces = prism(scene.post.diameter_mm / 2000.0, float(top[2] - floor))
         middle = np.array([top[0], top[1], (top[2] + floor) / 2])
         found.append(Occluder("post", vertices + middle, faces, "base"))
     hidden = {fixture.name for fixture in scene.fixtures if not fixture.occludes}
@@ -88,9 +88,7 @@ def occluder_triangles(
             found.append(Occluder(name, vertices, mesh.faces, attached[name]))
         else:
             found.append(Occluder(name, *_shape(model, data, geom), attached.get(name, "base")))
-    square = _FLOOR_HALF * np.array([[-1.0, -1.0, 0.0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    square[:, 2] = floor
-    found.append(Occluder("floor", square, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32), "base"))
+    found.append(Occluder("floor", *floor_square(floor), "base"))
     if frame == "base":
         return found
     to_object = np.linalg.inv(T)
@@ -126,13 +124,25 @@ def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Float
 
     size = model.geom_size[geom]
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-        vertices, faces = _BOX_CORNERS * size, _BOX_FACES
+        vertices, faces = box(size)
     else:
-        vertices, faces = _cylinder(float(size[0]), 2 * float(size[1]))
+        vertices, faces = prism(float(size[0]), 2 * float(size[1]))
     return vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], faces
 
 
-def _cylinder(radius: float, length: float) -> tuple[Floats, NDArray[np.int32]]:
+def box(half: Floats) -> tuple[Floats, NDArray[np.int32]]:
+    """A box of half sides (3,) [m], its middle at the origin; faces outward."""
+    return _BOX_CORNERS * half, _BOX_FACES
+
+
+def floor_square(height: float) -> tuple[Floats, NDArray[np.int32]]:
+    """A large square at a height [m], base frame."""
+    square = _FLOOR_HALF * np.array([[-1.0, -1.0, 0.0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    square[:, 2] = height
+    return square, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+
+
+def prism(radius: float, length: float) -> tuple[Floats, NDArray[np.int32]]:
     """A prism around a cylinder along z, its middle at the origin; faces outward."""
     angles = np.arange(_SIDES) * (2 * np.pi / _SIDES)
     ring = radius / np.cos(np.pi / _SIDES) * np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -108,6 +108,8 @@ def write_cell(
     )
     for name in write_mjcf(world, folder.path):
         folder.adopt(name)
+    for name, mesh in world.fixture_meshes.items():
+        folder.write_mesh(fixture_file(name), mesh)
 
 
 def write_reach(folder: RunFolder, reached: Reach) -> None:
@@ -237,8 +239,13 @@ def _fixture(fixture: Fixture, world: World) -> dict[str, Any]:
     else:
         mesh = world.fixture_meshes[fixture.name]
         entry["size_mm"] = [_mm(side) for side in np.ptp(mesh.vertices, axis=0)]
-        entry["file"] = f"fixture_{fixture.name}.ply"
+        entry["file"] = fixture_file(fixture.name)
     return entry
+
+
+def fixture_file(name: str) -> str:
+    """The file that holds the true triangles of a mesh fixture, in the frame that it is attached to."""
+    return f"fixture_{name}.ply"
 
 
 def _mm(metres: float) -> float:

@@ -86,7 +86,7 @@ class RunFolder:
                 "argv": argv,
                 "seed": seed,
                 "inputs": dict(inputs),
-                "versions": _versions(),
+                "versions": versions(),
                 "seconds": {},
             },
         )
@@ -197,7 +197,8 @@ def _reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower() if error.errno is not None else str(error)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of Python, of this project and of what results depend on."""
     found = {"python": platform.python_version()}
     for name in _VERSIONS_OF:
         try:
