@@ -9,7 +9,7 @@ nothing since its start reports. A number is *newer* than another where it follo
 - refuses a repeat with other content (REUSED), and an older number (STALE: a late duplicate).
 
 So a client that got no answer may send the same command again: it is executed at most once. A refused command uses its
-number up. Stopping is always safe, so a stop is obeyed whatever its number.
+number up. Stopping is always safe, so a stop is obeyed whatever its number and whatever the answer to it.
 """
 
 from dataclasses import dataclass

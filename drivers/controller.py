@@ -29,6 +29,9 @@ from drivers.setpoints import SetPoints, from_rad, text, to_rad
 CYCLE = 0.004
 """Interpolation cycle [s] in which the controller looks whether the plant has settled."""
 
+SHORTEST_WAIT = 1e-6
+"""Least time [s] that a waiter is told: adding it to seconds since 1970 still moves a clock on."""
+
 SETTLE_LIMIT = 5.0
 """Time [s] that a plant may take to settle after its reference ended, before that is a fault."""
 
@@ -87,14 +90,14 @@ class Controller:
             command: what to do.
         """
         self._pass_time()
+        if isinstance(command, Stop):
+            self._brake(Result.STOPPED)  # whatever the number: stopping is always safe
+            self._run(0.0)
         if not 1 <= sequence <= LAST_SEQUENCE:
             return Answer(sequence, Result.SEQUENCE)
         if self._last is not None and sequence == self._answer.sequence:
             return self._answer if same(command, self._last) else Answer(sequence, Result.REUSED)
         if not is_newer(sequence, self._answer.sequence):
-            if isinstance(command, Stop):
-                self._brake(Result.STOPPED)
-                self._run(0.0)
             return Answer(sequence, Result.STALE)
         result, detail = self._execute(sequence, command)
         self._run(0.0)  # a move of no length ends at once
@@ -142,14 +145,12 @@ class Controller:
         self._pass_time()
         if self._standing():
             return 0.0
-        return (
-            max(self._reference.duration - self._elapsed, TICK) if self._elapsed < self._reference.duration else CYCLE
-        )
+        left = self._reference.duration - self._elapsed
+        return max(left, SHORTEST_WAIT) if left > 0.0 else CYCLE
 
     def _execute(self, sequence: int, command: Command) -> tuple[Result, str]:
         if isinstance(command, Stop):
-            self._brake(Result.STOPPED)
-            return Result.OK, ""
+            return Result.OK, ""  # obeyed already
         if isinstance(command, Reset):
             return self._reset()
         if self._fault:
@@ -183,7 +184,9 @@ class Controller:
 
     def _run(self, seconds: float) -> None:
         """Let time pass; moves begin and end on the way. A plant that failed is left as it is."""
-        while not self._plant_failed():
+        if self._plant_failed():
+            return
+        while True:
             if self._standing():
                 if not self._queue:
                     if seconds > 0.0:
@@ -194,6 +197,8 @@ class Controller:
             left = self._reference.duration - self._elapsed
             step = min(seconds, left if left > 0.0 else CYCLE)
             self.plant.advance(step)
+            if self._plant_failed():
+                return
             self._elapsed, seconds = self._elapsed + step, seconds - step
             if 0.0 < self._reference.duration - self._elapsed <= TICK:
                 self._elapsed = self._reference.duration
@@ -205,7 +210,6 @@ class Controller:
                     self._latch(Fault.NOT_SETTLED)
                     self._braking = False  # waiting longer for this plant leads nowhere
             if seconds <= 0.0:
-                self._plant_failed()
                 return
 
     def _start(self, job: _Job) -> None:

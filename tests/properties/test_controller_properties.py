@@ -1,0 +1,224 @@
+"""The controller as a hypothesis state machine: whatever is asked, in whatever order, at whatever time."""
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from drivers.clock import SimulatedClock
+from drivers.commands import Command, Move, Reset, Result, Stop, next_sequence
+from drivers.contract import Fault, Mode
+from drivers.controller import Controller
+from drivers.limits import Limits
+from drivers.plant import IdealPlant
+from drivers.setpoints import SetPoints, to_rad
+
+RANGE = 200_000  # counts: 20 deg
+MAX_STEP = 300_000
+LIMITS = Limits(
+    lower=np.full(6, -RANGE),
+    upper=np.full(6, RANGE),
+    velocity=np.radians([30.0, 40.0, 50.0, 60.0, 70.0, 80.0]),
+    acceleration=np.radians([100.0, 90.0, 80.0, 70.0, 60.0, 50.0]),
+    max_step=np.full(6, MAX_STEP),
+)
+
+# Near the limits and one count beyond them as often as anywhere else.
+axis = st.one_of(st.integers(-RANGE - 1, RANGE + 1), st.sampled_from([-RANGE - 1, -RANGE, RANGE, RANGE + 1, 0]))
+via = st.lists(st.lists(axis, min_size=6, max_size=6), min_size=1, max_size=4).map(
+    lambda v: np.array(v, dtype=np.int32)
+)
+speeds = st.one_of(st.floats(0.05, 1.0), st.sampled_from([0.0, -1.0, 1.0000001, float("nan"), float("inf")]))
+times = st.floats(0.0, 3.0)
+
+
+class ControllerMachine(RuleBasedStateMachine):
+    """A controller with a queue of three, and an independent, simple-minded account of what it must have done."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.clock = SimulatedClock()
+        self.plant = IdealPlant(np.zeros(6))
+        self.controller = Controller(self.plant, LIMITS, self.clock, queue_length=3)
+        self.sequence = 0
+        self.last: Command | None = None
+        self.waiting: list[tuple[int, SetPoints]] = []  # accepted moves that have not ended
+        self.ended = 0
+        self.corners = [np.zeros(6)]  # the polyline on which the arm must be [rad]
+        self.estop = False
+
+    def send(self, command: Command) -> Result:
+        """Under a new number; the acknowledgement is checked."""
+        self.sequence = next_sequence(self.sequence)
+        answer = self.controller.command(self.sequence, command)
+        assert answer.sequence == self.sequence
+        self.last = command
+        state = self.controller.state()
+        assert (state.ack_sequence, state.ack_result) == (self.sequence, answer.result)
+        return Result(answer.result)
+
+    @rule(points=via, speed=speeds)
+    def move(self, points: SetPoints, speed: float) -> None:
+        """Accepted exactly when nothing speaks against it; the reasons come in their order."""
+        before = self.controller.state()
+        start = self.waiting[-1][1][-1] if self.waiting and before.queue_depth else before.axes
+        steps = np.abs(np.diff(np.concatenate([start[None], points]).astype(int), axis=0))
+        if before.mode in (Mode.FAULT, Mode.EMERGENCY_STOP):
+            expected = {Result.IN_FAULT}
+        elif before.queue_depth == 3 or (before.mode is Mode.MOVING and before.queue_depth == 0):
+            expected = {Result.BUSY}
+        elif np.abs(points).max() > RANGE:
+            expected = {Result.LIMIT}
+        elif not 0 < speed <= 1:
+            expected = {Result.SPEED}
+        elif steps.max() > MAX_STEP:
+            expected = {Result.STEP}
+        else:
+            expected = {Result.OK}
+        result = self.send(Move(points, speed))
+        assert result in expected
+        if result is Result.OK:
+            self.waiting.append((self.sequence, points))
+            self.corners.extend(to_rad(points))
+
+    @rule()
+    def stop(self) -> None:
+        """Always answered OK; drops everything."""
+        assert self.send(Stop()) is Result.OK
+        assert self.controller.state().queue_depth == 0
+
+    @rule(seconds=times)
+    def wait(self, seconds: float) -> None:
+        """Time passes."""
+        self.clock.wait(seconds)
+
+    @rule()
+    def wait_until_the_arm_stands(self) -> None:
+        """time_to_wait() leads to standstill in few steps."""
+        for _ in range(40):
+            if self.controller.state().standing:
+                break
+            self.clock.wait(self.controller.time_to_wait())
+        state = self.controller.state()
+        assert state.standing
+        assert self.controller.time_to_wait() == 0.0
+
+    @precondition(lambda self: self.last is not None)
+    @rule()
+    def repeat(self) -> None:
+        """The last command once more under its number: the old answer, and nothing else changes."""
+        assert self.last is not None
+        before, queued = self.controller.state(), self.controller.time_to_wait()
+        answer = self.controller.command(self.sequence, self.last)
+        after = self.controller.state()
+        assert answer.result == before.ack_result
+        assert (after.axes == before.axes).all()
+        assert (after.mode, after.queue_depth, after.done_sequence) == (
+            before.mode,
+            before.queue_depth,
+            before.done_sequence,
+        )
+        assert self.controller.time_to_wait() == queued
+
+    @precondition(lambda self: self.sequence > 1)
+    @rule(points=via, back=st.integers(1, 5))
+    def stale_or_reused(self, points: SetPoints, back: int) -> None:
+        """An old number, or the last one with other content, moves nothing."""
+        before = self.controller.state()
+        old = self.controller.command(max(self.sequence - back, 1), Move(points, 0.987654))
+        reused = self.controller.command(self.sequence, Move(points, 0.987654))
+        assert old.result == Result.STALE
+        assert reused.result == Result.REUSED
+        after = self.controller.state()
+        assert (after.queue_depth, after.ack_sequence) == (before.queue_depth, before.ack_sequence)
+
+    @rule(fault=st.sampled_from([Fault.WATCHDOG, Fault.RESTARTED]))
+    def fault(self, fault: Fault) -> None:
+        """From outside, at any time."""
+        self.controller.latch(fault)
+        assert self.controller.state().mode in (Mode.FAULT, Mode.EMERGENCY_STOP)
+
+    @rule(pressed=st.booleans())
+    def emergency_stop(self, pressed: bool) -> None:
+        """Pressing latches, releasing alone clears nothing."""
+        before = self.controller.state().mode
+        self.controller.emergency_stop(pressed)
+        self.estop = pressed
+        assert self.controller.state().mode is (Mode.EMERGENCY_STOP if pressed else before)
+
+    @rule()
+    def reset(self) -> None:
+        """Helps when the arm stands and the emergency stop is released, and only then."""
+        before = self.controller.state()
+        result = self.send(Reset())
+        after = self.controller.state()
+        if self.estop:
+            assert result is Result.ESTOP_PRESSED
+        elif not before.standing:
+            assert result is Result.BUSY
+        else:
+            assert result is Result.OK
+            assert after.fault_code == 0
+        if result is not Result.OK:
+            assert (after.mode, after.fault_code) == (before.mode, before.fault_code)
+
+    @invariant()
+    def never_leaves_the_limits(self) -> None:
+        """Reported and true axes, at every instant that is looked at."""
+        state = self.controller.state()
+        assert (np.abs(state.axes) <= RANGE).all()
+        assert (np.abs(self.plant.true_axes) <= to_rad(LIMITS.upper)).all()
+
+    @invariant()
+    def is_on_the_commanded_path(self) -> None:
+        """The arm is on the polyline through what was accepted, moving, braking or standing."""
+        here, corners = self.plant.true_axes, np.array(self.corners)
+        a, b = corners[:-1], corners[1:]
+        if len(a) == 0:
+            assert np.abs(here - corners[0]).max() < 1e-12
+            return
+        along = b - a
+        square = (along**2).sum(axis=1)
+        share = np.divide(((here - a) * along).sum(axis=1), square, out=np.zeros(len(a)), where=square > 0)
+        nearest = a + np.clip(share, 0, 1)[:, None] * along
+        assert np.abs(nearest - here).max(axis=1).min() < 1e-12
+
+    @invariant()
+    def every_accepted_move_ends_at_its_set_point_or_is_reported_as_cut(self) -> None:
+        """Moves end in order and one after the other; OK only exactly at the last via point."""
+        state = self.controller.state()
+        if state.done_sequence == self.ended:
+            assert state.queue_depth == len(self.waiting)
+            return
+        self.ended = state.done_sequence
+        index = [number for number, _ in self.waiting].index(state.done_sequence)
+        cut = state.done_result in (Result.STOPPED, Result.FAULTED)
+        points = self.waiting[index][1]
+        self.waiting = self.waiting[index + 1 :]
+        assert state.queue_depth == len(self.waiting)
+        if cut:
+            assert self.waiting == []
+        elif state.standing:
+            assert (state.axes == points[-1]).all()
+            assert (self.plant.true_axes == to_rad(points[-1])).all()
+        if cut and state.standing:
+            self.corners = [self.plant.true_axes]
+
+    @invariant()
+    def the_mode_is_what_the_rest_says(self) -> None:
+        """Faults, motion and standstill agree with one another."""
+        state = self.controller.state()
+        assert (state.fault_code == Fault.EMERGENCY_STOP) == (state.mode is Mode.EMERGENCY_STOP)
+        assert (state.fault_code != 0) == (state.mode in (Mode.FAULT, Mode.EMERGENCY_STOP))
+        assert bool(state.fault_sentence) == (state.fault_code != 0)
+        if self.estop:
+            assert state.mode is Mode.EMERGENCY_STOP
+        if state.mode is Mode.MOVING:
+            assert not state.standing
+        if state.mode in (Mode.IDLE, Mode.IN_POSITION):
+            assert state.standing
+        assert (state.queue_depth > 0) <= (state.mode is Mode.MOVING)
+
+
+TestController = ControllerMachine.TestCase
+TestController.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)

@@ -1,0 +1,346 @@
+"""Named nasty cases of the simulated controller and its profile."""
+
+import time
+
+import numpy as np
+import pytest
+
+from drivers.clock import SimulatedClock
+from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop
+from drivers.contract import Fault, Mode
+from drivers.controller import SETTLE_LIMIT, Controller
+from drivers.errors import DriverError, FaultError, RefusedError
+from drivers.limits import kr16
+from drivers.plant import IdealPlant
+from drivers.profile import Reference, interpolate
+from drivers.registry import Context
+from drivers.setpoints import SetPoints, from_rad, to_rad
+from drivers.sim import SimDriver
+from drivers.url import DriverUrl
+
+START = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
+
+
+class SetClock(SimulatedClock):
+    """A clock whose hands a test moves."""
+
+    def set(self, now: float) -> None:
+        self._now = now
+
+
+def controller(clock: SimulatedClock | None = None, **options: int) -> Controller:
+    """A KR 16 at home."""
+    return Controller(IdealPlant(to_rad(START)), kr16(), clock or SimulatedClock(), **options)
+
+
+def turned(*degrees: float) -> SetPoints:
+    """(N, 6) home with A1 turned."""
+    points = np.tile(START, (len(degrees), 1))
+    points[:, 0] = np.round(np.array(degrees) * 1e4)
+    return points
+
+
+def simulated(plant: type | None = None, clock: SimulatedClock | None = None) -> SimDriver:
+    """A sim:// driver over a plant."""
+    context = Context(clock=clock, plants={} if plant is None else {"ideal": plant})
+    return SimDriver.from_url(DriverUrl("sim://"), context)
+
+
+def test_a_zero_length_move_is_in_position_at_once() -> None:
+    """Accepted, done and in position without any time; also with a hundred equal via points."""
+    robot = controller()
+    for number, count in ((1, 1), (2, 100)):
+        assert robot.command(number, Move(np.tile(START, (count, 1)), 1.0)).result == Result.OK
+        state = robot.state()
+        assert (state.mode, state.done_sequence, state.done_result) == (Mode.IN_POSITION, number, Result.OK)
+    assert robot.time_to_wait() == 0.0
+
+
+def test_a_move_of_one_count_ends_one_count_further() -> None:
+    """The smallest step there is, on the axis with the widest range."""
+    with simulated() as driver:
+        points = START[None] + np.array([0, 0, 0, 0, 0, 1], dtype=np.int32)
+        assert driver.move(points, 1.0).axes.tolist() == points[0].tolist()
+
+
+def test_a_hundred_thousand_via_points_are_one_move() -> None:
+    """Each is passed exactly, and the whole is far faster than the arm."""
+    rng = np.random.default_rng(0)
+    limits = kr16()
+    points = rng.integers(limits.lower, limits.upper, (100_000, 6), dtype=np.int32)
+    with simulated() as driver:
+        began = time.perf_counter()
+        state = driver.move(points, 1.0)
+        spent = time.perf_counter() - began
+        assert state.axes.tolist() == points[-1].tolist()
+        assert driver.clock.now() > 100 * spent
+    reference = interpolate(to_rad(START), to_rad(points), limits.velocity, limits.acceleration)
+    ends = np.append(reference.begin[3::3], reference.duration)
+    for chosen in (ends[:1000], ends[-1000:]):
+        at_rest, speed, _ = reference.sample(chosen)
+        which = np.searchsorted(ends, chosen)
+        assert (from_rad(at_rest) == points[which]).all()
+        assert np.abs(speed).max() < 1e-6
+
+
+def test_a_stop_in_the_middle_of_a_hundred_thousand_via_points_drops_the_rest() -> None:
+    """The arm stands within the leg on which it was, no farther than an axis needs to brake from full speed."""
+    clock = SimulatedClock()
+    robot = controller(clock)
+    rng = np.random.default_rng(0)
+    points = rng.integers(kr16().lower, kr16().upper, (100_000, 6), dtype=np.int32)
+    robot.command(1, Move(points, 1.0))
+    clock.wait(robot.time_to_wait() / 2)
+    before = robot.state().axes
+    robot.command(2, Stop())
+    clock.wait(10.0)
+    state = robot.state()
+    assert (state.mode, state.done_sequence, state.done_result) == (Mode.IDLE, 1, Result.STOPPED)
+    assert (np.abs(to_rad(state.axes - before)) <= kr16().velocity ** 2 / (2 * kr16().acceleration)).all()
+    assert robot.time_to_wait() == 0.0
+
+
+@pytest.mark.parametrize("zero", [0.0, -1e6, 1e6, 1.7e9])
+def test_a_clock_may_begin_anywhere(zero: float) -> None:
+    """Epoch seconds have a rounding of 0.2 microseconds: the move still ends exactly, in a few waits."""
+    clock = SimulatedClock(zero)
+    with simulated(clock=clock) as driver:
+        assert driver.move(turned(30.0, -30.0), 0.3).axes.tolist() == turned(-30.0)[0].tolist()
+
+
+def test_a_clock_that_jumps_back_stands_still() -> None:
+    """Nothing moves backwards, and the move goes on from the new time."""
+    clock = SetClock(1000.0)
+    robot = controller(clock)
+    robot.command(1, Move(turned(90.0), 1.0))
+    clock.set(1000.3)
+    here = robot.state().axes
+    clock.set(-5.0)
+    assert robot.state().axes.tolist() == here.tolist()
+    assert robot.state().mode is Mode.MOVING
+    clock.set(-4.9)
+    assert robot.state().axes[0] > here[0]
+    clock.set(20.0)
+    assert robot.state().axes.tolist() == turned(90.0)[0].tolist()
+
+
+def test_a_clock_that_jumps_a_year_ahead_ends_the_queue() -> None:
+    """All queued moves are done, in order, at the last set-point."""
+    clock = SetClock()
+    robot = controller(clock, queue_length=3)
+    for number, angle in ((1, 10.0), (2, -20.0), (3, 30.0)):
+        assert robot.command(number, Move(turned(angle), 0.01)).result == Result.OK
+    assert robot.command(4, Move(turned(0.0), 1.0)).result == Result.BUSY
+    clock.set(3.2e7)
+    state = robot.state()
+    assert (state.mode, state.done_sequence) == (Mode.IN_POSITION, 3)
+    assert state.axes.tolist() == turned(30.0)[0].tolist()
+
+
+@pytest.mark.parametrize("now", [float("nan"), float("inf")])
+def test_a_clock_that_says_no_time_is_refused(now: float) -> None:
+    """By name."""
+    clock = SetClock()
+    robot = controller(clock)
+    clock.set(now)
+    with pytest.raises(DriverError, match="clock"):
+        robot.state()
+
+
+def test_the_sequence_wraps_without_zero() -> None:
+    """65535 is followed by 1; 0 and 65536 are refused; what was before the wrap is stale after it."""
+    robot = controller()
+    assert robot.command(LAST_SEQUENCE - 1, Move(turned(0.0), 1.0)).result == Result.OK
+    assert robot.command(LAST_SEQUENCE, Move(turned(0.0), 1.0)).result == Result.OK
+    assert robot.command(0, Reset()).result == Result.SEQUENCE
+    assert robot.command(LAST_SEQUENCE + 1, Reset()).result == Result.SEQUENCE
+    assert robot.command(1, Move(turned(0.0), 1.0)).result == Result.OK
+    assert robot.state().done_sequence == 1
+    assert robot.command(LAST_SEQUENCE, Move(turned(0.0), 1.0)).result == Result.STALE
+
+
+@pytest.mark.parametrize("number", [0, 1, 40_000, LAST_SEQUENCE, LAST_SEQUENCE + 1, -3])
+def test_a_stop_is_obeyed_whatever_its_number(number: int) -> None:
+    """Used, stale or impossible: the arm stops; the answer may still be a refusal."""
+    clock = SimulatedClock()
+    robot = controller(clock)
+    robot.command(1, Move(turned(90.0), 1.0))
+    clock.wait(0.2)
+    robot.command(number, Stop())
+    clock.wait(1.0)
+    state = robot.state()
+    assert state.standing
+    assert 0 < state.axes[0] < 900_000
+    assert state.done_result == Result.STOPPED
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-9, 0.1, 0.5, 0.9, 1 - 1e-9, 1.0])
+def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(share: float) -> None:
+    """In the ramp, the cruise and the last ramp: never beyond the leg's end, never above the deceleration."""
+    limits = kr16()
+    reference = interpolate(to_rad(START), to_rad(turned(120.0)), limits.velocity, limits.acceleration)
+    t = share * reference.duration
+    braked = reference.braked(t)
+    (q0,), (v0,), _ = reference.sample(np.array([t]))
+    assert braked.sample(np.zeros(1))[0][0] == pytest.approx(q0, abs=1e-12)
+    if braked.duration:
+        assert braked.sample(np.zeros(1))[1][0] == pytest.approx(v0, abs=1e-12)
+    assert braked.duration == pytest.approx(abs(v0[0]) / limits.acceleration[0], rel=1e-6, abs=1e-12)
+    assert q0[0] - 1e-15 <= braked.end[0] <= to_rad(turned(120.0))[0, 0]
+    assert (braked.end[1:] == to_rad(START)[1:]).all()
+    again = braked.braked(braked.duration / 2)
+    assert again.end == pytest.approx(braked.end, abs=1e-12)
+
+
+def test_a_fault_while_braking_does_not_prolong_it_and_the_first_fault_is_kept() -> None:
+    """Stop, then a fault, then another: one standstill, the first fault's code; only the emergency stop outranks it."""
+    clock = SimulatedClock()
+    robot = controller(clock)
+    robot.command(1, Move(turned(90.0), 1.0))
+    clock.wait(0.4)
+    robot.command(2, Stop())
+    to_go = robot.time_to_wait()
+    robot.latch(Fault.WATCHDOG)
+    robot.latch(Fault.RESTARTED)
+    assert robot.time_to_wait() == pytest.approx(to_go)
+    state = robot.state()
+    assert (state.mode, state.fault_code, state.standing) == (Mode.FAULT, Fault.WATCHDOG, False)
+    assert robot.command(3, Reset()).result == Result.BUSY
+    clock.wait(to_go)
+    assert robot.state().standing
+    robot.emergency_stop()
+    assert robot.state().fault_code == Fault.EMERGENCY_STOP
+
+
+class Sticky(IdealPlant):
+    """A plant that never settles."""
+
+    settled = False  # type: ignore[assignment]
+
+
+class Slow(IdealPlant):
+    """A plant that settles a second after its reference has ended."""
+
+    _waited = 0.0
+
+    @property
+    def settled(self) -> bool:
+        return super().settled and self._waited >= 1.0
+
+    def follow(self, reference: Reference) -> None:
+        super().follow(reference)
+        self._waited = 0.0
+
+    def advance(self, seconds: float) -> None:
+        if super().settled:
+            self._waited += seconds
+        super().advance(seconds)
+
+
+class Diverging(IdealPlant):
+    """A plant whose axes become NaN half a second after it was made, until it is told to rest."""
+
+    _age, _ill = 0.0, False
+
+    def advance(self, seconds: float) -> None:
+        super().advance(seconds)
+        self._age += seconds
+        self._ill = self._ill or self._age > 0.5
+
+    def follow(self, reference: Reference) -> None:
+        super().follow(reference)
+        if self._ill:
+            self._age, self._ill = -1e9, False
+
+    @property
+    def reported_axes(self) -> np.ndarray:
+        return np.full(6, np.nan) if self._ill else super().reported_axes
+
+
+def test_a_plant_that_settles_late_is_waited_for() -> None:
+    """In position only once it has settled."""
+    with simulated(Slow) as late, simulated() as ideal:
+        assert late.move(turned(20.0), 1.0).axes.tolist() == turned(20.0)[0].tolist()
+        ideal.move(turned(20.0), 1.0)
+        assert late.clock.now() - ideal.clock.now() == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_plant_that_never_settles_is_a_fault() -> None:
+    """After SETTLE_LIMIT, with a sentence; the controller does not hang."""
+    with simulated(Sticky) as driver:
+        with pytest.raises(FaultError, match="did not come to rest") as fault:
+            driver.move(turned(20.0), 1.0)
+        assert fault.value.code == Fault.NOT_SETTLED
+        assert driver.clock.now() > SETTLE_LIMIT
+
+
+def test_a_plant_that_diverges_is_a_fault_and_never_a_position() -> None:
+    """The last finite axes stay in the state, moves are refused, and a reset helps where it cures the plant."""
+    with simulated(Diverging) as driver:
+        with pytest.raises(FaultError, match="no numbers") as fault:
+            driver.move(turned(90.0), 1.0)
+        assert fault.value.code == Fault.PLANT
+        state = driver.state()
+        assert state.mode is Mode.FAULT
+        assert state.done_result == Result.FAULTED
+        assert np.isfinite(state.q).all()
+        assert driver.reset().mode is Mode.IDLE
+        assert driver.move(turned(10.0), 1.0).mode is Mode.IN_POSITION
+
+
+class Tripped(IdealPlant):
+    """A plant whose drive trips during the first motion and stays tripped."""
+
+    _tripped = False
+
+    @property
+    def failure(self) -> str:
+        return "drive 3 tripped" if self._tripped else ""
+
+    def advance(self, seconds: float) -> None:
+        self._tripped = self._tripped or not self.settled
+        super().advance(seconds)
+
+
+def test_a_plant_that_stays_broken_stays_a_fault() -> None:
+    """The plant's own sentence comes through; a reset that does not cure it is refused and changes nothing."""
+    with simulated(Tripped) as driver:
+        with pytest.raises(FaultError, match="drive 3 tripped"):
+            driver.move(turned(90.0), 1.0)
+        for _ in range(2):
+            with pytest.raises(RefusedError, match="drive 3 tripped; the reset did not cure it"):
+                driver.reset()
+            with pytest.raises(RefusedError, match="reset first"):
+                driver.move(turned(90.0), 1.0)
+        assert driver.state().fault_code == Fault.PLANT
+
+
+def test_an_arm_outside_the_limits_has_no_controller() -> None:
+    """By one count, at the start."""
+    outside = START.copy()
+    outside[1] = kr16().upper[1] + 1
+    with pytest.raises(DriverError, match="outside the controller's limits"):
+        Controller(IdealPlant(to_rad(outside)), kr16(), SimulatedClock())
+    with pytest.raises(DriverError, match="queue"):
+        controller(queue_length=0)
+
+
+def test_a_step_one_count_too_large_is_refused_anywhere() -> None:
+    """From where the arm stands, and between two via points; the allowed step itself is taken."""
+    driver = SimDriver.from_url(DriverUrl("sim://?max_step_deg=5"), Context())
+    with driver:
+        driver.move(turned(5.0, 10.0), 1.0)
+        robot = driver.controller
+        assert robot.command(100, Move(turned(15.0001), 1.0)).result == Result.STEP
+        assert robot.command(101, Move(turned(15.0, 9.9999), 1.0)).result == Result.STEP
+        assert robot.command(102, Move(turned(15.0, 10.0), 1.0)).result == Result.OK
+
+
+def test_extreme_int32_set_points_are_a_limit_not_an_overflow() -> None:
+    """The ends of int32, as a swapped word order makes them."""
+    robot = controller()
+    for number, value in enumerate((np.iinfo(np.int32).min, np.iinfo(np.int32).max), start=1):
+        points = turned(0.0)
+        points[0, 3] = value
+        assert robot.command(number, Move(points, 1.0)).result == Result.LIMIT
+    assert robot.state().axes.tolist() == START.tolist()

@@ -1,0 +1,235 @@
+"""Set-points, limits, commands, clocks, plant: the small parts of the driver layer."""
+
+import numpy as np
+import pytest
+
+from drivers import clock as clocks
+from drivers.clock import RealTimeClock, SimulatedClock
+from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop, is_newer, next_sequence, same, sentence_of
+from drivers.contract import Fault, Mode
+from drivers.errors import DriverError, SetPointError
+from drivers.limits import Limits, kr16
+from drivers.plant import IdealPlant
+from drivers.profile import interpolate, resting
+from drivers.setpoints import check, from_rad, to_deg, to_rad
+
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+
+
+def test_every_int32_count_survives_the_way_to_radians_and_back() -> None:
+    """At both ends of int32, around zero, and at a million counts in between."""
+    ends = np.iinfo(np.int32)
+    counts = np.concatenate(
+        [
+            [ends.max, ends.max - 1, -ends.max, 0, 1, -1],
+            np.random.default_rng(0).integers(-ends.max, ends.max, 999_996),
+        ]
+    ).astype(np.int32)
+    counts = counts[: len(counts) // 6 * 6].reshape(-1, 6)
+    assert (from_rad(to_rad(counts)) == counts).all()
+    assert (np.rint(to_deg(counts) * 1e4) == counts).all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e9])
+def test_angles_that_no_wire_can_carry_are_refused(bad: float) -> None:
+    """NaN, infinities and overflow name the axis."""
+    q = np.tile(HOME, (3, 1))
+    q[2, 4] = bad
+    with pytest.raises(SetPointError, match="A5"):
+        from_rad(q)
+
+
+@pytest.mark.parametrize("bad", [np.zeros((2, 5)), np.float64(0), np.zeros((1, 6), dtype=complex), np.array(["x"] * 6)])
+def test_what_are_no_joint_angles_is_refused(bad: np.ndarray) -> None:
+    """Shape and type."""
+    with pytest.raises(SetPointError, match="must be"):
+        from_rad(bad)
+
+
+def test_set_points_are_copied_and_read_only() -> None:
+    """The caller's array may change afterwards; the checked one may not."""
+    mine = np.zeros((2, 6), dtype=np.int32)
+    taken = check(mine)
+    mine[0, 0] = 7
+    assert taken[0, 0] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        taken[0, 0] = 1
+    assert check(np.asfortranarray(mine)).flags.c_contiguous
+
+
+def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
+    """185 deg in radians and back is not rounded inwards by a count."""
+    robot = kr16()
+    assert to_deg(robot.lower).tolist() == [-185, -155, -130, -350, -130, -350]
+    assert to_deg(robot.upper).tolist() == [185, 35, 154, 350, 130, 350]
+    assert np.degrees(robot.velocity) == pytest.approx([156, 156, 156, 330, 330, 615])
+    assert np.degrees(robot.acceleration) == pytest.approx([312, 312, 312, 660, 660, 1230])
+
+
+def test_limits_between_counts_are_rounded_inwards() -> None:
+    """A range that ends between two counts holds only the inner one."""
+    robot = kr16()
+    low, high = np.radians(np.full(6, -10.00004)), np.radians(np.full(6, 10.00006))
+    limits = Limits.from_rad(low, high, robot.velocity, robot.acceleration, max_step=np.radians(3.0))
+    assert limits.lower.tolist() == [-100_000] * 6
+    assert limits.upper.tolist() == [100_000] * 6
+    assert limits.max_step.tolist() == [30_000] * 6
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("lower", np.full(6, 4_000_000), "range of A1 is empty"),
+        ("velocity", np.zeros(6), "velocity"),
+        ("acceleration", np.full(6, np.inf), "acceleration"),
+        ("acceleration", np.full(6, np.nan), "acceleration"),
+        ("upper", np.zeros(5), "shape"),
+        ("max_step", np.zeros(6), "max_step"),
+        ("max_speed", 1.5, "speed fraction"),
+        ("max_via", 0, "via points"),
+    ],
+)
+def test_limits_under_which_nothing_could_move_are_refused(name: str, value: object, words: str) -> None:
+    """Each by name."""
+    robot = kr16()
+    fields = {k: getattr(robot, k) for k in ("lower", "upper", "velocity", "acceleration", "max_step", "max_speed")}
+    with pytest.raises(DriverError, match=words):
+        Limits(**{**fields, name: value})
+
+
+def test_numbers_go_round_without_zero_and_half_the_circle_is_newer() -> None:
+    """next_sequence visits 1..65535 and wraps to 1; newer is antisymmetric on every pair that was tried."""
+    assert next_sequence(0) == 1
+    assert next_sequence(LAST_SEQUENCE) == 1
+    assert is_newer(1, LAST_SEQUENCE)
+    assert not is_newer(LAST_SEQUENCE, 1)
+    rng = np.random.default_rng(0)
+    for a, b in rng.integers(1, LAST_SEQUENCE + 1, (2000, 2)).tolist():
+        assert is_newer(a, 0)
+        assert is_newer(next_sequence(a), a)
+        assert not is_newer(a, a)
+        assert is_newer(a, b) + is_newer(b, a) == (a != b)
+
+
+def test_commands_are_the_same_only_with_the_same_content() -> None:
+    """A NaN speed equals itself here, so that a repeat is a repeat."""
+    points = np.zeros((2, 6), dtype=np.int32)
+    assert same(Move(points, 0.5), Move(points.copy(), 0.5))
+    assert same(Move(points, np.nan), Move(points, np.nan))
+    assert not same(Move(points, 0.5), Move(points, 0.50001))
+    assert not same(Move(points, 0.5), Move(points[:1], 0.5))
+    assert not same(Move(points, 0.5), Move(points + np.int32(1), 0.5))
+    assert same(Stop(), Stop())
+    assert not same(Stop(), Reset())
+
+
+def test_every_code_has_a_sentence() -> None:
+    """Ours, and a foreign one."""
+    for result in Result:
+        assert sentence_of(result) == result.sentence != ""
+    assert "4711" in sentence_of(4711)
+    assert all(mode.sentence for mode in Mode)
+    assert all(fault.sentence for fault in Fault if fault)
+
+
+def test_a_simulated_clock_jumps_by_what_is_asked() -> None:
+    """And refuses what is no duration."""
+    clock = SimulatedClock(5.0)
+    clock.wait(0.25)
+    assert clock.now() == 5.25
+    for bad in (-1.0, np.nan, np.inf):
+        with pytest.raises(DriverError, match="wait"):
+            clock.wait(bad)
+
+
+def test_a_real_time_clock_scales_and_blocks_briefly() -> None:
+    """now() is scaled real time; one wait blocks at most LONGEST_WAIT, whatever is asked for."""
+    real = [100.0]
+    slept: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        real[0] += seconds
+
+    clock = RealTimeClock(4.0, monotonic=lambda: real[0], sleep=sleep)
+    assert clock.now() == 0.0
+    clock.wait(0.1)
+    assert clock.now() == pytest.approx(0.1)
+    clock.wait(1000.0)
+    assert slept == pytest.approx([0.025, clocks.LONGEST_WAIT])
+    with pytest.raises(DriverError, match="speed"):
+        RealTimeClock(0.0)
+    with pytest.raises(DriverError, match="wait"):
+        clock.wait(np.nan)
+
+
+def far(plant: IdealPlant, degrees: float = 40.0) -> None:
+    """Start a move of all axes."""
+    plant.follow(
+        interpolate(plant.reported_axes, plant.reported_axes[None] + np.radians(degrees), np.ones(6), np.ones(6))
+    )
+
+
+def test_an_ideal_plant_is_where_its_reference_is_whatever_the_steps() -> None:
+    """One step or a thousand: the same axes, and the end exactly."""
+    coarse, fine = IdealPlant(HOME), IdealPlant(HOME)
+    far(coarse)
+    far(fine)
+    coarse.advance(0.7)
+    for _ in range(1000):
+        fine.advance(0.0007)
+    assert np.abs(coarse.reported_axes - fine.reported_axes).max() < 1e-12
+    assert not coarse.settled
+    coarse.advance(1e9)
+    assert coarse.settled
+    assert (coarse.reported_axes == HOME + np.radians(40.0)).all()
+    assert (coarse.true_axes == coarse.reported_axes).all()
+
+
+def test_the_executed_offset_shows_in_the_true_axes_alone() -> None:
+    """It is drawn once per move for the move's end, grows without a jump, stays at rest, and survives a brake."""
+    rng = np.random.default_rng(7)
+    asked: list[np.ndarray] = []
+
+    def offset(axes: np.ndarray) -> np.ndarray:
+        asked.append(axes.copy())
+        return rng.normal(0.0, 1e-3, 6)
+
+    plant = IdealPlant(HOME, offset=offset)
+    assert (plant.true_axes == HOME).all()
+    draws = np.random.default_rng(7).normal(0.0, 1e-3, (2, 6))
+    far(plant)
+    assert (plant.true_axes == plant.reported_axes).all()
+    errors = []
+    while not plant.settled:
+        plant.advance(0.01)
+        errors.append(plant.true_axes - plant.reported_axes)
+    assert (plant.reported_axes == HOME + np.radians(40.0)).all()
+    assert errors[-1] == pytest.approx(draws[0], abs=1e-15)
+    assert np.abs(np.diff([np.zeros(6), *errors], axis=0)).max() < 0.02 * np.abs(draws[0]).max()
+
+    plant.follow(resting(plant.reported_axes))  # nothing moves, nothing is drawn
+    assert len(asked) == 1
+    assert (asked[0] == HOME + np.radians(40.0)).all()
+
+    reference = interpolate(plant.reported_axes, HOME[None], np.ones(6), np.ones(6))
+    plant.follow(reference)
+    plant.advance(0.5)
+    grown = plant.true_axes - plant.reported_axes
+    plant.follow(reference.braked(0.5))
+    plant.advance(100.0)
+    assert plant.true_axes - plant.reported_axes == pytest.approx(grown, abs=1e-15)
+    assert len(asked) == 2
+
+
+def test_a_plant_refuses_what_is_no_place_and_no_time() -> None:
+    """NaN axes, wrong shapes, negative time, and an offset that is none."""
+    for bad in (np.full(6, np.nan), np.zeros(5)):
+        with pytest.raises(DriverError, match="finite joint angles"):
+            IdealPlant(bad)
+    plant = IdealPlant(HOME)
+    for seconds in (-1e-9, np.nan):
+        with pytest.raises(DriverError, match="forwards"):
+            plant.advance(seconds)
+    with pytest.raises(DriverError, match="offset"):
+        far(IdealPlant(HOME, offset=lambda axes: np.full(6, np.nan)))

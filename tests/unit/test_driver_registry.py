@@ -1,0 +1,162 @@
+"""Drivers by URL: entry points, options, and the sentences of their errors."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.clock import SimulatedClock
+from drivers.errors import DriverUrlError
+from drivers.limits import Limits, kr16
+from drivers.plant import IdealPlant
+from drivers.registry import Context, open_driver, schemes
+from drivers.setpoints import to_deg
+from drivers.sim import SimDriver
+from drivers.url import DriverUrl
+
+
+def sim(url: str, context: Context | None = None) -> SimDriver:
+    """The simulated controller of a URL."""
+    return SimDriver.from_url(DriverUrl(url), context or Context())
+
+
+@pytest.fixture
+def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installed third-party distribution with good and bad drivers."""
+    info = tmp_path / "acme_robots-2.1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-robots\nVersion: 2.1\n")
+    (info / "entry_points.txt").write_text(
+        "[cell.drivers]\nacme = acme_good:Acme\nacme-broken = acme_broken:Acme\nacme-absent = acme_good:Nothing\n"
+        "acme-bare = acme_good:bare\nacme-half = acme_good:Half\nacme-two = acme_good:Acme\n"
+    )
+    other = tmp_path / "rival-1.0.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: rival\nVersion: 1.0\n")
+    (other / "entry_points.txt").write_text("[cell.drivers]\nacme-two = rival:Acme\n")
+    (tmp_path / "acme_good.py").write_text(
+        "from drivers.sim import SimDriver\n"
+        "class Acme(SimDriver):\n    pass\n"
+        "class Half:\n    @classmethod\n    def from_url(cls, url, context):\n        return cls()\n"
+        "bare = 3\n"
+    )
+    (tmp_path / "acme_broken.py").write_text("import no_such_module_of_acme\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_a_third_partys_driver_opens_by_its_scheme(distribution: Path) -> None:
+    """Its class is used, with its options."""
+    assert {"acme", "acme-broken"} <= set(schemes())
+    driver = open_driver("acme://?start=10,-90,90,0,90,0")
+    assert type(driver).__name__ == "Acme"
+    with driver:
+        assert to_deg(driver.state().axes).tolist() == [10, -90, 90, 0, 90, 0]
+
+
+@pytest.mark.parametrize(
+    ("scheme", "words"),
+    [
+        ("acme-broken", r"acme-robots 2\.1 cannot be imported from acme_broken:Acme: ModuleNotFoundError"),
+        ("acme-absent", r"acme-robots 2\.1 cannot be imported"),
+        ("acme-bare", r"acme-robots 2\.1 is acme_good:bare, which has no from_url"),
+        ("acme-half", "gave a Half without connect, close"),
+        ("acme-two", r"offered by .*acme-robots 2\.1 .* and .*|offered by rival 1\.0"),
+        ("nobody", "valid are: .*acme://"),
+    ],
+)
+def test_a_broken_plug_in_is_named(distribution: Path, scheme: str, words: str) -> None:
+    """Which distribution, what is wrong, what to do."""
+    with pytest.raises(DriverUrlError, match=words):
+        open_driver(f"{scheme}://")
+
+
+def test_nothing_is_imported_to_list_the_schemes(distribution: Path) -> None:
+    """In a fresh process, neither a plug-in nor the simulated controller is loaded by listing."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(distribution)!r})\n"
+        "import drivers.registry as registry\n"
+        "assert 'acme' in registry.schemes()\n"
+        "assert not {'acme_good', 'acme_broken', 'drivers.sim', 'drivers.controller'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("sim://?plnt=ideal", "no option 'plnt'; did you mean 'plant'"),
+        ("sim://?zzz", "no option 'zzz'; valid are: plant, realtime"),
+        ("sim://?plant=idael", "must be one of: ideal .did you mean 'ideal'"),
+        ("sim://?plant=mujoco", "must be one of: ideal"),
+        ("sim://?realtime=perhaps", "realtime=perhaps; it must be given alone"),
+        ("sim://?realtime&time_scale=0", "time_scale=0; it must be a number above 0"),
+        ("sim://?realtime&time_scale=nan", "time_scale=nan; it must be"),
+        ("sim://?realtime&time_scale=inf", "time_scale=inf; it must be"),
+        ("sim://?time_scale=2", "without realtime"),
+        ("sim://?max_speed=1.01", "above 0 and at most 1"),
+        ("sim://?max_step_deg=-1", "max_step_deg=-1"),
+        ("sim://?start=1,2,3", "6 numbers joined by commas"),
+        ("sim://?start=1,2,3,4,5,x", "6 numbers joined by commas"),
+        ("sim://?start=0,-90,90,0,130.0001,0", "outside the axis limits"),
+        ("sim://?start=0,-90,90,0,1e9,0", "A5"),
+        ("sim://?plant=ideal&plant=ideal", "twice"),
+        ("sim://robot", "host or a path"),
+        ("sim:///dev/tty", "host or a path"),
+        ("sim://#x", "#"),
+        ("sim", "no scheme"),
+        ("sim:", "no scheme"),
+        ("", "no scheme"),
+        ("sim://[", "cannot be read"),
+        ("sim://h:99999", "cannot be read"),
+    ],
+)
+def test_a_wrong_url_gets_one_sentence(url: str, words: str) -> None:
+    """What is wrong and what would be valid."""
+    with pytest.raises(Exception, match=words) as error:
+        sim(url)
+    assert "DriverUrlError" in type(error.value).__name__ or "SetPointError" in type(error.value).__name__
+    assert "\n" not in str(error.value)
+
+
+def test_options_reach_the_controller() -> None:
+    """Start, speed and step limits, and the KR 16 where nothing is said."""
+    with sim("sim://?start=1,-80,70,5,50,9.1234&max_speed=0.25&max_step_deg=3") as driver:
+        assert to_deg(driver.state().axes).tolist() == [1, -80, 70, 5, 50, 9.1234]
+        assert driver.capabilities.max_speed == 0.25
+        assert driver.capabilities.max_step.tolist() == [30_000] * 6
+        assert driver.capabilities.simulated_time
+        assert not driver.capabilities.hardware
+    with sim("sim://") as driver:
+        assert driver.capabilities.lower.tolist() == kr16().lower.tolist()
+        assert driver.capabilities.max_step.tolist() == (kr16().upper - kr16().lower).tolist()
+    with sim("sim://?realtime") as driver:
+        assert not driver.capabilities.simulated_time
+
+
+def test_the_opener_injects_clock_limits_and_plants() -> None:
+    """A plant with an offset replaces the ideal one; state() reports, the plant knows the truth."""
+    narrow = np.radians([10.0] * 6)
+    limits = Limits.from_rad(-narrow, narrow, narrow, narrow)
+    clock = SimulatedClock(100.0)
+    wrong = np.full(6, 1e-3)
+    made: list[IdealPlant] = []
+
+    def plant(start: np.ndarray) -> IdealPlant:
+        made.append(IdealPlant(start, offset=lambda axes: wrong))
+        return made[-1]
+
+    context = Context(clock=clock, limits=limits, plants={"ideal": plant, "other": IdealPlant})
+    with sim("sim://?start=0,0,0,0,0,0", context) as driver:
+        assert driver.plant is made[0]
+        target = np.full((1, 6), 50_000, dtype=np.int32)
+        state = driver.move(target, 1.0)
+        assert state.axes.tolist() == target[0].tolist()
+        assert driver.plant.true_axes - state.q == pytest.approx(wrong, abs=1e-15)
+        assert clock.now() > 100.0
+    sim("sim://?plant=other&start=0,0,0,0,0,0", context)
+    assert len(made) == 1
+    with pytest.raises(DriverUrlError, match="clock of its own"):
+        sim("sim://?realtime&start=0,0,0,0,0,0", context)
