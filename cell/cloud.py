@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 NEIGHBOURS = 12
 """Neighbours for a normal: fewer follow the noise, more round off edges."""
 
-# Where a scan grazes the surface its rows lie far apart, and the nearest points are all of one row: no plane is sure, or
-# it is the plane that also holds the line of sight. Such a normal is taken from more points.
+# Where a scan grazes the surface its rows lie far apart, and the nearest points are all of one row: no plane is sure,
+# or it is the plane that also holds the line of sight. Such a normal is taken from more points.
 _ROW = 0.1  # second over first principal variance; a plane covered evenly has 1, three rows of four have 0.5
 _EDGE_ON = 0.2  # cosine between normal and line of sight (78 degrees): no scanner measures so edge-on a surface
 _MORE_NEIGHBOURS = (3, 8)  # times as many
