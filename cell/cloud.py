@@ -136,7 +136,8 @@ def estimate_normals(points: Floats, sensor_positions: Floats, *, neighbours: in
         neighbours: how many nearest points (itself among them) to use, > 2.
 
     Returns:
-        (N, 3) unit normals. A point with fewer than three usable neighbours gets the direction to its sensor.
+        (N, 3) unit normals. Where the neighbours span no plane, the normal faces the sensor as far as they
+        allow.
     """
     if len(points) == 0:
         return np.empty((0, 3))
@@ -146,21 +147,25 @@ def estimate_normals(points: Floats, sensor_positions: Floats, *, neighbours: in
     if len(points) < 3:
         return sight
     tree = kdtree.build(points)
-    normals, is_sure = _principal(tree, points, toward, np.arange(len(points)), neighbours)
+    normals, along, is_sure = _principal(tree, points, toward, np.arange(len(points)), neighbours)
     unsure = np.flatnonzero(~is_sure)
     for more in _MORE_NEIGHBOURS:
-        normals[unsure], is_sure = _principal(tree, points, toward, unsure, more * neighbours)
+        normals[unsure], along[unsure], is_sure = _principal(tree, points, toward, unsure, more * neighbours)
         unsure = unsure[~is_sure]
+    # A row and nothing beside it: of all planes through it, the one that faces the sensor.
+    facing = sight[unsure] - np.einsum("nj,nj->n", sight[unsure], along[unsure])[:, None] * along[unsure]
+    length = np.linalg.norm(facing, axis=1, keepdims=True)
+    normals[unsure] = np.where(length > 1e-6, facing / np.maximum(length, 1e-6), normals[unsure])
     return normals
 
 
 def _principal(
     tree: cKDTree, points: Floats, toward: NDArray[np.float32], chosen: NDArray[np.intp], neighbours: int
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Normals (len(chosen), 3) of the chosen points from so many neighbours, and whether those span a plane."""
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Of the chosen points: normals (C, 3), directions (C, 3) of widest spread, whether the neighbours span a plane."""
     count = min(neighbours, len(points))
 
-    def of_part(start: int) -> tuple[Floats, NDArray[np.bool_]]:
+    def of_part(start: int) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         part = chosen[start : start + _CHUNK]
         _, index = kdtree.nearest(tree, points[part], count)
         # float32 is enough for offsets of neighbours (7 digits of some millimetres), and halves the memory traffic.
@@ -175,10 +180,11 @@ def _principal(
         normals[total < 3] = toward[part][total < 3]
         cosine = np.einsum("nj,nj->n", normals, toward[part])
         normals[cosine < 0] *= -1
-        return normals, (values[:, 1] > _ROW * values[:, 2]) & (np.abs(cosine) > _EDGE_ON)
+        return normals, vectors[:, :, 2], (values[:, 1] > _ROW * values[:, 2]) & (np.abs(cosine) > _EDGE_ON)
 
     with ThreadPoolExecutor(2) as pool:  # NumPy and the tree release the interpreter lock
         parts = list(pool.map(of_part, range(0, len(chosen), _CHUNK)))
     if not parts:
-        return np.empty((0, 3)), np.empty(0, dtype=np.bool_)
-    return np.concatenate([normals for normals, _ in parts]), np.concatenate([is_sure for _, is_sure in parts])
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.bool_)
+    found, along, is_sure = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return found, along, is_sure

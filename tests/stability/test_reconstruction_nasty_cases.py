@@ -33,11 +33,12 @@ def test_too_little_is_said(name: str) -> None:
 
 
 def test_a_line_of_points_makes_a_ribbon_no_wider_than_the_cut() -> None:
-    """Points on a line carry a surface of at most two spacings to either side; nothing more is invented."""
+    """Points on a line carry a strip that faces the scanner, two spacings to either side; nothing more is invented."""
     line = np.stack([np.arange(200) * 1e-3, np.zeros(200), np.zeros(200)], axis=1)
     result = reconstruct(merge([ScanCloud(line, SENSOR)]))
-    if result.mesh is not None:
-        assert np.abs(result.mesh.vertices[:, 1:]).max() <= 2e-3 + 1e-9
+    assert result.mesh is not None
+    assert 1e-3 < np.abs(result.mesh.vertices[:, 1]).max() <= 2e-3 + 1e-9
+    assert np.abs(result.mesh.vertices[:, 2]).max() < 1e-9
 
 
 def test_outliers_of_one_percent_do_not_show() -> None:
