@@ -112,11 +112,13 @@ def test_an_answer_lost_after_execution_is_found_in_the_state(link: ScriptedLink
 
 def test_a_command_lost_on_the_way_is_sent_again_under_its_number(link: ScriptedLink, client: ControllerClient) -> None:
     """The state says that it never arrived; the same number goes out once more and executes once."""
+    client.move(at(5), 0.5)
+    client.reset()
     link.before = times(1, AnswerTimeoutError("lost"))
     state = client.move(at(10), 0.5)
     assert state.axes.tolist() == at(10)[-1].tolist()
-    assert link.moves == [1, 1]
-    assert state.done_sequence == 1
+    assert link.moves == [1, 3, 3]
+    assert state.done_sequence == 3
 
 
 def test_a_refusal_whose_answer_was_lost_is_still_a_refusal(link: ScriptedLink, client: ControllerClient) -> None:

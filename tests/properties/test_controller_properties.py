@@ -23,12 +23,20 @@ LIMITS = Limits(
     max_step=np.full(6, MAX_STEP),
 )
 
-# Near the limits and one count beyond them as often as anywhere else.
-axis = st.one_of(st.integers(-RANGE - 1, RANGE + 1), st.sampled_from([-RANGE - 1, -RANGE, RANGE, RANGE + 1, 0]))
-via = st.lists(st.lists(axis, min_size=6, max_size=6), min_size=1, max_size=4).map(
-    lambda v: np.array(v, dtype=np.int32)
-)
-speeds = st.one_of(st.floats(0.05, 1.0), st.sampled_from([0.0, -1.0, 1.0000001, float("nan"), float("inf")]))
+
+def via_points(axis: st.SearchStrategy[int]) -> st.SearchStrategy[SetPoints]:
+    """One to four via points."""
+    rows = st.lists(st.lists(axis, min_size=6, max_size=6), min_size=1, max_size=4)
+    return rows.map(lambda values: np.array(values, dtype=np.int32))
+
+
+# Most moves can be accepted, so that queues fill; the rest lie near the limits and one count beyond them.
+good = via_points(st.integers(-MAX_STEP // 2, MAX_STEP // 2))
+nasty = via_points(st.one_of(st.integers(-RANGE, RANGE), st.sampled_from([-RANGE - 1, -RANGE, RANGE, RANGE + 1, 0])))
+via = st.one_of(good, good, good, nasty)
+fractions = st.floats(0.05, 1.0)
+no_fractions = st.sampled_from([0.0, -1.0, 1.0000001, float("nan"), float("inf")])
+speeds = st.one_of(fractions, fractions, fractions, fractions, no_fractions)
 times = st.floats(0.0, 3.0)
 
 

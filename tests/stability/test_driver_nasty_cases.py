@@ -137,6 +137,28 @@ def test_a_clock_that_jumps_a_year_ahead_ends_the_queue() -> None:
     assert state.axes.tolist() == turned(30.0)[0].tolist()
 
 
+@pytest.mark.parametrize("how", ["stop", "fault", "emergency stop"])
+def test_whatever_stops_the_arm_empties_the_queue(how: str) -> None:
+    """Queued moves never begin afterwards, and the last of them is reported as cut."""
+    clock = SimulatedClock()
+    robot = controller(clock, queue_length=3)
+    for number, angle in ((1, 10.0), (2, -20.0), (3, 30.0)):
+        robot.command(number, Move(turned(angle), 0.5))
+    clock.wait(0.1)
+    if how == "stop":
+        robot.command(4, Stop())
+    elif how == "fault":
+        robot.latch(Fault.WATCHDOG)
+    else:
+        robot.emergency_stop()
+    assert robot.state().queue_depth == 0
+    clock.wait(100.0)
+    state = robot.state()
+    assert state.standing
+    assert 0 < state.axes[0] < 100_000
+    assert (state.done_sequence, state.done_result) == (3, Result.STOPPED if how == "stop" else Result.FAULTED)
+
+
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])
 def test_a_clock_that_says_no_time_is_refused(now: float) -> None:
     """By name."""
