@@ -9,7 +9,8 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -42,26 +43,38 @@ def backend() -> str | None:
     return None
 
 
+def require_backend() -> str:
+    """The library that draws; call it before MuJoCo is imported, whose import fails for a MUJOCO_GL that is not there.
+
+    Raises:
+        UsageError: if there is neither EGL nor OSMesa.
+    """
+    chosen = backend()
+    if chosen is None:
+        only = os.environ.get("MUJOCO_GL", "").strip()
+        named = f" (MUJOCO_GL={only} leaves no other to be tried)" if only else ""
+        raise UsageError(
+            f"pictures without a display need EGL or OSMesa, and neither can be loaded{named}; install the packages "
+            f"{PACKAGES}, or replay on a display without --frames and --picture"
+        )
+    return chosen
+
+
 class OffScreen:
     """Draws scenes of one model into arrays; a context manager, because it holds a GL context."""
 
-    def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int], samples: int = 4) -> None:
         """Open the context.
 
         Args:
             model: what is drawn.
             size: (width, height) [pixels]; the model's off-screen buffer must be as large.
+            samples: per pixel, against jagged edges; software rendering takes time in proportion.
 
         Raises:
             UsageError: if there is neither EGL nor OSMesa.
         """
-        chosen = backend()
-        if chosen is None:
-            raise UsageError(
-                "pictures without a display need EGL or OSMesa, and neither can be loaded; install the packages "
-                f"{PACKAGES}, or replay on a display without --frames and --picture"
-            )
-        os.environ["MUJOCO_GL"] = chosen  # MuJoCo's own loader of GL functions reads it
+        chosen = require_backend()
         import mujoco
 
         if chosen == "egl":
@@ -70,10 +83,12 @@ class OffScreen:
             from mujoco.osmesa import GLContext
         self._size = size
         self._model = model
+        model.vis.quality.offsamples = samples
         try:
             self._gl: Any = GLContext(*size)
             self._gl.make_current()
-            self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_150))
+            with _named(chosen):
+                self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_150))
         except (ImportError, RuntimeError, mujoco.FatalError) as error:
             raise UsageError(
                 f"pictures without a display cannot be drawn with {chosen}: {error}; install the packages {PACKAGES}"
@@ -146,6 +161,20 @@ class OffScreen:
         pixels = np.empty((height, width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
         return np.ascontiguousarray(pixels[::-1])  # GL counts rows from below
+
+
+@contextmanager
+def _named(chosen: str) -> Iterator[None]:
+    """Tell MuJoCo's own loader of GL functions, which reads MUJOCO_GL, and leave the environment as it was."""
+    before = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = chosen
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["MUJOCO_GL"]
+        else:
+            os.environ["MUJOCO_GL"] = before
 
 
 def _has_egl() -> bool:

@@ -15,6 +15,7 @@ from cell import replay_timeline, run_reader
 from cell.errors import FileError, UsageError
 from cell.execution_reader import read_execution
 from cell.narrator import Narrator
+from cell.offscreen import require_backend
 from cell.replay_frames import write_frames, write_picture
 from cell.replay_model import dress
 from cell.replay_show import Show
@@ -75,10 +76,12 @@ def replay(
     """
     _check(options)
     drawing = options.frames is not None or options.picture is not None
-    if not drawing:
+    if drawing:  # both are asked before the work, which takes seconds
+        require_backend()
+    else:
         from cell.replay_viewer import play, require_display
 
-        require_display()  # before the work, which takes seconds
+        require_display()
     with narrator.stage("set up the replay"):
         show = load_show(open_run(folder), options.execution, options.size, narrator)
     start = _start(show.timeline, options.view)

@@ -93,7 +93,7 @@ def write_picture(show: Show, path: Path, size: tuple[int, int], t: float | None
         UsageError: if neither EGL nor OSMesa is there.
         FileError: if the file cannot be written.
     """
-    with OffScreen(show.theatre.model, size) as screen:
+    with OffScreen(show.theatre.model, size, samples=8) as screen:
         _groups(screen)
         moment = show.best_stop() if t is None else t
         camera = show.camera(size[0] / size[1], [moment])

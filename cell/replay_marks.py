@@ -28,7 +28,7 @@ GLYPH: Colour = (0.05, 0.55, 0.62, 0.30)
 PATH: Colour = (0.10, 0.25, 0.62, 1.0)
 FRESH: Colour = (0.0, 0.75, 0.45, 1.0)
 EARLIER: Colour = (0.16, 0.46, 0.72, 1.0)
-LOST: Colour = (0.70, 0.72, 0.76, 1.0)
+LOST: Colour = (0.72, 0.22, 0.16, 1.0)
 CONTACT: Colour = (0.9, 0.0, 0.05, 1.0)
 
 GLYPH_SHARE = 0.16

@@ -299,7 +299,7 @@ def _light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=direction / np.linalg.norm(direction), **light
         )
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 4096, 8
+    spec.visual.quality.shadowsize = 4096
     spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = 0.01, 30.0, 1.2
     spec.visual.rgba.haze = [0.93, 0.95, 0.97, 1.0]
     spec.stat.extent, spec.stat.center = 2.0, aim

@@ -88,8 +88,8 @@ class Show:
             known = self.reachable is not None
             free = known and self.reachable is not None and bool(self.reachable[number])
             colour = marks.FRESH if free else marks.LOST if known else marks.EARLIER
-            marks.add_segment(scene, T[:3, 3], T[:3, 3] + 0.03 * T[:3, 2], 0.0015, colour)
-            marks.add_ball(scene, T[:3, 3], 0.004, colour)
+            marks.add_segment(scene, T[:3, 3], T[:3, 3] + 0.05 * T[:3, 2], 0.002, colour)
+            marks.add_ball(scene, T[:3, 3], 0.006, colour)
 
     def draw_moment(self, scene: mujoco.MjvScene, t: float, touching: tuple[marks.Touch, ...] = ()) -> None:
         """Frustum where the scanner is looking, points taken by then, contacts."""
@@ -177,12 +177,20 @@ class Show:
         model, points = self.theatre.model, [self.path]
         radius = self.theatre.part_radius
         points.append(self.theatre.centre + radius * np.concatenate([np.eye(3), -np.eye(3)]))
-        shapes = [i for i in range(model.ngeom) if self.theatre.entities[i] in (*robot.LINKS, "housing")]
+        shapes = [
+            i
+            for i in range(model.ngeom)
+            if self.theatre.entities[i] in (*robot.LINKS, "housing")
+            and model.geom_contype[i] | model.geom_conaffinity[i]
+        ]
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        boxes = model.geom_aabb[shapes, None, :3] + signs * model.geom_aabb[shapes, None, 3:]
         if times is None:
             times = [0.0, *(stop.begin for stop in self.timeline.stops), self.timeline.duration]
         for t in times:
             self.pose(t)
-            points.append(self.data.geom_xpos[shapes])
+            turned = np.einsum("gij,gcj->gci", self.data.geom_xmat[shapes].reshape(-1, 3, 3), boxes)
+            points.append((self.data.geom_xpos[shapes, None] + turned).reshape(-1, 3))
         self.pose(0.0)
         if self.T_base_candidate.size:
             points.append(self.T_base_candidate[:, :3, 3])
