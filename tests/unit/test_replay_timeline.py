@@ -1,0 +1,157 @@
+"""The timeline of a replay and its player: arithmetic on a motion that is made by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cell import replay_timeline
+from cell.execution_reader import RecordedExecution, RecordedScan
+from cell.replay_frames import frame_times
+from cell.replay_viewer import SPEEDS, Player
+from planner.ports import JointLimits
+from planner.timing import Motion, retime
+
+_LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.ones(6), np.ones(6))
+_VIEWS = (7, 3, 9)
+_REST = 0.5
+
+
+def _motion() -> Motion:
+    """Home, view 7, a via point, view 3, view 9, home."""
+    via = np.random.default_rng(5).uniform(-1, 1, (6, 6))
+    via[-1] = via[0]
+    return retime(via, np.array([0, 0, 1, 1, 2, 3]), np.array([-1, 7, -1, 3, 9, -1]), _LIMITS)
+
+
+def _execution(views: tuple[int, ...], off: float, motion: Motion | None = None) -> RecordedExecution:
+    planned = _motion()
+    rng = np.random.default_rng(1)
+    scans = []
+    for view in views:
+        q = planned.via_q[planned.view == view][0]
+        scans.append(RecordedScan("", view, q, q + off * rng.normal(size=6), np.zeros((0, 3)), {}))
+    return RecordedExecution(Path("e"), {}, tuple(scans), motion, ())
+
+
+def test_the_plan_is_shown_with_a_rest_at_each_view() -> None:
+    """Film = motion + rests; each stop has the plan's angles while it rests; without rests it is the motion itself."""
+    motion = _motion()
+    film = replay_timeline.of_plan(motion, _REST)
+    assert film.duration == pytest.approx(motion.duration + _REST * len(_VIEWS))
+    assert [stop.candidate for stop in film.stops] == list(_VIEWS)
+    for stop in film.stops:
+        q = motion.via_q[motion.view == stop.candidate][0]
+        for t in (stop.begin, (stop.begin + stop.end) / 2, stop.end):
+            np.testing.assert_allclose(film.at(t), q, atol=1e-12)
+            assert film.stop_at(t) == stop
+            assert film.moved(t) == pytest.approx(motion.via_t[motion.view == stop.candidate][0])
+    np.testing.assert_array_equal(replay_timeline.of_plan(motion, 0.0).q[[0, -1]], motion.q[[0, -1]])
+    for t in np.linspace(0, motion.duration, 50):
+        expected = [np.interp(t, motion.t, motion.q[:, axis]) for axis in range(6)]
+        np.testing.assert_allclose(replay_timeline.of_plan(motion, 0.0).at(t), expected, atol=1e-12)
+
+
+def test_an_exact_execution_is_the_plan() -> None:
+    """With reported = commanded = planned, the film is the plan's, sample by sample."""
+    motion = _motion()
+    plan = replay_timeline.of_plan(motion, _REST)
+    film = replay_timeline.of_execution(_execution(_VIEWS, 0.0), motion, motion.q[0], _REST)
+    np.testing.assert_allclose(film.t, plan.t, atol=1e-12)
+    np.testing.assert_allclose(film.q, plan.q, atol=1e-12)
+    assert film.notes == ()
+
+
+def test_an_execution_is_shown_where_it_reported_to_be() -> None:
+    """Stops have the reported angles exactly, and the way between never jumps."""
+    motion = _motion()
+    execution = _execution(_VIEWS, 0.02)
+    film = replay_timeline.of_execution(execution, motion, motion.q[0], _REST)
+    for stop, scan in zip(film.stops, execution.scans, strict=True):
+        np.testing.assert_allclose(film.at(stop.begin), scan.q_reported, atol=1e-12)
+    np.testing.assert_allclose(film.q[[0, -1]], motion.q[[0, -1]], atol=1e-12)
+    assert (np.diff(film.t) > 0).all()
+    assert (np.abs(np.diff(film.q, axis=0)) / np.diff(film.t)[:, None]).max() < 1.3
+
+
+def test_a_motion_of_its_own_goes_before_the_plan() -> None:
+    """The recorded motion is shown, not the planned one."""
+    motion = _motion()
+    slow = JointLimits(_LIMITS.lower, _LIMITS.upper, _LIMITS.velocity / 4, _LIMITS.acceleration / 4)
+    own = retime(motion.via_q, motion.segment, motion.view, slow)
+    film = replay_timeline.of_execution(_execution(_VIEWS, 0.0, own), motion, motion.q[0], 0.0)
+    assert film.duration == pytest.approx(own.duration)
+
+
+@pytest.mark.parametrize("views", [(9,), (3, 7), (7, 9)])
+def test_a_way_that_nobody_planned_is_straight_and_told(views: tuple[int, ...]) -> None:
+    """A single view or another order: straight moves, and a sentence that names the views."""
+    motion = _motion()
+    film = replay_timeline.of_execution(_execution(views, 0.01), motion, motion.q[0], _REST)
+    assert [stop.candidate for stop in film.stops] == list(views)
+    assert "not checked for collisions" in film.notes[0]
+    assert (np.diff(film.t) > 0).all()
+    assert (np.abs(np.diff(film.q, axis=0)) / np.diff(film.t)[:, None]).max() < 1.3
+
+
+def test_nothing_but_home() -> None:
+    """A run without motion stands at home at every time."""
+    film = replay_timeline.of_home(np.arange(6.0))
+    assert film.duration == 0
+    np.testing.assert_array_equal(film.at(3.0), np.arange(6.0))
+    empty = replay_timeline.of_execution(_execution((), 0.0), None, np.arange(6.0))
+    np.testing.assert_array_equal(empty.at(0.0), np.arange(6.0))
+
+
+@given(st.floats(0, 20), st.floats(0, 20), st.floats(1, 60), st.floats(0.1, 10), st.integers(1, 9))
+def test_frames_cover_the_film(duration: float, start: float, fps: float, speed: float, every: int) -> None:
+    """The first frame is the start, the last the end; numbers and times rise; steps are speed / fps."""
+    frames = frame_times(duration, min(start, duration), fps, speed, every)
+    numbers, times = zip(*frames, strict=True)
+    assert times[0] == min(start, duration)
+    assert times[-1] == pytest.approx(duration)
+    assert (np.diff(numbers) > 0).all()
+    assert numbers[0] == 1
+    for number, t in frames[:-1]:
+        assert (number - 1) % every == 0
+        assert t == pytest.approx(min(start, duration) + (number - 1) * speed / fps)
+
+
+def test_keys() -> None:
+    """Space pauses and restarts at the end, arrows step from view to view and stand there, up and down are inverse."""
+    film = replay_timeline.of_plan(_motion(), _REST)
+    player = Player(film, speed=2.0)
+    player.advance(0.1)
+    assert player.t == pytest.approx(0.2)
+    player.press(32)
+    player.advance(5.0)
+    assert player.t == pytest.approx(0.2)
+    for stop in film.stops:
+        player.press(262)
+        assert player.t == stop.begin
+        assert not player.playing
+    player.press(262)
+    assert player.ended
+    for stop in reversed(film.stops):
+        player.press(263)
+        assert player.t == stop.begin
+    player.press(263)
+    player.press(263)
+    assert player.t == 0
+    player.press(32)
+    player.advance(1e6)
+    assert player.t == film.duration
+    player.press(32)
+    assert player.t == 0
+    assert player.playing
+    player.press(265)
+    player.press(264)
+    assert player.speed == pytest.approx(2.0)
+    for _ in range(50):
+        player.press(264)
+    assert player.speed == SPEEDS[0]
+    player.advance(1.0)
+    player.press(268)
+    assert player.t == 0

@@ -1,0 +1,145 @@
+"""Reading run folders: what comes back, and the sentence for each kind of folder that cannot be read."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell import run_reader
+from cell.errors import FileError
+from cell.execution_reader import execution_ids, read_execution
+from cell.run_record import open_run
+
+Blob = Callable[[int], trimesh.Trimesh]
+
+
+@pytest.fixture
+def copy(planned: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run that a test may break."""
+    return Path(shutil.copytree(planned, tmp_path / "copy"))
+
+
+def _manifest(folder: Path, **changes: object) -> None:
+    path = folder / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def test_the_parts_agree_with_each_other(planned: Path) -> None:
+    """Views, motion, candidates and reach of one run tell of the same poses."""
+    run = open_run(planned)
+    views, motion = run_reader.views(run), run_reader.motion(run)
+    candidates, reached = run_reader.candidates(run), run_reader.reached(run)
+    assert run.finished
+    assert [view.id for view in views] == motion.view[motion.view >= 0].tolist()
+    scene = run_reader.resolved_scene(run)
+    T_base_object = run_reader.transform(run, scene, "T_base_object")
+    for view, q in zip(views, motion.via_q[motion.view >= 0], strict=True):
+        np.testing.assert_allclose(view.q, q, atol=1e-12)
+        assert np.isclose(reached.q_of(view.id), view.q, atol=1e-9).all(axis=1).any()
+        np.testing.assert_allclose(view.T_base_scanner, T_base_object @ view.T_object_scanner, atol=1e-12)
+        np.testing.assert_allclose(view.T_object_scanner, candidates.T_object_scanner[view.id, 0], atol=2e-5)
+
+
+def test_the_reference_is_the_part_that_was_given(planned: Path, blob: Blob) -> None:
+    """Area and bounds of reference.ply are those of the part, in metres (the part came through float32 STL)."""
+    reference, part = run_reader.mesh(open_run(planned), "reference.ply"), blob(4)
+    assert len(reference.faces) == len(part.faces)
+    np.testing.assert_allclose(reference.vertices.min(axis=0), part.vertices.min(axis=0) / 1000, atol=1e-8)
+    read = trimesh.Trimesh(reference.vertices, reference.faces, process=False)
+    assert read.volume == pytest.approx(part.volume / 1e9, rel=1e-6)
+
+
+def test_wrong_folders_are_told_apart(tmp_path: Path, copy: Path) -> None:
+    """Missing, a file, foreign, of another schema, damaged: each has its own sentence, all exit with 6."""
+    foreign, empty = tmp_path / "foreign", tmp_path / "empty"
+    empty.mkdir()
+    foreign.mkdir()
+    (foreign / "manifest.json").write_text('{"name": "a web page"}')
+    (tmp_path / "gone.part").mkdir()
+    sentences = {
+        tmp_path
+        / "nothing": "does not exist; give the folder that cell plan made; run folders beside it: copy, foreign",
+        tmp_path / "gone": "gone.part does: a run that did not finish",
+        copy / "cell.xml": "is a file",
+        empty: "has no manifest.json",
+        foreign: "is not a run folder: its manifest.json is not of the schema",
+    }
+    for folder, sentence in sentences.items():
+        with pytest.raises(FileError, match=r"^[^\n]+$") as caught:
+            open_run(folder)
+        assert sentence in str(caught.value)
+    _manifest(copy, schema="scan-cell/run/9")
+    with pytest.raises(FileError, match=r"has the schema scan-cell/run/9, and this version of scan-cell reads"):
+        open_run(copy)
+    (copy / "manifest.json").write_text('{"schema": ')
+    with pytest.raises(FileError, match=r"manifest\.json is damaged: it is not JSON"):
+        open_run(copy)
+
+
+def test_a_changed_artefact_is_refused(copy: Path) -> None:
+    """One flipped bit in the mesh, or an edited plan, is noticed by the manifest's sha256."""
+    run = open_run(copy)
+    content = bytearray((copy / "reference.ply").read_bytes())
+    content[len(content) // 2] ^= 1
+    (copy / "reference.ply").write_bytes(content)
+    with pytest.raises(FileError, match="changed or damaged"):
+        run_reader.mesh(run, "reference.ply")
+    (copy / "plan.json").write_text((copy / "plan.json").read_text().replace("0", "1", 1))
+    with pytest.raises(FileError, match="changed or damaged"):
+        run_reader.views(run)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.9])
+def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None:
+    """A killed run has no list of artefacts; a cut mesh, array file or JSON file is still told in one sentence."""
+    _manifest(copy, artefacts={}, status="running", stage="reach")
+    run = open_run(copy)
+    readers = {
+        "reference.ply": lambda: run_reader.mesh(run, "reference.ply"),
+        "motion.npz": lambda: run_reader.motion(run),
+        "plan.json": lambda: run_reader.views(run),
+        "reach.npz": lambda: run_reader.reached(run),
+        "viewpoints.npz": lambda: run_reader.candidates(run),
+    }
+    for name, read in readers.items():
+        content = (copy / name).read_bytes()
+        (copy / name).write_bytes(content[: int(kept * len(content))])
+        with pytest.raises(FileError, match=r"damaged[^\n]*$"):
+            read()
+
+
+def test_what_a_failed_run_lacks_is_told_with_its_stage(copy: Path) -> None:
+    """The sentence names the stage and the reason, not the missing file alone."""
+    (copy / "motion.npz").unlink()
+    with pytest.raises(FileError, match="although the run finished"):
+        run_reader.motion(open_run(copy))
+    _manifest(copy, status="failed", stage="reach", reason="none is reachable; move the part")
+    with pytest.raises(FileError, match="failed in the stage 'reach': none is reachable; plan again"):
+        run_reader.motion(open_run(copy))
+
+
+def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
+    """A cut scan, one with NaN and one without angles are told; the others come back in order."""
+    run = open_run(copy)
+    with pytest.raises(FileError, match="has no execution yet"):
+        read_execution(run, "latest")
+    scans = copy / "executions" / "0001" / "scans"
+    scans.mkdir(parents=True)
+    whole = {"view": 4, "q_commanded": np.zeros(6), "q_reported": np.full(6, 1e-3), "points": np.ones((3, 3))}
+    for number in (1, 2, 3, 4):
+        np.savez_compressed(scans / f"{number:04d}.npz", **whole | {"view": number})
+    (scans / "0002.npz").write_bytes((scans / "0002.npz").read_bytes()[:200])
+    np.savez_compressed(scans / "0003.npz", **whole | {"points": np.full((3, 3), np.nan)})
+    np.savez_compressed(scans / "0005.npz", points=np.ones((1, 3)))
+    assert execution_ids(run) == ["0001"]
+    read = read_execution(run, "latest")
+    assert [scan.view for scan in read.scans] == [1, 4]
+    assert read.motion is None
+    assert [Path(sentence.split()[0]).name for sentence in read.unreadable] == ["0002.npz", "0003.npz", "0005.npz"]
+    assert "NaN" in read.unreadable[1]
+    with pytest.raises(FileError, match="has no execution 7; it has 0001"):
+        read_execution(run, "7")
