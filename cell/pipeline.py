@@ -203,8 +203,8 @@ def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
     """Say when the planning mesh is not as coarse as asked for; the plan uses what came out."""
     if abs(came_out - wanted) > max(2, 0.02 * wanted):
         narrator.note(
-            f"the planning mesh has {came_out} faces in place of {wanted}: this mesh cannot be decimated closer "
-            "(slivers, several bodies or too few faces); the plan uses these"
+            f"the planning mesh has {came_out} faces in place of {wanted}: this mesh does not come closer (slivers, "
+            "several bodies, or fewer faces than asked for); the plan uses these"
         )
 
 

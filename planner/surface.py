@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from planner.closest import closest_face
 from planner.errors import PlannerError
 from planner.readonly import readonly
-from planner.remesh import stout
+from planner.remesh import split_long_edges, stout
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _AGGRESSIONS = (7, 5, 6, 8, 4)  # in this order; 7 is the library's default, see `decimate`
+_TOO_LONG = 2.5  # edges above so many face sizes are split: a right triangle then has at most 1.6 times the wanted area
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
 _decimation_lock = threading.Lock()  # fast_simplification keeps its mesh in module globals
 
@@ -110,7 +111,8 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
 
     Args:
         mesh: the reference, object frame.
-        face_count: how many faces to keep, > 0. A mesh that has no more is only cleaned.
+        face_count: how many faces to keep, > 0. A mesh that has no more keeps them all; faces far larger than wanted
+            are split, so that a box of 12 triangles still gives viewpoints all over its sides.
 
     Returns:
         The planning mesh, object frame. The count that came out is `len(result.faces)`: a miss is the caller's to judge
@@ -122,7 +124,7 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     if face_count < 1:
         raise PlannerError(f"face_count is {face_count}; it must be at least 1")
     if face_count >= len(mesh.faces):
-        return _clean(mesh.vertices, mesh.faces)
+        return _split(_clean(mesh.vertices, mesh.faces), face_count)
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     if diagonal == 0:
@@ -222,6 +224,17 @@ def _cross(mesh: TriangleMesh) -> Floats:
     corners = mesh.vertices[mesh.faces]
     cross: Floats = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return cross
+
+
+def _split(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
+    """The same surface, its longest edges halved until they suit `face_count` faces; a mesh that does stays."""
+    longest = _TOO_LONG * np.sqrt(float(face_areas(mesh).sum()) / face_count)
+    vertices, faces = mesh.vertices, mesh.faces
+    before = 0
+    while before < len(faces) < face_count:  # a needle would be cut into ever more pieces
+        before = len(faces)
+        vertices, faces = split_long_edges(vertices, faces, longest)
+    return TriangleMesh(vertices, faces)
 
 
 def _collapse(mesh: TriangleMesh, face_count: int) -> TriangleMesh:

@@ -100,7 +100,7 @@ def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
     """Asked for more faces than there are, the mesh comes back without its degenerate and repeated faces."""
     dirty = with_zero_area_faces(box())
     repeated = TriangleMesh(dirty.vertices, np.vstack([dirty.faces, dirty.faces[5:7, [1, 2, 0]]]))
-    clean = decimate(repeated, 1000)
+    clean = decimate(repeated, 14)
     assert len(clean.faces) == 12
     assert face_areas(clean).sum() == pytest.approx(face_areas(box()).sum(), rel=1e-12)
     assert trimesh.Trimesh(clean.vertices, clean.faces, process=False).is_watertight
@@ -203,3 +203,15 @@ def test_a_surface_without_area_is_refused() -> None:
     flat = TriangleMesh(np.zeros((3, 3)), [[0, 1, 2]])  # type: ignore[arg-type]
     with pytest.raises(PlannerError, match="no area"):
         sample(flat, flat, 10, np.random.default_rng(0))
+
+
+def test_a_mesh_of_few_large_faces_is_split_on_its_surface() -> None:
+    """A box of 12 triangles asked for 1000 gives about so many, all on the box, with its area and closed."""
+    mesh = box()
+    planning = decimate(mesh, 1000)
+    assert 500 < len(planning.faces) < 1500
+    assert face_areas(planning).sum() == pytest.approx(face_areas(mesh).sum(), rel=1e-12)
+    assert trimesh.Trimesh(planning.vertices, planning.faces, process=False).is_watertight
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    centres = face_centres(planning)
+    assert (np.isclose(centres, low, atol=1e-12) | np.isclose(centres, high, atol=1e-12)).any(axis=1).all()
