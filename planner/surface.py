@@ -123,14 +123,12 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     """
     if face_count < 1:
         raise PlannerError(f"face_count is {face_count}; it must be at least 1")
-    if face_count >= len(mesh.faces):
-        return _split(_clean(mesh.vertices, mesh.faces), face_count)
-    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    if diagonal == 0:
-        raise PlannerError("every vertex of the mesh is the same point; a surface needs an extent")
-    canonical = (mesh.vertices - middle) / diagonal
-    fine = _clean(canonical, mesh.faces)
+    clean = _clean(mesh.vertices, mesh.faces)
+    if face_count >= len(clean.faces):
+        return _split(clean, face_count)
+    middle = (clean.vertices.min(axis=0) + clean.vertices.max(axis=0)) / 2
+    diagonal = float(np.linalg.norm(np.ptp(clean.vertices, axis=0)))
+    fine = TriangleMesh((clean.vertices - middle) / diagonal, clean.faces)
     best = _collapse(fine, face_count)
     if len(best.faces) > face_count + _allowed_miss(face_count):
         area = float(face_areas(fine).sum())
