@@ -52,11 +52,13 @@ def part_and_views(
     shade[:, :3] *= light[:, None]
     triangles = planning.vertices[planning.faces] * 1000.0
     positions = T_object_scanner[:, :3, 3] * 1000.0
+    # One view has no middle of its own; its frustum is as long as its distance from the part asks for.
+    about = T_object_scanner[:, :3, 3].mean(axis=0) if len(positions) > 1 else triangles.mean(axis=(0, 1)) / 1000.0
     for index, azimuth in enumerate((-60, 120)):
         axes = figure.add_subplot(1, 2, index + 1, projection="3d")
         axes.add_collection3d(Poly3DCollection(triangles, facecolors=shade, edgecolors="none", antialiased=False))
         axes.add_collection3d(
-            Line3DCollection(_frustums(T_object_scanner, fov_rad), colors="#444444", linewidths=0.7, alpha=0.8)
+            Line3DCollection(_frustums(T_object_scanner, fov_rad, about), colors="#444444", linewidths=0.7, alpha=0.8)
         )
         for number, place in enumerate(positions, start=1):
             axes.text(*place, str(number), fontsize=9, color="#111111", ha="center", va="center")
@@ -167,9 +169,9 @@ def joint_motion(path: Path, t: Floats, q: Floats, qd: Floats, limits: JointLimi
     _save(figure, path)
 
 
-def _frustums(T_object_scanner: Floats, fov_rad: tuple[float, float]) -> Floats:
+def _frustums(T_object_scanner: Floats, fov_rad: tuple[float, float], about: Floats) -> Floats:
     """(n * 8, 2, 3) line segments of small pyramids [mm]: four edges and the base of each view."""
-    size = 0.18 * np.median(np.linalg.norm(T_object_scanner[:, :3, 3] - T_object_scanner[:, :3, 3].mean(0), axis=1))
+    size = 0.18 * np.median(np.linalg.norm(T_object_scanner[:, :3, 3] - about, axis=1))
     h, v = np.tan(np.asarray(fov_rad) / 2.0)
     corners = max(float(size), 1e-3) * np.array([[-h, -v, 1], [h, -v, 1], [h, v, 1], [-h, v, 1]])
     rotation, origin = T_object_scanner[:, :3, :3], T_object_scanner[:, None, :3, 3]

@@ -1,0 +1,204 @@
+"""The page of an execution, made from the summary in its report.json. It holds no clock value."""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def markdown(summary: Mapping[str, Any]) -> str:
+    """The report page; reads on its own, with its pictures beside it.
+
+    Args:
+        summary: the object that the execution's `report.json` holds.
+    """
+    lines = [f"# Scan of {summary['part']['name']}", "", _opening(summary), ""]
+    if not summary["complete"]:
+        lines += ["**Not complete.** " + _missing(summary), ""]
+    if summary["n_views"]:
+        lines += ["![The part and the scanned views](views.png)", ""]
+    lines += [*_table(summary), *_coverage(summary), *_model(summary), *_registration(summary), *_views(summary)]
+    lines += [
+        "## What the numbers mean",
+        "",
+        "Visible coverage is the share of 100,000 seeded samples of the reference surface, those on which the plan "
+        "predicted it and which its optimiser did not see, that at least one executed pose measures: laser and sensor "
+        "legs free, in the field of view, in range, grazing limits kept. Sampled coverage is the share of the same "
+        "samples with a scan point within the radius; it depends on the ray grid. Neither is taken from the mesh. The "
+        "deviation is over the area of the mesh, positive outside the part; what the mesh lacks does not show in it.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _opening(summary: Mapping[str, Any]) -> str:
+    coverage, deviation = summary["coverage"], summary["deviation"]
+    text = (
+        f"{_number(summary['n_views'], 'scan')} gave {summary['n_points']:,} points and measured "
+        f"{_percent(coverage['visible'])} of the surface; predicted were {_percent(coverage['predicted'])}."
+    )
+    if deviation is not None:
+        text += (
+            f" The surface made from them deviates from the reference by {deviation['rms_mm']:.3f} mm rms; 95 % of it "
+            f"by no more than {deviation['quantile_95_mm']:.3f} mm."
+        )
+    else:
+        text += f" No surface: {summary['model']['status']}."
+    return text
+
+
+def _missing(summary: Mapping[str, Any]) -> str:
+    parts = []
+    if summary["missing_views"]:
+        views = ", ".join(str(stop) for stop in summary["missing_views"])
+        parts.append(f"No usable scan of view {views}.")
+    parts += [sentence[:1].upper() + sentence[1:] + "." for sentence in summary["left_out"]]
+    return " ".join(parts)
+
+
+def _table(summary: Mapping[str, Any]) -> list[str]:
+    settings, motion = summary["settings"], summary["motion"]
+    executed = "" if motion["executed_s"] is None else f"; the controller took {motion['executed_s']:.2f} s"
+    h, v = settings["resolution_deg"]
+    view = "" if settings["view"] is None else f", only view {settings['view']} was asked for"
+    return [
+        "| | |",
+        "|---|---|",
+        f"| part | {summary['part']['name']}: {summary['part']['faces']:,} faces |",
+        f"| views | {summary['n_views']} of the plan's {summary['n_views_planned']}{view} |",
+        f"| points | {summary['n_points']:,} |",
+        f"| scanner | {settings['scanner']}, {h:g} x {v:g} deg, {settings['rays_per_scan']:,} rays a scan |",
+        f"| driver | {settings['driver']} |",
+        f"| range noise (1 sigma) | {_off(settings['range_noise_mm'], 'mm')} |",
+        f"| pose error (1 sigma an axis) | {_off(settings['pose_error_mm'], 'mm')}, "
+        f"{_off(settings['pose_error_deg'], 'deg')} |",
+        f"| motion | {motion['planned_s']:.2f} s planned{executed} |",
+        f"| seed | {settings['seed']} |",
+        "",
+    ]
+
+
+def _coverage(summary: Mapping[str, Any]) -> list[str]:
+    coverage = summary["coverage"]
+    lines = [
+        "## Coverage",
+        "",
+        "| | achieved | predicted |",
+        "|---|---|---|",
+        f"| visible, of the surface | {_percent(coverage['visible'])} | {_percent(coverage['predicted'])} |",
+        f"| visible, of what reachable candidates can measure | {_percent(coverage['visible_of_coverable'])} | |",
+        f"| sampled, radius {coverage['sampled_radius_mm']:.3g} mm | {_percent(coverage['sampled'])} | |",
+        "",
+    ]
+    if coverage["predicted"] != coverage["predicted_all_views"]:
+        lines += [
+            f"The prediction is for the views that were scanned; for all views of the plan it is "
+            f"{_percent(coverage['predicted_all_views'])}.",
+            "",
+        ]
+    return [*lines, "![Coverage over number of views](cover.png)", ""] if summary["n_views"] else lines
+
+
+def _model(summary: Mapping[str, Any]) -> list[str]:
+    model, deviation = summary["model"], summary["deviation"]
+    lines = ["## Surface", ""]
+    if deviation is None:
+        return [*lines, f"None: {model['status']}.", ""]
+    closed = (
+        f"{model['closed_faces']:,} faces close holes: they are invented, not measured, marked `closed` in "
+        "mesh.ply, and part of the deviation below."
+        if model["closed_faces"]
+        else "Holes stay holes: nothing was invented where nothing was measured."
+    )
+    return [
+        *lines,
+        f"{model['faces']:,} faces from points {model['spacing_mm']:.3g} mm apart, on a grid of "
+        f"{model['grid_mm']:.3g} mm; {_number(model['holes'], 'open edge loop')}, "
+        f"{_number(model['outliers'], 'outlier')} left out. {closed}",
+        "",
+        "| deviation from the reference | mm |",
+        "|---|---|",
+        f"| root mean square | {deviation['rms_mm']:.4f} |",
+        f"| mean, signed | {deviation['mean_mm']:+.4f} |",
+        f"| 95 % of the area within | {deviation['quantile_95_mm']:.4f} |",
+        f"| largest | {deviation['largest_mm']:.4f} |",
+        "",
+        "![Deviation of the surface](deviation.png)",
+        "",
+    ]
+
+
+def _registration(summary: Mapping[str, Any]) -> list[str]:
+    registration, cloud = summary["registration"], summary["cloud"]
+    settings = summary["settings"]
+    disturbed = settings["pose_error_mm"] or settings["pose_error_deg"]
+    if registration is None:
+        if not disturbed:
+            return []
+        return [
+            "## Pose error",
+            "",
+            f"The scans were not registered; the points are {_mm(cloud['rms_to_reference_mm'])} rms from the "
+            "reference.",
+            "",
+        ]
+    lines = [
+        "## Registration",
+        "",
+        "The reported poses were corrected by matching the scans to each other and to the reference "
+        f"({_number(registration['overlapping_pairs'], 'overlapping pair')}, "
+        f"{_number(registration['iterations'], 'step')}).",
+        "",
+        "| | as reported | registered |",
+        "|---|---|---|",
+        f"| matched points, rms along the normals | {_mm(registration['rms_before_mm'])} | "
+        f"{_mm(registration['rms_after_mm'])} |",
+        f"| all points to the reference, rms | {_mm(cloud['rms_to_reference_as_reported_mm'])} | "
+        f"{_mm(cloud['rms_to_reference_mm'])} |",
+        "",
+        "| view | position error mm | after | angle error deg | after | how it went |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {view['stop']} | {view['pose_error_mm']:.3f} | {view['pose_error_after_mm']:.3f} | "
+        f"{view['pose_error_deg']:.4f} | {view['pose_error_after_deg']:.4f} | {view['registration']} |"
+        for view in summary["views"]
+    ]
+    return [*lines, ""]
+
+
+def _views(summary: Mapping[str, Any]) -> list[str]:
+    if not summary["views"]:
+        return []
+    lines = [
+        "## Scans in driving order",
+        "",
+        "| view | candidate | points | adds % of surface | nothing hit | too far or near | grazing "
+        "| other thing hit, or shadow | reported - commanded deg |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for view in summary["views"]:
+        rays = view["rays"]
+        lines.append(
+            f"| {view['stop']} | {view['id']} | {view['points']:,} | {100 * view['adds']:.2f} | {rays['no_hit']:,} | "
+            f"{rays['out_of_range']:,} | {rays['grazing_source'] + rays['grazing_sensor']:,} | "
+            f"{rays['source_blocked'] + rays['sensor_blocked']:,} | {view['reported_minus_commanded_deg']:.4f} |"
+        )
+    empty = [str(view["stop"]) for view in summary["views"] if not view["points"]]
+    if empty:
+        lines += ["", f"View {', '.join(empty)} saw nothing of the part."]
+    return [*lines, ""]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
+
+
+def _mm(value: float | None) -> str:
+    return "none" if value is None else f"{value:.4f} mm"
+
+
+def _off(value: float | None, unit: str) -> str:
+    return f"{value:g} {unit}" if value else "off"
+
+
+def _number(count: int, noun: str) -> str:
+    return f"{count:,} {noun}" + ("" if count == 1 else "s")

@@ -1,0 +1,88 @@
+"""What an execution is off by: range noise of the scanner and error of the executed pose, both normal and seeded.
+
+The rays are traced from where the scanner really is; the data are told as seen from where the controller says it is.
+So a pose error shows in merged data as it would in reality: whole scans are shifted and turned against each other.
+Metres and radians inside.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.ports import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """One sigma of each error; 0 switches it off.
+
+    Attributes:
+        range_noise: along the ray [m].
+        position: of the scanner's origin, along each axis [m].
+        rotation: of the scanner, about each of its axes [rad].
+    """
+
+    range_noise: float = 0.0
+    position: float = 0.0
+    rotation: float = 0.0
+
+    @property
+    def moves_pose(self) -> bool:
+        """Whether the executed pose differs from the reported one."""
+        return self.position > 0 or self.rotation > 0
+
+    def true_pose(self, T_reported: Floats, rng: np.random.Generator) -> Floats:
+        """(4, 4) where the scanner really is, given (4, 4) where it says it is; the very same without a pose error."""
+        if not self.moves_pose:
+            return T_reported
+        off = np.eye(4)
+        off[:3, 3] = self.position * rng.standard_normal(3)
+        off[:3, :3] = rotation(self.rotation * rng.standard_normal(3))
+        T: Floats = T_reported @ off
+        return T
+
+    def as_reported(
+        self, points: Floats, T_true: Floats, T_reported: Floats, source: Floats, rng: np.random.Generator
+    ) -> Floats:
+        """Points as the data tell them: with noise along their rays, and seen from the reported pose.
+
+        Args:
+            points: (P, 3) where the rays met the part [m], object frame.
+            T_true: (4, 4) pose from which they were traced [m].
+            T_reported: (4, 4) pose that the controller reports [m].
+            source: (3,) where the rays begin [m], scanner frame.
+            rng: source of randomness.
+
+        Returns:
+            (P, 3) [m], object frame; the very same points without noise and pose error.
+        """
+        if self.range_noise > 0 and len(points):
+            origin = T_true[:3, :3] @ source + T_true[:3, 3]
+            rays = points - origin
+            rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+            points = points + self.range_noise * rng.standard_normal(len(points))[:, None] * rays
+        if T_true is T_reported:
+            return points
+        T = T_reported @ np.linalg.inv(T_true)
+        moved: Floats = points @ T[:3, :3].T + T[:3, 3]
+        return moved
+
+
+def rotation(vector: Floats) -> Floats:
+    """(3, 3) rotation about a vector (3,) by its length [rad] (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    R: Floats = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
+    return R
+
+
+def difference(T_a: Floats, T_b: Floats) -> tuple[float, float]:
+    """Distance of the origins [m] and angle between the axes [rad] of two poses (4, 4)."""
+    R = T_a[:3, :3].T @ T_b[:3, :3]
+    # From sine and cosine together: the arc cosine alone loses half the digits near zero.
+    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    angle = float(np.arctan2(sine, (np.trace(R) - 1) / 2))
+    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), angle
