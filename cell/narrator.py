@@ -12,8 +12,10 @@ from rich.table import Table
 if TYPE_CHECKING:
     from cell.check import CheckResult
     from cell.pipeline import PlanOutcome
+    from cell.scan_command import ScanOutcome
 
 log = logging.getLogger(__name__)
+log.addHandler(logging.NullHandler())  # without a run.log, Python would print each warning a second time
 
 ProgressCallback = Callable[[int, int], None]
 
@@ -81,6 +83,43 @@ class Narrator:
             + ("" if clearance is None else f"; nearest {clearance:.1f} mm ({motion['between']})"),
         )
         table.add_row("run folder", str(outcome.folder))
+        self._results.print(table)
+
+    def scan_table(self, outcome: "ScanOutcome") -> None:
+        """The summary of an execution."""
+        summary = outcome.summary
+        coverage, deviation, registration = summary["coverage"], summary["deviation"], summary["registration"]
+        motion, cloud = summary["motion"], summary["cloud"]
+        table = Table(title=f"Scan of {summary['part']['name']}", title_justify="left", show_header=False)
+        table.add_column(style="bold")
+        table.add_column()
+        missing = "" if summary["complete"] else "  (not complete, see report.md)"
+        table.add_row("views", f"{summary['n_views']} of {summary['n_views_planned']}{missing}")
+        table.add_row("points", f"{summary['n_points']:,}")
+        table.add_row(
+            "visible coverage",
+            f"{100 * coverage['visible']:.2f} % of the surface, predicted {100 * coverage['predicted']:.2f} %",
+        )
+        table.add_row(
+            "sampled coverage",
+            f"{100 * coverage['sampled']:.2f} % within {coverage['sampled_radius_mm']:.3g} mm of a point",
+        )
+        if registration is not None and cloud["rms_to_reference_mm"] is not None:
+            table.add_row(
+                "registration",
+                f"points to reference {cloud['rms_to_reference_as_reported_mm']:.4f} mm rms as reported, "
+                f"{cloud['rms_to_reference_mm']:.4f} mm registered",
+            )
+        table.add_row(
+            "surface",
+            summary["model"]["status"]
+            if deviation is None
+            else f"{summary['model']['faces']:,} faces, deviation {deviation['rms_mm']:.3f} mm rms, "
+            f"95 % within {deviation['quantile_95_mm']:.3f} mm, largest {deviation['largest_mm']:.3f} mm",
+        )
+        took = "" if motion["executed_s"] is None else f", {motion['executed_s']:.1f} s by the controller"
+        table.add_row("motion", f"{motion['planned_s']:.1f} s planned{took}")
+        table.add_row("execution", str(outcome.folder))
         self._results.print(table)
 
     def check_table(self, result: "CheckResult") -> None:
