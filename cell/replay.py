@@ -16,7 +16,7 @@ from cell.errors import FileError, UsageError
 from cell.execution_reader import read_execution
 from cell.narrator import Narrator
 from cell.offscreen import require_backend
-from cell.replay_frames import write_frames, write_picture
+from cell.replay_frames import require_empty, write_frames, write_picture
 from cell.replay_model import dress
 from cell.replay_show import Show
 from cell.replay_timeline import Timeline
@@ -78,6 +78,8 @@ def replay(
     drawing = options.frames is not None or options.picture is not None
     if drawing:  # both are asked before the work, which takes seconds
         require_backend()
+        if options.frames is not None:
+            require_empty(options.frames)
     else:
         from cell.replay_viewer import play, require_display
 

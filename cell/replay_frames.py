@@ -9,7 +9,7 @@ import numpy as np
 from cell.errors import FileError
 from cell.narrator import ProgressCallback
 from cell.offscreen import Image, OffScreen
-from cell.replay_show import Show
+from cell.replay_show import Show, show_what_is_seen
 
 
 def frame_times(duration: float, start: float, fps: float, speed: float, every: int) -> list[tuple[int, float]]:
@@ -25,6 +25,16 @@ def frame_times(duration: float, start: float, fps: float, speed: float, every: 
     step = speed / fps
     count = int(np.ceil(max(duration - start, 0.0) / step - 1e-9)) + 1
     return [(n + 1, min(start + n * step, duration)) for n in range(count) if n % every == 0 or n == count - 1]
+
+
+def require_empty(folder: Path) -> None:
+    """Refuse a folder that holds frames.
+
+    Raises:
+        FileError: if it does.
+    """
+    if any(folder.glob("frame_*.png")):
+        raise FileError(f"{folder} holds frames already, and a shorter film would leave some; choose another folder")
 
 
 def write_frames(
@@ -57,10 +67,9 @@ def write_frames(
         UsageError: if neither EGL nor OSMesa is there.
         FileError: if the folder holds frames or cannot be written.
     """
-    if any(folder.glob("frame_*.png")):
-        raise FileError(f"{folder} holds frames already, and a shorter film would leave some; choose another folder")
+    require_empty(folder)
     with OffScreen(show.theatre.model, size) as screen:
-        _groups(screen)
+        show_what_is_seen(screen.option)
         camera = show.camera(size[0] / size[1])
         frames = frame_times(show.timeline.duration, start, fps, speed, every)
         for done, (number, t) in enumerate(frames, start=1):
@@ -94,17 +103,11 @@ def write_picture(show: Show, path: Path, size: tuple[int, int], t: float | None
         FileError: if the file cannot be written.
     """
     with OffScreen(show.theatre.model, size, samples=8) as screen:
-        _groups(screen)
+        show_what_is_seen(screen.option)
         moment = show.best_stop() if t is None else t
         camera = show.camera(size[0] / size[1], [moment])
         show.pose(moment)
         _save(screen.picture(show.data, camera, lambda scene: show.draw_tour(scene, moment)), path)
-
-
-def _groups(screen: OffScreen) -> None:
-    """Robot shapes and surfaces are shown, hulls and sites are not."""
-    screen.option.geomgroup[:] = [1, 1, 1, 1, 0, 0]
-    screen.option.sitegroup[:] = 0
 
 
 def _save(picture: Image, path: Path) -> None:

@@ -132,7 +132,7 @@ def dress(
     add_mesh(spec, "glyph", _pyramid(GLYPH_SHARE * corners.vertices[4:]))
     for number, points in enumerate(clouds):
         if len(points):
-            add_mesh(spec, f"cloud_{number}", _specks(points, 0.006 * radius))
+            add_mesh(spec, f"cloud_{number}", _specks(points, 0.010 * radius))
     try:
         model = spec.compile()
     except ValueError as error:

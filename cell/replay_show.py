@@ -218,3 +218,9 @@ class Show:
 _BESIDE_DEG = 127.0  # from the side of the part, a little from the front: arm and part next to each other
 _FROM_ABOVE_DEG = -20.0
 _MARGIN = 1.06
+
+
+def show_what_is_seen(option: mujoco.MjvOption) -> None:
+    """Surfaces and the robot are shown; hulls, the boxes inside the robot's look, and sites are not."""
+    option.geomgroup[:] = [1, 1, 1, 1, 0, 0]
+    option.sitegroup[:] = 0

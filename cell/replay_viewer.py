@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import contextlib
 import queue
+import threading
 import warnings
 from collections.abc import Callable
 from typing import Any
 
 from cell.errors import UsageError
-from cell.replay_show import Show
+from cell.replay_show import Show, show_what_is_seen
 from cell.replay_timeline import Timeline
 
 REFRESH = 1 / 60
@@ -23,6 +24,8 @@ SPEEDS = (0.05, 20.0)
 
 # GLFW's key codes. They differ from the keys that the viewer takes for itself (letters, digits, F1 to F12, [ and ]).
 _SPACE, _RIGHT, _LEFT, _DOWN, _UP, _HOME = 32, 262, 263, 264, 265, 268
+
+_CLOSING = 10.0  # patience with a window that closes [s]
 
 HELP = "space pause   left, right view   up, down speed   home start"
 
@@ -105,16 +108,17 @@ def play(
     model, data = show.theatre.model, show.data
     player = Player(show.timeline, speed, start)
     show.pose(start)
+    others = set(threading.enumerate())
     with mujoco.viewer.launch_passive(
         model, data, key_callback=keys.put, show_left_ui=False, show_right_ui=False
     ) as window:
+        threads = [thread for thread in threading.enumerate() if thread not in others]
         camera = show.camera(4 / 3)
         with window.lock():
             window.cam.azimuth, window.cam.elevation = camera.azimuth, camera.elevation
             window.cam.distance, window.cam.lookat[:] = camera.distance, camera.lookat
-            window.opt.geomgroup[:] = [1, 1, 1, 1, 0, 0]
-            window.opt.sitegroup[:] = 0
-        show.draw_still(window.user_scn)
+            show_what_is_seen(window.opt)
+            show.draw_still(window.user_scn)
         still = window.user_scn.ngeom
         before = clock()
         while window.is_running() and not (once and player.ended):
@@ -132,6 +136,9 @@ def play(
             window.set_texts(_captions(show, player, touching))
             window.sync()
             wait(REFRESH)
+    # The window is taken down on the viewer's own threads; the program ending under them would abort.
+    for thread in threads:
+        thread.join(_CLOSING)
 
 
 def require_display() -> None:

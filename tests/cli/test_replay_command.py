@@ -1,0 +1,311 @@
+"""`cell replay` by its pixels: the arm is there and moves, the part is where the plan says, failed runs are shown."""
+
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from cell import replay_marks as marks
+from cell import run_reader
+from cell.errors import FileError, UsageError
+from cell.narrator import Narrator
+from cell.offscreen import PACKAGES, OffScreen, backend
+from cell.replay import ReplayOptions, load_show, replay
+from cell.replay_show import Show, show_what_is_seen
+from cell.run_record import open_run
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+Floats = NDArray[np.float64]
+
+_SIZE = (480, 360)
+_PLACED_AT = np.array([1.1, 0.4, 0.1])  # --place of the fixture's plan
+
+draws = pytest.mark.skipif(backend() is None, reason=f"neither EGL nor OSMesa can be loaded; install {PACKAGES}")
+
+
+@pytest.fixture(scope="module")
+def show(planned: Path) -> Show:
+    """The finished run, ready to be drawn."""
+    return load_show(open_run(planned), None, _SIZE, Narrator())
+
+
+@pytest.fixture(scope="module")
+def screen(show: Show) -> Iterator[OffScreen]:
+    """An off-screen renderer of it."""
+    with OffScreen(show.theatre.model, _SIZE) as opened:
+        show_what_is_seen(opened.option)
+        yield opened
+
+
+def _project(camera: mujoco.MjvCamera, fovy_deg: float, points: Floats) -> Floats:
+    """(N, 2) column and row of (N, 3) points: a pinhole, from the free camera's definition."""
+    azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
+    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    seen = points - (np.array(camera.lookat) - camera.distance * forward)
+    scale = _SIZE[1] / 2 / np.tan(np.radians(fovy_deg) / 2) / (seen @ forward)
+    return np.stack(
+        [_SIZE[0] / 2 + scale * (seen @ right), _SIZE[1] / 2 - scale * (seen @ np.cross(right, forward))], axis=1
+    )
+
+
+def _orange(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where a picture shows the robot's orange."""
+    red, green, blue = (picture[..., channel].astype(int) for channel in range(3))
+    return (red > 90) & (red > 2 * green) & (green > blue)
+
+
+@draws
+def test_the_part_is_where_the_plan_says(planned: Path, show: Show, screen: OffScreen) -> None:
+    """The outline of the part in the picture is that of the reference mesh, placed and projected by hand."""
+    show.pose(0.0)
+    camera = show.camera(_SIZE[0] / _SIZE[1])
+    numbers = screen.segmentation(show.data, camera)
+    part = numbers == show.theatre.model.geom("surface").id
+    reference = run_reader.mesh(open_run(planned), "reference.ply").vertices
+    centre = (reference.min(axis=0) + reference.max(axis=0)) / 2
+    fovy = show.theatre.model.vis.global_.fovy
+    pixels = _project(camera, fovy, reference - centre + _PLACED_AT)
+    rows, columns = np.nonzero(part)
+    assert part.sum() > 150
+    outline = np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]])
+    # The part's foot may stand behind nothing but the air here; a pixel on each side is the drawing's rounding.
+    np.testing.assert_allclose(outline, [pixels.min(axis=0), pixels.max(axis=0)], atol=1.5)
+    column, row = _project(camera, fovy, _PLACED_AT[None])[0].astype(int)
+    assert part[row, column]
+    colour = screen.picture(show.data, camera)[row, column].astype(int)
+    assert colour[0] >= colour[1] > colour[2] > 60  # the part's ivory, lit
+    assert not _orange(colour[None, None].astype(np.uint8)).any()
+
+
+@draws
+def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, screen: OffScreen) -> None:
+    """At each stop the housing is drawn where plan.json puts it, or hidden by something nearer; never where it was."""
+    camera, model = show.camera(_SIZE[0] / _SIZE[1]), show.theatre.model
+    fovy, housing = model.vis.global_.fovy, model.geom("housing").id
+    T_flange_housing = np.array(run_reader.resolved_scene(open_run(planned))["housing"]["T_flange_housing"])
+    views = run_reader.views(open_run(planned))
+    seen, pictures = 0, []
+    for stop, view in zip(show.timeline.stops, views, strict=True):
+        show.pose(stop.begin)
+        numbers = screen.segmentation(show.data, camera)
+        pictures.append(_orange(screen.picture(show.data, camera)))
+        middle = (view.T_base_flange @ T_flange_housing)[:3, 3]
+        column, row = _project(camera, fovy, middle[None])[0].astype(int)
+        seen += int(numbers[row, column] == housing)
+        shown = np.argwhere(numbers == housing)
+        if len(shown):  # no part of it is farther from its middle than half its diagonal, 95 mm
+            edge = np.abs(
+                _project(camera, fovy, middle + 0.095 * np.concatenate([np.eye(3), -np.eye(3)])) - [column, row]
+            )
+            assert np.linalg.norm(shown - [row, column], axis=1).max() < 1.5 * edge.max() + 2
+    assert seen > len(views) / 2
+    assert all(picture.sum() > 2000 for picture in pictures)
+    for one, other in itertools.pairwise(pictures):
+        assert (one != other).mean() > 0.002
+
+
+@draws
+def test_marks_are_drawn_over_the_model(show: Show, screen: OffScreen) -> None:
+    """Path, frustum and the caption change pixels; the frustum is translucent teal over the part."""
+    stop = show.timeline.stop_at(show.best_stop())
+    assert stop is not None
+    show.pose(stop.begin)
+    camera = show.camera(_SIZE[0] / _SIZE[1])
+    bare = screen.picture(show.data, camera).astype(int)
+    still = screen.picture(show.data, camera, show.draw_still).astype(int)
+    beam = screen.picture(show.data, camera, lambda scene: show.draw_moment(scene, stop.begin)).astype(int)
+    blue = (still != bare).any(axis=2)
+    assert blue.sum() > 100
+    assert (still[blue][:, 2] > still[blue][:, 0]).mean() > 0.9
+    tinted = (beam - bare)[(beam != bare).any(axis=2)]
+    assert len(tinted) > 2000
+    assert (tinted[:, 0] < tinted[:, 1]).mean() > 0.9  # red goes down most
+    captioned = screen.picture(show.data, camera, None, "view 1").astype(int)
+    assert (captioned != bare).any(axis=2)[:40].sum() > 200
+    assert (captioned == bare).all(axis=2)[60:].all()
+
+
+def test_dressing_leaves_what_was_checked(planned: Path, show: Show) -> None:
+    """Same contacts, pair by pair and to the last digit, as cell.xml alone, at 300 random configurations."""
+    plain = mujoco.MjModel.from_xml_path(str(planned / "cell.xml"))
+    dressed = show.theatre.model
+    rng = np.random.default_rng(3)
+    touching = 0
+    for _ in range(300):
+        q = rng.uniform(plain.jnt_range[:, 0], plain.jnt_range[:, 1])
+        found = []
+        for model in (plain, dressed):
+            data = mujoco.MjData(model)
+            data.qpos[:] = q
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            contacts = data.contact[: data.ncon]
+            found.append(sorted((*sorted(model.geom(geom).name for geom in c.geom), float(c.dist)) for c in contacts))
+        assert found[0] == found[1]
+        touching += bool(found[0])
+    assert 10 < touching < 200
+
+
+def test_a_contact_is_named_and_marked(show: Show) -> None:
+    """With the arm driven into the floor, link and floor are named; at the plan's stops nothing is."""
+    for stop in show.timeline.stops:
+        show.pose(stop.begin)
+        assert show.touches() == ()
+    show.data.qpos[:] = np.radians([0, 35, 60, 0, 0, 0])
+    mujoco.mj_kinematics(show.theatre.model, show.data)
+    touching = show.touches()
+    assert any(touch.names.endswith("with floor") and touch.distance < 0 for touch in touching)
+    assert "CONTACT" in show.caption(0.0, touching)
+    show.pose(0.0)
+
+
+@draws
+def test_frames_and_picture_through_the_command_line(planned: Path, tmp_path: Path, run_cell: Run) -> None:
+    """Frames are numbered PNGs of the asked size that differ; a folder with frames is refused."""
+    arguments = ("replay", str(planned), "--frames", "film", "--every", "90", "--size", "320x240", "--picture", "p.png")
+    done = run_cell(*arguments, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    frames = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "film").glob("frame_*.png"))]
+    assert f"{len(frames)} frames in film" in done.stdout
+    assert len(frames) > 2
+    assert {frame.shape for frame in frames} == {(240, 320, 3)}
+    assert all(_orange(frame).sum() > 800 for frame in frames)
+    assert all((one[40:] != other[40:]).any() for one, other in itertools.pairwise(frames[:-1]))
+    assert _orange(np.asarray(Image.open(tmp_path / "p.png"))).sum() > 2000
+    with pytest.raises(FileError, match="film holds frames already"):
+        replay(planned, ReplayOptions(frames=tmp_path / "film"), Narrator())
+
+
+@draws
+def test_an_execution_shows_its_points(
+    planned: Path, tmp_path: Path, screen: OffScreen, show: Show, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stopped execution is shown up to its last whole scan; that scan's points cover the part and nothing else."""
+    folder = Path(shutil.copytree(planned, tmp_path / "run"))
+    scans = folder / "executions" / "0001" / "scans"
+    scans.mkdir(parents=True)
+    run = open_run(folder)
+    points = run_reader.mesh(run, "reference.ply").vertices
+    for number, view in enumerate(run_reader.views(run)[:3], start=1):
+        np.savez_compressed(
+            scans / f"{number:04d}.npz", view=view.id, q_commanded=view.q, q_reported=view.q + 1e-3, points=points
+        )
+    (scans / "0003.npz").write_bytes((scans / "0003.npz").read_bytes()[:500])
+    executed = load_show(run, "latest", _SIZE, Narrator())
+    assert "0003.npz is damaged or cut short" in capsys.readouterr().err
+    assert len(executed.timeline.stops) == 2
+    np.testing.assert_allclose(
+        executed.timeline.at(executed.timeline.stops[1].begin), run_reader.views(run)[1].q + 1e-3
+    )
+    camera = show.camera(_SIZE[0] / _SIZE[1])
+    with OffScreen(executed.theatre.model, _SIZE) as drawn:
+        show_what_is_seen(drawn.option)
+        executed.pose(0.0)
+        part = drawn.segmentation(executed.data, camera) == executed.theatre.model.geom("surface").id
+        bare = drawn.picture(executed.data, camera).astype(int)
+        with_points = drawn.picture(
+            executed.data, camera, lambda scene: marks.add_clouds(scene, executed.theatre, [0, 1], 1)
+        ).astype(int)
+    changed = np.argwhere((np.abs(with_points - bare) > 25).any(axis=2))
+    assert len(changed) > 0.3 * part.sum()
+    rows, columns = np.nonzero(part)
+    assert (changed >= [rows.min() - 2, columns.min() - 2]).all()
+    assert (changed <= [rows.max() + 2, columns.max() + 2]).all()
+    with pytest.raises(UsageError, match="--view 3 is no view of this run; valid are 1 to 2, in visiting order"):
+        replay(folder, ReplayOptions("latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Narrator())
+
+
+@draws
+def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, run_cell: Run) -> None:
+    """A run that ended before it had a motion says so, and its picture shows the arm and the candidates."""
+    folder = Path(shutil.copytree(planned, tmp_path / "run.part"))
+    for name in ("motion.npz", "plan.json", "report.json", "measurability.npz"):
+        (folder / name).unlink()
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest |= {"status": "failed", "stage": "measurability", "reason": "the disk is full"}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    done = run_cell("replay", "run.part", "--picture", "p.png", "--size", "480x360", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "failed in the stage 'measurability': the disk is full" in done.stderr
+    assert "candidate viewpoints" in done.stderr
+    picture = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
+    assert _orange(picture.astype(np.uint8)).sum() > 1000
+    green = (picture[..., 1] > picture[..., 0] + 60) & (picture[..., 1] > picture[..., 2] + 30)
+    assert green.sum() > 50  # reachable ones
+    (folder / "cell.xml").unlink()
+    options = ReplayOptions(picture=tmp_path / "q.png")
+    with pytest.raises(FileError, match="so there is no cell to show: the run failed"):
+        replay(folder, options, Narrator())
+    with pytest.raises(FileError, match=r"run\.part does"):
+        replay(tmp_path / "run", options, Narrator())
+
+
+def test_without_a_display_and_without_a_renderer_a_sentence_says_what_to_do(planned: Path, tmp_path: Path) -> None:
+    """No display: --frames is named. No EGL and no OSMesa: the packages are named. Both exit with 2."""
+    plain = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    for extra, arguments, said in (
+        ({}, (), "--frames DIR"),
+        ({"MUJOCO_GL": "off"}, ("--picture", "p.png"), "libegl1 libegl-mesa0 libgl1-mesa-dri"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "cell", "replay", str(planned), *arguments],
+            cwd=tmp_path, env=plain | extra, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+        assert done.returncode == 2, done.stderr
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+_WATCH = """
+import json, sys
+from pathlib import Path
+import numpy as np
+from PIL import ImageGrab
+from cell.narrator import Narrator
+from cell.replay import ReplayOptions, replay
+
+ticks, oranges, places = [0.0], [], []
+
+def clock():
+    return ticks[0]
+
+def wait(seconds):
+    import time
+    time.sleep(0.25)  # the viewer draws on its own thread
+    picture = np.asarray(ImageGrab.grab()).astype(int)
+    red, green, blue = (picture[..., channel] for channel in range(3))
+    orange = (red > 90) & (red > 2 * green) & (green > blue)
+    oranges.append(int(orange.sum()))
+    places.append(float(np.nonzero(orange)[1].mean()) if orange.any() else None)
+    ticks[0] += 1.6
+
+replay(Path(sys.argv[1]), ReplayOptions(once=True), Narrator(), clock=clock, wait=wait)
+print(json.dumps({"oranges": oranges, "places": places}))
+"""
+
+
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="the viewer needs a display: install xvfb")
+def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
+    """Under a virtual display, driven by a clock of the test: the screen shows orange that moves; --once ends it."""
+    kept = {key: value for key, value in os.environ.items() if key not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    done = subprocess.run(
+        ["xvfb-run", "-a", "-s", "-screen 0 1024x768x24", sys.executable, "-c", _WATCH, str(planned)],
+        env=kept, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    watched = json.loads(done.stdout.strip().splitlines()[-1])
+    drawn = [place for place, orange in zip(watched["places"], watched["oranges"], strict=True) if orange > 2000]
+    assert len(drawn) > 4
+    settled = drawn[2:]  # the window's first picture still has the camera that it opened with
+    assert max(settled) - min(settled) > 10
