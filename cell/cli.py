@@ -291,19 +291,20 @@ def scan(
     """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
     from cell import scan_command
     from cell.narrator import Narrator
+    from cell.scan_options import ScanOptions
 
     errors = _numbers("--pose-error", pose_error) or [0.0, 0.0]
     if len(errors) != 2:
         raise UsageError(
             f"--pose-error {pose_error} must be two numbers, mm and deg, for instance --pose-error 0.5,0.1"
         )
-    options = scan_command.ScanOptions(
+    options = ScanOptions(
         driver, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed
     )
     narrator = Narrator(quiet_stdout=as_json)
     if report is None:
         outcome = scan_command.scan(run, options, argv=sys.argv[1:], narrator=narrator)
-    elif options == scan_command.ScanOptions():
+    elif options == ScanOptions():
         outcome = scan_command.report(run, report, narrator)
     else:
         raise UsageError("--report makes the report of what was scanned; leave the options of a new scan away")

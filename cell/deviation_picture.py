@@ -18,6 +18,7 @@ from planner.surface import TriangleMesh, face_normals
 
 _PIXELS = 560  # along the longer side
 _COLOURS = "RdBu_r"  # red stands proud, blue lacks material
+_INSIDE = (0.35, 0.35, 0.38, 1.0)  # the surface seen from behind, through a hole
 _SIDES = ((-60.0, "from the front right"), (120.0, "from the back left"))
 
 
@@ -42,7 +43,9 @@ def draw(path: Path, mesh: TriangleMesh, deviation: Deviation) -> None:
         seen = face >= 0
         colour = scale.to_rgba(of_face[face[seen]])
         # Shaded by how steep the surface stands: the shape is seen although colour means something else.
-        colour[:, :3] *= (0.45 + 0.55 * np.abs(normals[face[seen]] @ toward))[:, None]
+        steep = normals[face[seen]] @ toward
+        colour[steep < 0] = _INSIDE
+        colour[:, :3] *= (0.45 + 0.55 * np.abs(steep))[:, None]
         picture[seen] = colour
         axes.imshow(picture, extent=(0, width * 1000, 0, height * 1000), interpolation="antialiased")
         axes.set_title(title, fontsize=10)

@@ -21,6 +21,8 @@ from cell.run_folder import SCHEMA, RunFolder, versions
 from cell.run_record import RunRecord
 
 EVENTS = "events.jsonl"
+EXECUTING = "execute and scan"
+"""The stage that a report made later does not repeat."""
 
 
 class ExecutionFolder(RunFolder):
@@ -84,8 +86,8 @@ class ExecutionFolder(RunFolder):
     @classmethod
     def reopen(cls, path: Path, manifest: Mapping[str, Any]) -> "ExecutionFolder":
         """An execution that was made before, to make its report anew."""
-        return cls(path, path, {**manifest, "seconds": dict(manifest.get("seconds", {}))}, "start",
-                   dict(manifest.get("artefacts", {})))  # fmt: skip
+        seconds = {name: took for name, took in manifest.get("seconds", {}).items() if name == EXECUTING}
+        return cls(path, path, {**manifest, "seconds": seconds}, "start", dict(manifest.get("artefacts", {})))
 
     def note(self, **entries: Any) -> None:
         """Put entries into the manifest."""

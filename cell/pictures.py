@@ -3,6 +3,7 @@
 Every function takes arrays in SI units and writes one PNG; labels carry units. Equal input gives equal bytes.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,12 @@ _LIGHT = np.array([0.35, -0.45, 0.82])
 
 
 def part_and_views(
-    path: Path, planning: TriangleMesh, views_per_face: Floats, T_object_scanner: Floats, fov_rad: tuple[float, float]
+    path: Path,
+    planning: TriangleMesh,
+    views_per_face: Floats,
+    T_object_scanner: Floats,
+    fov_rad: tuple[float, float],
+    numbers: Sequence[int] | None = None,
 ) -> None:
     """The part coloured by how many views measure each planning face, with the views as frustums round it.
 
@@ -41,6 +47,7 @@ def part_and_views(
         views_per_face: (F,) number of views that measure the face, averaged over its samples.
         T_object_scanner: (n, 4, 4) views in visiting order.
         fov_rad: horizontal and vertical field of view [rad].
+        numbers: (n,) of the views; None counts from 1.
     """
     figure = Figure(figsize=(13.0, 6.2), dpi=110, layout="constrained")
     most = max(len(_SEEN), 1)
@@ -60,7 +67,7 @@ def part_and_views(
         axes.add_collection3d(
             Line3DCollection(_frustums(T_object_scanner, fov_rad, about), colors="#444444", linewidths=0.7, alpha=0.8)
         )
-        for number, place in enumerate(positions, start=1):
+        for number, place in zip(numbers or range(1, len(positions) + 1), positions, strict=True):
             axes.text(*place, str(number), fontsize=9, color="#111111", ha="center", va="center")
         _equal_box(axes, np.concatenate([triangles.reshape(-1, 3), positions]))
         axes.view_init(elev=22, azim=azimuth)

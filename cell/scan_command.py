@@ -6,87 +6,32 @@ an execution that was stopped, is made by the same lines.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
-from cell import cloud_files, execute, execution_report, run_reader, scan_scene
+from cell import cloud_files, execute, execution_report, run_reader, scan_driver, scan_scene
 from cell.deviation import deviation
-from cell.errors import CellError, DriverFailureError, FileError, UsageError
-from cell.execution_folder import ExecutionFolder
+from cell.errors import CellError, DriverFailureError, FileError
+from cell.execution_folder import EXECUTING, ExecutionFolder
 from cell.execution_reader import read_execution
 from cell.execution_results import ExecutedScan, achieved, merged, usable
 from cell.execution_summary import execution_summary
 from cell.narrator import Narrator, ProgressCallback
 from cell.nearest import NearestSurface
-from cell.pose_error import Disturbance
 from cell.reconstruct import reconstruct
 from cell.run_record import RunRecord, open_run
+from cell.scan_options import ScanOptions
 from cell.scan_scene import ScanScene
-from drivers.clock import Clock, RealTimeClock, SimulatedClock
-from drivers.contract import Driver
 from drivers.errors import DriverError
-from drivers.limits import Limits
-from drivers.registry import Context, open_driver
-from drivers.setpoints import from_rad, to_deg
 from planner.errors import PlannerError
 from planner.timing import Motion
 
 _DEVIATION = 12
 """Stream of randomness of the samples that the deviation is measured on."""
-
-
-@dataclass(frozen=True, slots=True)
-class ScanOptions:
-    """What `cell scan` was asked for.
-
-    Attributes:
-        driver: URL of the controller.
-        realtime: let the simulated controller take as long as an arm would.
-        view: the one view to scan, from 1 in visiting order; None scans all.
-        resolution_deg: in place of the plan's.
-        range_noise_mm: one sigma along the ray.
-        pose_error_mm: one sigma of the executed position, along each axis.
-        pose_error_deg: one sigma of the executed rotation, about each axis.
-        register: correct poses by registration; None does it where there is a pose error.
-        close_holes: close the holes of the surface, marked.
-        seed: of noise and pose error; None takes the plan's.
-    """
-
-    driver: str = "sim://"
-    realtime: bool = False
-    view: int | None = None
-    resolution_deg: float | None = None
-    range_noise_mm: float = 0.0
-    pose_error_mm: float = 0.0
-    pose_error_deg: float = 0.0
-    register: bool | None = None
-    close_holes: bool = False
-    seed: int | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in (
-            ("--range-noise", self.range_noise_mm),
-            ("--pose-error", self.pose_error_mm),
-            ("--pose-error", self.pose_error_deg),
-        ):
-            if not 0 <= value < np.inf:
-                raise UsageError(f"{name} {value:g} must be 0 or more")
-        if self.resolution_deg is not None and not 0 < self.resolution_deg < np.inf:
-            raise UsageError(f"--resolution {self.resolution_deg:g} must be above 0, in degrees")
-        if self.seed is not None and self.seed < 0:
-            raise UsageError(f"--seed {self.seed} must be 0 or more")
-
-    @property
-    def disturbance(self) -> Disturbance:
-        """Noise and pose error in SI units."""
-        return Disturbance(
-            self.range_noise_mm / 1000, self.pose_error_mm / 1000, float(np.radians(self.pose_error_deg))
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,14 +81,14 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
     legs = execute.legs_of(motion, options.view)
     scene = scan_scene.load(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else int(run.manifest["seed"])
-    kept = _options_kept(replace(options, register=_registered(options)), scene)
-    driver, clock = _driver(options, motion, scene)
+    driver, clock = scan_driver.prepare(options, motion, scene.speed)
+    kept = options.kept() | {"scanner": dict(scene.scanner_parameters)}
     folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
     work = _Work(run, folder, narrator)
     with _kept_on_failure(folder):
         if options.view is not None:
             _write_motion(folder, legs.motion(motion))
-        with work.step("execute and scan") as progress, driver:
+        with work.step(EXECUTING) as progress, driver:
             folder.note(controller=driver.capabilities.controller)
             seconds = execute.run(
                 legs, driver, scene, options.disturbance, folder, seed=seed, clock=clock, progress=progress
@@ -240,7 +185,9 @@ def _draw(folder: ExecutionFolder, scene: ScanScene, plan: Any, scans: Sequence[
 
     h, v = (float(angle) for angle in np.radians(scene.scanner_parameters["fov_deg"]))
     poses = np.stack([scan.T_true for scan in scans])
-    pictures.part_and_views(folder.path / "views.png", scene.planning, reached.views_per_face, poses, (h, v))
+    pictures.part_and_views(
+        folder.path / "views.png", scene.planning, reached.views_per_face, poses, (h, v), [scan.stop for scan in scans]
+    )  # fmt: skip
     coverable = float(plan["coverage"]["coverable"])
     pictures.cover_curve(folder.path / "cover.png", reached.largest_first, coverable, 1.0, int(plan["lower_bound"]))
     folder.adopt("views.png")
@@ -252,53 +199,6 @@ def _finished(run_folder: Path) -> RunRecord:
     if not run.finished:
         raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
     return run
-
-
-def _registered(options: ScanOptions) -> bool:
-    return options.disturbance.moves_pose if options.register is None else options.register
-
-
-def _options_kept(options: ScanOptions, scene: ScanScene) -> dict[str, Any]:
-    """For the manifest: all that a report made later needs, settled."""
-    return {
-        "driver": options.driver,
-        "realtime": options.realtime,
-        "view": options.view,
-        "resolution_deg": options.resolution_deg,
-        "range_noise_mm": options.range_noise_mm,
-        "pose_error_mm": options.pose_error_mm,
-        "pose_error_deg": options.pose_error_deg,
-        "register": bool(options.register),
-        "close_holes": options.close_holes,
-        "scanner": dict(scene.scanner_parameters),
-    }
-
-
-def _driver(options: ScanOptions, motion: Motion, scene: ScanScene) -> tuple[Driver, Clock]:
-    """The driver, not yet connected, and the clock that tells its time.
-
-    The simulated controller gets the limits and accelerations of the plan, stands at its beginning, and jumps in time
-    unless real time was asked for.
-    """
-    try:
-        parts = urlsplit(options.driver)
-        query = dict(parse_qsl(parts.query, keep_blank_values=True))
-    except ValueError as error:
-        raise DriverFailureError(f"driver URL '{options.driver}' cannot be read: {error}") from error
-    url, simulated = options.driver, parts.scheme == "sim"
-    if options.realtime and not simulated:
-        raise UsageError(f"--realtime is for sim://; {options.driver} takes the time that it takes")
-    own_clock = "realtime" in query or not simulated
-    clock: Clock = RealTimeClock() if own_clock or options.realtime else SimulatedClock()
-    if simulated and "start" not in query and "://" in url:
-        start = ",".join(f"{angle:.4f}" for angle in to_deg(from_rad(motion.via_q[0])))
-        url += ("&" if "?" in url else "?") + f"start={start}"
-    lim = motion.limits
-    limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / scene.speed, lim.acceleration)
-    try:
-        return open_driver(url, Context(clock=None if own_clock else clock, limits=limits)), clock
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
 
 
 def _write_motion(folder: ExecutionFolder, motion: Motion) -> None:
