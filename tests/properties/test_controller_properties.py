@@ -30,13 +30,11 @@ def via_points(axis: st.SearchStrategy[int]) -> st.SearchStrategy[SetPoints]:
     return rows.map(lambda values: np.array(values, dtype=np.int32))
 
 
-# Most moves can be accepted, so that queues fill; the rest lie near the limits and one count beyond them.
+# Points between which every step is allowed, and points near the limits and one count beyond them.
 good = via_points(st.integers(-MAX_STEP // 2, MAX_STEP // 2))
 nasty = via_points(st.one_of(st.integers(-RANGE, RANGE), st.sampled_from([-RANGE - 1, -RANGE, RANGE, RANGE + 1, 0])))
-via = st.one_of(good, good, good, nasty)
 fractions = st.floats(0.05, 1.0)
 no_fractions = st.sampled_from([0.0, -1.0, 1.0000001, float("nan"), float("inf")])
-speeds = st.one_of(fractions, fractions, fractions, fractions, no_fractions)
 times = st.floats(0.0, 3.0)
 
 
@@ -53,6 +51,8 @@ class ControllerMachine(RuleBasedStateMachine):
         self.waiting: list[tuple[int, SetPoints]] = []  # accepted moves that have not ended
         self.ended = 0
         self.corners = [np.zeros(6)]  # the polyline on which the arm must be [rad]
+        self.seen = 0.0, np.zeros(6)
+        self.cut = False  # a move was cut, and the arm has not been seen standing since
         self.estop = False
 
     def send(self, command: Command) -> Result:
@@ -65,7 +65,31 @@ class ControllerMachine(RuleBasedStateMachine):
         assert (state.ack_sequence, state.ack_result) == (self.sequence, answer.result)
         return Result(answer.result)
 
-    @rule(points=via, speed=speeds)
+    @rule(points=good, more=good, speed=fractions, seconds=times)
+    def fill_the_queue(self, points: SetPoints, more: SetPoints, speed: float, seconds: float) -> None:
+        """Two moves at once, and some way along them."""
+        self.move(points, speed)
+        self.move(more, speed)
+        self.clock.wait(seconds)
+
+    @rule()
+    def recover(self) -> None:
+        """Out of every fault: release, stand, reset."""
+        self.emergency_stop(pressed=False)
+        self.wait_until_the_arm_stands()
+        assert self.send(Reset()) is Result.OK
+
+    @rule(points=nasty, speed=fractions)
+    def move_near_the_limits(self, points: SetPoints, speed: float) -> None:
+        """Often refused."""
+        self.move(points, speed)
+
+    @rule(points=good, speed=no_fractions)
+    def move_at_no_speed(self, points: SetPoints, speed: float) -> None:
+        """Always refused."""
+        self.move(points, speed)
+
+    @rule(points=good, speed=fractions)
     def move(self, points: SetPoints, speed: float) -> None:
         """Accepted exactly when nothing speaks against it; the reasons come in their order."""
         before = self.controller.state()
@@ -129,7 +153,7 @@ class ControllerMachine(RuleBasedStateMachine):
         assert self.controller.time_to_wait() == queued
 
     @precondition(lambda self: self.sequence > 1)
-    @rule(points=via, back=st.integers(1, 5))
+    @rule(points=good, back=st.integers(1, 5))
     def stale_or_reused(self, points: SetPoints, back: int) -> None:
         """An old number, or the last one with other content, moves nothing."""
         before = self.controller.state()
@@ -195,22 +219,28 @@ class ControllerMachine(RuleBasedStateMachine):
     def every_accepted_move_ends_at_its_set_point_or_is_reported_as_cut(self) -> None:
         """Moves end in order and one after the other; OK only exactly at the last via point."""
         state = self.controller.state()
-        if state.done_sequence == self.ended:
-            assert state.queue_depth == len(self.waiting)
-            return
-        self.ended = state.done_sequence
-        index = [number for number, _ in self.waiting].index(state.done_sequence)
-        cut = state.done_result in (Result.STOPPED, Result.FAULTED)
-        points = self.waiting[index][1]
-        self.waiting = self.waiting[index + 1 :]
+        if state.done_sequence != self.ended:
+            self.ended = state.done_sequence
+            index = [number for number, _ in self.waiting].index(state.done_sequence)
+            points = self.waiting[index][1]
+            self.waiting = self.waiting[index + 1 :]
+            if state.done_result in (Result.STOPPED, Result.FAULTED):
+                assert self.waiting == []
+                self.cut = True
+            elif state.standing:
+                assert (state.axes == points[-1]).all()
+                assert (self.plant.true_axes == to_rad(points[-1])).all()
         assert state.queue_depth == len(self.waiting)
-        if cut:
-            assert self.waiting == []
-        elif state.standing:
-            assert (state.axes == points[-1]).all()
-            assert (self.plant.true_axes == to_rad(points[-1])).all()
-        if cut and state.standing:
-            self.corners = [self.plant.true_axes]
+        if self.cut and state.standing:
+            self.corners, self.cut = [self.plant.true_axes], False  # what comes next begins here
+
+    @invariant()
+    def never_jumps(self) -> None:
+        """Between two looks no axis goes farther than its full speed allows."""
+        now, here = self.clock.now(), self.plant.true_axes
+        then, there = self.seen
+        assert (np.abs(here - there) <= LIMITS.velocity * (now - then) + 1e-12).all()
+        self.seen = now, here
 
     @invariant()
     def the_mode_is_what_the_rest_says(self) -> None:
@@ -229,4 +259,4 @@ class ControllerMachine(RuleBasedStateMachine):
 
 
 TestController = ControllerMachine.TestCase
-TestController.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestController.settings = settings(max_examples=120, stateful_step_count=40, deadline=None)
