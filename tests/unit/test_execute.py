@@ -1,0 +1,286 @@
+"""Execution against toy drivers: what is driven, in which order things reach the disk, and how it ends."""
+
+import itertools
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell import execute
+from cell.embree import EmbreeRayCaster
+from cell.errors import DriverFailureError, UsageError
+from cell.execution_folder import ExecutionFolder
+from cell.execution_reader import read_scan
+from cell.kinematics import Kr16Kinematics
+from cell.pose_error import Disturbance
+from cell.run_folder import SCHEMA
+from cell.run_record import RunRecord
+from cell.scan_scene import ScanScene
+from cell.scanners.laser_area import LaserArea
+from drivers.clock import SimulatedClock
+from drivers.contract import Capabilities, Mode, RobotState
+from drivers.errors import FaultError
+from drivers.limits import kr16
+from drivers.registry import Context, open_driver
+from drivers.setpoints import from_rad, to_rad
+from planner.ports import JointLimits, Rejection
+from planner.surface import TriangleMesh
+from planner.timing import Motion, retime
+
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+LIMITS = JointLimits(
+    to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration
+)  # fmt: skip
+
+
+def _tour(counts=(1, 2, 1), home_points=2, seed=0) -> Motion:
+    """A motion from home through views 70, 71, ... with so many via points on the way to each, and home again."""
+    rng = np.random.default_rng(seed)
+    n = sum(counts) + home_points
+    via = to_rad(from_rad(HOME + rng.uniform(-0.1, 0.1, (n + 1, 6))))
+    via[0] = via[-1] = to_rad(from_rad(HOME))
+    view = np.full(n + 1, -1)
+    view[np.cumsum(counts)] = 70 + np.arange(len(counts))
+    legs = [*counts, home_points]
+    return retime(via, np.repeat(np.arange(len(legs) + 1), [1, *legs]), view, LIMITS)
+
+
+def _scene() -> ScanScene:
+    """A ball of 60 mm about the middle of the scanner's range at home, and an occluder far away."""
+    import trimesh
+
+    kinematics = Kr16Kinematics.load()
+    T_base_object = np.eye(4)
+    T_base_object[:3, 3] = (kinematics.forward(HOME[None])[0] @ np.array([0, 0, 0.3, 1]))[:3]
+    ball = trimesh.creation.icosphere(3, 0.06)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
+    scanner = LaserArea(resolution_deg=(3.0, 3.0))
+    return ScanScene(
+        "ball", mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), EmbreeRayCaster(away.vertices, away.faces),
+        scanner, scanner.parameters(), kinematics, T_base_object, np.eye(4), 0.5, 0.0,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> ExecutionFolder:
+    """A fresh execution of an empty run folder."""
+    run = RunRecord(tmp_path, {"schema": SCHEMA, "artefacts": {}})
+    return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
+
+
+class Recorded:
+    """A driver that is at once where it is told, remembers every move, and can do something before one."""
+
+    def __init__(self, start=HOME, *, max_via=None, before: Callable[[int], None] = lambda move: None, off=0) -> None:
+        self.axes = from_rad(start)
+        self.moves: list[tuple[np.ndarray, float]] = []
+        self.before, self.off = before, off
+        limits = kr16()
+        self.capabilities = Capabilities(
+            "recorder", limits.lower, limits.upper, limits.max_step, 1.0, max_via, False, True
+        )  # fmt: skip
+
+    def state(self) -> RobotState:
+        return RobotState(Mode.IDLE, self.axes, True)
+
+    def move(self, set_points, speed) -> RobotState:
+        self.before(len(self.moves))
+        self.moves.append((set_points, speed))
+        self.axes = set_points[-1] + np.int32(self.off)
+        return RobotState(Mode.IN_POSITION, self.axes, True)
+
+
+def _run(driver, motion, folder, stop=None, disturbance=None, seed=5):
+    legs = execute.legs_of(motion, stop)
+    execute.run(
+        legs, driver, _scene(), disturbance or Disturbance(), folder, seed=seed, clock=SimulatedClock()
+    )  # fmt: skip
+
+
+def _events(folder) -> list[dict]:
+    return [json.loads(line) for line in (folder.path / "events.jsonl").read_text().splitlines()]
+
+
+def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
+    """Start and legs joined are exactly the plan's via points; each stop ends a leg, numbered in visiting order."""
+    motion = _tour()
+    legs = execute.legs_of(motion)
+    joined = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
+    assert (joined == motion.via_q).all()
+    assert [(leg.stop, leg.view) for leg in legs.legs] == [(1, 70), (2, 71), (3, 72), (0, -1)]
+    assert legs.planned_seconds == motion.duration
+    again = legs.motion(motion)
+    assert (again.view == motion.view).all()
+    assert again.duration == pytest.approx(motion.duration, abs=1e-12)
+
+
+@pytest.mark.parametrize("stop", [1, 2, 3])
+def test_one_view_is_reached_and_left_on_the_plans_own_path(stop: int) -> None:
+    """Every step of the way is a step of the plan, forward or backward, from home to home, by the shorter side."""
+    motion = _tour()
+    legs = execute.legs_of(motion, stop)
+    at = int(np.flatnonzero(motion.view >= 0)[stop - 1])
+    joined = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
+    steps = {(a.tobytes(), b.tobytes()) for a, b in zip(motion.via_q[:-1], motion.via_q[1:], strict=True)}
+    for a, b in itertools.pairwise(joined):
+        assert (a.tobytes(), b.tobytes()) in steps or (b.tobytes(), a.tobytes()) in steps
+    assert (joined[0] == motion.via_q[0]).all()
+    assert (joined[-1] == motion.via_q[0]).all()
+    assert (legs.legs[0].via[-1] == motion.via_q[at]).all()
+    assert [leg.stop for leg in legs.legs] == [stop, 0]
+    assert legs.planned_seconds == pytest.approx(2 * min(motion.via_t[at], motion.duration - motion.via_t[at]))
+
+
+@pytest.mark.parametrize("stop", [0, 4, -1])
+def test_a_view_that_the_plan_does_not_have_is_refused(stop: int) -> None:
+    """The sentence names the views there are."""
+    with pytest.raises(UsageError, match="views 1 to 3"):
+        execute.legs_of(_tour(), stop)
+
+
+def test_the_controller_gets_exactly_the_planned_counts_at_the_planned_speed(folder: ExecutionFolder) -> None:
+    """All set-points of all moves are the plan's via points in 1e-4 deg, and the speed is the plan's fraction."""
+    driver, motion = Recorded(), _tour()
+    _run(driver, motion, folder)
+    sent = np.concatenate([points for points, _ in driver.moves])
+    assert sent.dtype == np.int32
+    assert (sent == from_rad(motion.via_q[1:])).all()
+    assert {speed for _, speed in driver.moves} == {0.5}
+
+
+def test_a_controller_that_takes_few_via_points_gets_them_in_pieces(folder: ExecutionFolder) -> None:
+    """With one via point a move, the same set-points arrive in the same order, and scans only at the stops."""
+    driver, motion = Recorded(max_via=1), _tour()
+    _run(driver, motion, folder)
+    assert [len(points) for points, _ in driver.moves] == [1] * (len(motion.via_q) - 1)
+    assert (np.concatenate([points for points, _ in driver.moves]) == from_rad(motion.via_q[1:])).all()
+    assert len(list((folder.path / "scans").iterdir())) == 3
+
+
+def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFolder) -> None:
+    """At the moment of move k there are k whole scan files, and the last event is the announcement of this move."""
+    seen = []
+
+    def look(move: int) -> None:
+        files = sorted((folder.path / "scans").iterdir())
+        assert [path.name for path in files] == [f"{k + 1:04d}.npz" for k in range(min(move, 3))]
+        for path in files:
+            read_scan(path)
+        assert _events(folder)[-1]["event"] == "move"
+        assert _events(folder)[-1]["leg"] == move + 1
+        seen.append(move)
+
+    _run(Recorded(before=look), _tour(), folder)
+    assert seen == [0, 1, 2, 3]
+    names = [event["event"] for event in _events(folder)]
+    assert names == ["connected", *["move", "standing", "scan"] * 3, "move", "standing", "done"]
+
+
+def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> None:
+    """A controller that ends a little off its set-point: the recorded pose is that of the reported axes."""
+    scene = _scene()
+    _run(Recorded(off=7), _tour(), folder)
+    scan = read_scan(folder.path / "scans" / "0002.npz")
+    assert (from_rad(scan.q_reported) - from_rad(scan.q_commanded) == 7).all()
+    T = scan.stored["T_object_scanner"]
+    T_base_scanner = scene.kinematics.forward(np.asarray(scan.q_reported)[None])[0]
+    np.testing.assert_allclose(scene.T_base_object @ T, T_base_scanner, atol=1e-12)
+    assert (scan.stored["T_object_scanner_true"] == T).all()
+
+
+def test_without_errors_points_lie_on_the_part_on_their_rays(folder: ExecutionFolder) -> None:
+    """Counts add up to the grid, and each point is where its pixel's ray meets the plane of its face."""
+    scene = _scene()
+    _run(Recorded(), _tour(), folder)
+    scan = read_scan(folder.path / "scans" / "0001.npz")
+    assert len(scan.points) > 5
+    assert scan.stored["counts"].sum() == len(scan.stored["codes"]) == 400
+    assert scan.stored["counts"][Rejection.MEASURED] == len(scan.points)
+    T = scan.stored["T_object_scanner"]
+    rays = scene.scanner.ray_directions()[scan.stored["pixel"]] @ T[:3, :3].T
+    a, b, c = (scene.reference.vertices[scene.reference.faces[scan.stored["face"], k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    t = np.einsum("nj,nj->n", a - T[:3, 3], normal) / np.einsum("nj,nj->n", rays, normal)
+    np.testing.assert_allclose(scan.points, T[:3, 3] + t[:, None] * rays, atol=1e-6)
+
+
+def test_a_view_has_its_own_disturbance_whatever_else_is_scanned(tmp_path: Path) -> None:
+    """View 2 alone gives the bytes that it gives within the whole execution, noise and pose error included."""
+    run = RunRecord(tmp_path, {"schema": SCHEMA, "artefacts": {}})
+    files = []
+    for stop in (None, 2):
+        folder = ExecutionFolder.make(run, [], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
+        _run(Recorded(), _tour(), folder, stop, Disturbance(1e-4, 1e-3, 1e-3))
+        files.append((folder.path / "scans" / "0002.npz").read_bytes())
+    assert files[0] == files[1]
+    _run(Recorded(), _tour(), folder, 2, Disturbance(1e-4, 1e-3, 1e-3), seed=6)
+    assert (folder.path / "scans" / "0002.npz").read_bytes() != files[0]
+
+
+def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFolder) -> None:
+    """Far from the part every ray meets nothing; the file is whole and readable, with noise asked for as well."""
+    motion = _tour((1,), seed=3)
+    away = motion.via_q[:1] + np.array([1.5, 0, 0, 0, 0, 0])
+    legs = execute.Legs(motion.via_q[0], (execute.Leg(away, 1, 70),), 1.0)
+    execute.run(
+        legs, Recorded(), _scene(), Disturbance(range_noise=1e-4), folder, seed=0, clock=SimulatedClock()
+    )  # fmt: skip
+    scan = read_scan(folder.path / "scans" / "0001.npz")
+    assert scan.points.shape == (0, 3)
+    assert scan.stored["counts"][Rejection.NO_HIT] == 400
+
+
+def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> None:
+    """No path from there was checked: refused with both positions, before any move."""
+    driver = Recorded(HOME + np.radians([0, 0.02, 0, 0, 0, 0]))
+    with pytest.raises(DriverFailureError, match=r"-89\.9800.*-90\.0000"):
+        _run(driver, _tour(), folder)
+    assert driver.moves == []
+    near = Recorded(HOME + np.radians([0, 0.009, 0, 0, 0, 0]))
+    _run(near, _tour(), folder)
+    assert len(near.moves) == 4
+
+
+@pytest.mark.parametrize(
+    ("error", "event"), [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")]
+)
+def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
+    error: BaseException, event: str, folder: ExecutionFolder
+) -> None:
+    """The third move fails: two whole scans stay, and the last event is the end with its reason."""
+
+    def fail(move: int) -> None:
+        if move == 2:
+            raise error
+
+    with pytest.raises(type(error)):
+        _run(Recorded(before=fail), _tour(), folder)
+    assert sorted(path.name for path in (folder.path / "scans").iterdir()) == ["0001.npz", "0002.npz"]
+    last = _events(folder)[-1]
+    assert (last["event"], last["reason"]) == (event, str(error))
+
+
+def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder: ExecutionFolder) -> None:
+    """With the plan's limits and speed its clock agrees with the plan to a microsecond a leg."""
+    motion, clock = _tour(), SimulatedClock()
+    with open_driver("sim://", Context(clock=clock, limits=kr16())) as driver:
+        scene = _scene()
+        object.__setattr__(scene, "speed", 1.0)
+        seconds = execute.run(
+            execute.legs_of(motion), driver, scene, Disturbance(), folder, seed=0, clock=clock
+        )  # fmt: skip
+    assert seconds == pytest.approx(motion.duration, abs=1e-6 * len(motion.via_q))
+    assert _events(folder)[-1]["t_s"] == pytest.approx(motion.duration, abs=1e-4)
+
+
+def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
+    """Numbers go on after the highest one, whatever else stands in the folder."""
+    run = RunRecord(tmp_path, {"schema": SCHEMA, "artefacts": {}})
+    (tmp_path / "executions" / "0041").mkdir(parents=True)
+    (tmp_path / "executions" / "notes").mkdir()
+    made = [ExecutionFolder.make(run, [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC)).path.name for _ in range(2)]
+    assert made == ["0042", "0043"]
