@@ -1,0 +1,54 @@
+"""Parts and scans that are hard to draw: each must give a model, with every point and face that there is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell import run_reader
+from cell.replay_look import VIEW_FACES
+from cell.replay_model import POINTS_SHOWN, dress
+from cell.run_record import open_run
+from planner.surface import TriangleMesh
+
+_SQUARE = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], dtype=np.float64)
+
+
+def _grid(n: int) -> TriangleMesh:
+    x, y = (axis.ravel() / n for axis in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
+    return TriangleMesh(np.stack([x, y, 0.01 * np.sin(9 * x) * np.cos(7 * y)], axis=1), faces)
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        pytest.param(TriangleMesh(_SQUARE[:3], np.array([[0, 1, 2]])), id="one triangle"),
+        pytest.param(TriangleMesh(_SQUARE, np.array([[0, 1, 2], [0, 2, 3]])), id="plane"),
+        pytest.param(TriangleMesh(_SQUARE, np.array([[0, 1, 2], [0, 2, 3], [0, 0, 1]])), id="degenerate face"),
+        pytest.param(TriangleMesh(_SQUARE, np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]])), id="both sides"),
+        pytest.param(TriangleMesh(1e-4 * _SQUARE, np.array([[0, 1, 2], [0, 2, 3]])), id="ten micrometres"),
+        pytest.param(_grid(340), id="231,200 faces"),
+    ],
+)
+def test_any_part_is_shown(planned: Path, reference: TriangleMesh) -> None:
+    """The surface has the part's faces, or at most VIEW_FACES of them, and takes no part in contacts."""
+    run = open_run(planned)
+    theatre = dress(run, run_reader.resolved_scene(run), reference)
+    surface = theatre.model.geom("surface")
+    faces = int(theatre.model.mesh_facenum[surface.dataid[0]])
+    assert faces == len(reference.faces) or 0.5 * VIEW_FACES < faces <= VIEW_FACES
+    assert (surface.contype[0], surface.conaffinity[0]) == (0, 0)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 100, POINTS_SHOWN, 50_000])
+def test_any_cloud_is_shown(planned: Path, count: int) -> None:
+    """A scan without points has no mesh; else each point, thinned to POINTS_SHOWN, has its eight faces."""
+    run = open_run(planned)
+    points = np.zeros((count, 3)) if count == 2 else np.random.default_rng(0).normal(size=(count, 3)) * 0.05
+    theatre = dress(run, run_reader.resolved_scene(run), None, [points])
+    if count == 0:
+        assert theatre.cloud_mesh == (-1,)
+    else:
+        assert theatre.model.mesh_facenum[theatre.cloud_mesh[0]] == 8 * min(count, POINTS_SHOWN)
