@@ -1,0 +1,427 @@
+"""`cell scan` as a user meets it: execution folder, numbers, determinism, what is left of a killed execution."""
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell import scan_command
+from cell.errors import FileError
+from cell.execution_reader import read_execution, read_scan
+from cell.narrator import Narrator
+from cell.run_record import open_run
+from cell.scan_options import ScanOptions
+from planner.ports import Rejection
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+CONTRACT = {
+    "manifest.json", "events.jsonl", "cloud.ply", "mesh.ply", "report.json", "report.md", "views.png", "cover.png",
+    "deviation.png",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def executed(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: Run) -> Path:
+    """A copy of the small run with one finished execution, `0001`, at 1 degree."""
+    run = tmp_path_factory.mktemp("executed") / "run"
+    shutil.copytree(planned, run)
+    done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=run.parent)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == _without_schema(run / "executions" / "0001")
+    return run
+
+
+@pytest.fixture
+def copied(executed: Path, tmp_path: Path) -> Path:
+    """The executed run for a test of its own, its execution as if killed: no status, no sha256."""
+    run = tmp_path / "run"
+    shutil.copytree(executed, run)
+    path = run / "executions" / "0001" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    for name in ("artefacts", "exit_code", "moving_s"):
+        manifest.pop(name)
+    path.write_text(json.dumps({**manifest, "status": "running"}))
+    return run
+
+
+def _without_schema(folder: Path) -> dict[str, Any]:
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+    assert report.pop("schema") == "scan-cell/run/1"
+    return report
+
+
+def _scan(run: Path, **options: Any) -> scan_command.ScanOutcome:
+    """A scan in this process, at 1 degree where nothing else is said."""
+    asked = ScanOptions(**{"resolution_deg": 1.0, **options})
+    return scan_command.scan(run, asked, argv=[], narrator=Narrator(quiet_stdout=True))
+
+
+def _remake(run: Path, execution: str = "0001") -> dict[str, Any]:
+    return scan_command.report(run, execution, Narrator(quiet_stdout=True)).summary
+
+
+def _rewrite(path: Path, **changed: Any) -> None:
+    with np.load(path) as stored:
+        content = {name: stored[name] for name in stored.files}
+    np.savez_compressed(path, **{**content, **changed})
+
+
+def test_help_teaches_with_examples(tmp_path: Path, run_cell: Run) -> None:
+    """`cell scan --help` has commands that can be copied and the exit codes."""
+    done = run_cell("scan", "--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "cell scan sim_runs/trial --pose-error 0.5,0.1" in done.stdout
+    assert "5 driver" in done.stdout
+
+
+def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None:
+    """Every file is there with the sha256 that the manifest gives; JSONs carry the schema; nothing is pickled."""
+    folder = executed / "executions" / "0001"
+    files = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    n_views = len(json.loads((executed / "plan.json").read_text())["views"])
+    assert files == CONTRACT | {f"scans/{k:04d}.npz" for k in range(1, n_views + 1)}
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert (manifest["status"], manifest["exit_code"], manifest["schema"]) == ("finished", 0, "scan-cell/run/1")
+    assert set(manifest["artefacts"]) == files - {"manifest.json", "events.jsonl"}
+    for name, digest in manifest["artefacts"].items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest, name
+
+
+def test_the_plan_stays_untouched(executed: Path, planned: Path) -> None:
+    """Nothing of the run changed, nothing was added beside executions/."""
+    names = {path.name for path in executed.iterdir()}
+    assert names == {path.name for path in planned.iterdir()} | {"executions"}
+    for name in names - {"executions"}:
+        assert (executed / name).read_bytes() == (planned / name).read_bytes(), name
+
+
+def test_without_pose_error_reported_equals_commanded_and_the_plan(executed: Path) -> None:
+    """Joint angles to the bit, poses to the rounding of forward kinematics, and rays from the reported pose."""
+    plan = json.loads((executed / "plan.json").read_text())
+    for stop, view in enumerate(plan["views"], start=1):
+        scan = read_scan(executed / "executions" / "0001" / "scans" / f"{stop:04d}.npz")
+        assert scan.view == view["id"]
+        assert (scan.q_commanded == scan.q_reported).all()
+        assert np.degrees(scan.q_commanded).round(4).tolist() == view["q_deg"]
+        assert (scan.stored["T_object_scanner"] == scan.stored["T_object_scanner_true"]).all()
+        np.testing.assert_allclose(scan.stored["T_object_scanner"], view["T_object_scanner"], atol=1e-12)
+
+
+def test_points_lie_on_the_part_and_rays_are_all_accounted_for(executed: Path) -> None:
+    """Each point lies on the plane of its face of reference.ply; the codes' counts add up to the grid of 60 x 60."""
+    mesh = trimesh.load(executed / "reference.ply", process=False)
+    for path in sorted((executed / "executions" / "0001" / "scans").iterdir()):
+        scan = read_scan(path)
+        corners = mesh.triangles[scan.stored["face"]] / 1000
+        height = np.einsum("nj,nj->n", scan.points - corners[:, 0], mesh.face_normals[scan.stored["face"]])
+        assert np.abs(height).max() < 1e-6
+        counts = np.bincount(scan.stored["codes"], minlength=len(Rejection))
+        assert (counts == scan.stored["counts"]).all()
+        assert counts.sum() == 3600
+        assert (np.flatnonzero(scan.stored["codes"] == Rejection.MEASURED) == scan.stored["pixel"]).all()
+
+
+def test_achieved_visible_coverage_is_the_predicted_one(executed: Path) -> None:
+    """Without pose error the executed poses measure the very samples that the plan predicted."""
+    report = _without_schema(executed / "executions" / "0001")
+    planned = json.loads((executed / "plan.json").read_text())["coverage"]
+    coverage = report["coverage"]
+    assert coverage["visible"] == coverage["predicted"] == planned["visible"]
+    assert sum(view["adds"] for view in report["views"]) == pytest.approx(planned["visible"], abs=1e-12)
+    assert 0 < coverage["sampled"] < 1
+    assert coverage["sampled_radius_mm"] == pytest.approx(
+        0.01 * np.linalg.norm(np.ptp(trimesh.load(executed / "reference.ply").vertices, axis=0)), rel=1e-6
+    )
+
+
+def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path) -> None:
+    """PLY in mm: as many points as scanned, each with unit normal and its view; mesh close to the reference."""
+    folder = executed / "executions" / "0001"
+    report = _without_schema(folder)
+    content = (folder / "cloud.ply").read_bytes()
+    header, _, body = content.partition(b"end_header\n")
+    assert f"element vertex {report['n_points']}".encode() in header
+    kinds = [*((name, "<f8") for name in "xyz"), *((name, "<f4") for name in ("nx", "ny", "nz")), ("view", "<i4")]
+    rows = np.frombuffer(body, dtype=kinds)
+    scans = [read_scan(path) for path in sorted((folder / "scans").iterdir())]
+    points = np.concatenate([scan.points for scan in scans])
+    np.testing.assert_allclose(np.stack([rows[axis] for axis in "xyz"], axis=1), points * 1000, atol=1e-9)
+    assert rows["view"].tolist() == np.repeat(np.arange(1, len(scans) + 1), [len(s.points) for s in scans]).tolist()
+    length = np.sqrt(rows["nx"] ** 2 + rows["ny"] ** 2 + rows["nz"] ** 2)
+    np.testing.assert_allclose(length, 1, atol=1e-5)
+    mesh = trimesh.load(folder / "mesh.ply", process=False)
+    assert len(mesh.faces) == report["model"]["faces"] > 500
+    assert report["deviation"]["rms_mm"] < 0.5
+    reference = trimesh.load(executed / "reference.ply")
+    assert np.abs(mesh.bounds - reference.bounds).max() < 5.0
+
+
+def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
+    """A second execution, in this process: scans, cloud, mesh, report and pictures have the same sha256."""
+    again = tmp_path / "run"
+    shutil.copytree(executed, again)
+    outcome = _scan(again)
+    assert outcome.folder.name == "0002"
+    first, second = (
+        json.loads((again / "executions" / name / "manifest.json").read_text())["artefacts"]
+        for name in ("0001", "0002")
+    )
+    assert first == second
+
+
+def test_a_report_made_again_is_the_same(executed: Path, tmp_path: Path) -> None:
+    """`--report` on a finished execution changes no byte of any artefact."""
+    again = tmp_path / "run"
+    shutil.copytree(executed, again)
+    path = again / "executions" / "0001" / "manifest.json"
+    before = json.loads(path.read_text())
+    _remake(again, "latest")
+    after = json.loads(path.read_text())
+    assert after["artefacts"] == before["artefacts"]
+    assert (after["status"], after["exit_code"]) == ("finished", 0)
+
+
+def test_report_files_hold_no_clock_value(executed: Path) -> None:
+    """The day of the execution stands in its manifest and nowhere in report.md and report.json."""
+    folder = executed / "executions" / "0001"
+    day = json.loads((folder / "manifest.json").read_text())["started"][:10]
+    for name in ("report.md", "report.json"):
+        assert day not in (folder / name).read_text()
+    assert day in (folder / "events.jsonl").read_text()
+
+
+def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path: Path) -> None:
+    """`--view 2` gives the same scan; prediction is that view's; the motion driven is recorded for a replay."""
+    run = tmp_path / "run"
+    shutil.copytree(executed, run)
+    outcome = _scan(run, view=2)
+    scans = sorted((outcome.folder / "scans").iterdir())
+    assert [path.name for path in scans] == ["0002.npz"]
+    assert scans[0].read_bytes() == (run / "executions" / "0001" / "scans" / "0002.npz").read_bytes()
+    coverage = outcome.summary["coverage"]
+    assert coverage["visible"] == coverage["predicted"] < coverage["predicted_all_views"]
+    assert outcome.summary["complete"]
+    recorded = read_execution(open_run(run), outcome.folder.name)
+    assert recorded.motion is not None
+    assert recorded.motion.duration == pytest.approx(outcome.summary["motion"]["planned_s"])
+    assert outcome.summary["motion"]["executed_s"] == pytest.approx(recorded.motion.duration, abs=1e-4)
+
+
+def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Path) -> None:
+    """0.5 mm and 0.1 deg: the cloud's distance from the reference falls at least 4 times; commands stay the plan's."""
+    run = tmp_path / "run"
+    shutil.copytree(executed, run)
+    outcome = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9)
+    cloud = outcome.summary["cloud"]
+    assert cloud["rms_to_reference_as_reported_mm"] > 0.3
+    assert cloud["rms_to_reference_mm"] < cloud["rms_to_reference_as_reported_mm"] / 4
+    for view in outcome.summary["views"]:
+        assert view["pose_error_after_mm"] < view["pose_error_mm"] / 4
+        assert view["reported_minus_commanded_deg"] == 0
+    assert "as reported" in (outcome.folder / "report.md").read_text()
+    one = read_scan(outcome.folder / "scans" / "0001.npz")
+    assert (one.q_commanded == one.q_reported).all()
+    assert (one.stored["T_object_scanner"] != one.stored["T_object_scanner_true"]).any()
+    raw = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9, register=False)
+    assert raw.summary["registration"] is None
+    assert raw.summary["cloud"]["rms_to_reference_mm"] == cloud["rms_to_reference_as_reported_mm"]
+    assert raw.summary["deviation"]["rms_mm"] > 1.5 * outcome.summary["deviation"]["rms_mm"]
+
+
+def test_closed_holes_are_marked_and_said(copied: Path) -> None:
+    """The faces that close holes are those that the open mesh lacks; mesh.ply marks them and the page says so."""
+    open_faces = _without_schema(copied / "executions" / "0001")["model"]["faces"]
+    outcome = _scan(copied, close_holes=True)
+    model = outcome.summary["model"]
+    assert model["closed_faces"] > 0
+    assert model["faces"] == open_faces + model["closed_faces"]
+    body = (outcome.folder / "mesh.ply").read_bytes().partition(b"end_header\n")[2]
+    faces = np.frombuffer(body[24 * model["vertices"] :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
+    assert faces["closed"].sum() == model["closed_faces"]
+    assert "invented" in (outcome.folder / "report.md").read_text()
+
+
+def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
+    """The scanner stands metres off: every scan is empty, nothing is measured, there is no surface, all is said."""
+    outcome = _scan(copied, pose_error_mm=5000.0, view=1)
+    assert outcome.summary["n_points"] == 0
+    assert outcome.summary["coverage"]["visible"] == outcome.summary["coverage"]["sampled"] == 0
+    assert outcome.summary["deviation"] is None
+    text = (outcome.folder / "report.md").read_text()
+    assert "View 1 saw nothing of the part." in text
+    assert "No surface" in text
+    assert not (outcome.folder / "mesh.ply").exists()
+
+
+def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> None:
+    """View 2 saw nothing: it is in the table with no point, and the surface is made from the others."""
+    path = copied / "executions" / "0001" / "scans" / "0002.npz"
+    counts = np.zeros(len(Rejection), dtype=np.int64)
+    counts[Rejection.NO_HIT] = 3600
+    none = np.empty(0, dtype=np.int32)
+    _rewrite(path, points=np.empty((0, 3)), face=none, pixel=none, counts=counts)
+    summary = _remake(copied)
+    assert summary["complete"]
+    assert summary["views"][1]["points"] == 0
+    assert summary["deviation"] is not None
+    assert "View 2 saw nothing" in (copied / "executions" / "0001" / "report.md").read_text()
+
+
+def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) -> None:
+    """The report of the others is made; page, JSON and notes name the two files and why."""
+    scans = copied / "executions" / "0001" / "scans"
+    (scans / "0002.npz").write_bytes((scans / "0002.npz").read_bytes()[:200])
+    points = read_scan(scans / "0003.npz").points.copy()
+    points[4, 1] = np.nan
+    _rewrite(scans / "0003.npz", points=points)
+    summary = _remake(copied)
+    assert not summary["complete"]
+    assert summary["missing_views"] == [2, 3]
+    cut, nan = summary["left_out"]
+    assert cut.startswith("scans/0002.npz is damaged or cut short")
+    assert nan.startswith("scans/0003.npz is damaged: points contains NaN")
+    assert [view["stop"] for view in summary["views"]] == [1, *range(4, summary["n_views_planned"] + 1)]
+    assert summary["coverage"]["visible"] == summary["coverage"]["predicted"]
+    assert summary["coverage"]["visible"] < summary["coverage"]["predicted_all_views"]
+    text = (copied / "executions" / "0001" / "report.md").read_text()
+    assert "Not complete" in text
+    assert "view 2, 3" in text
+    assert str(copied) not in text
+    manifest = json.loads((copied / "executions" / "0001" / "manifest.json").read_text())
+    assert manifest["status"] == "incomplete"
+
+
+def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path: Path) -> None:
+    """The manifest of a finished execution knows its scans; an edited one is not evidence."""
+    run = tmp_path / "run"
+    shutil.copytree(executed, run)
+    path = run / "executions" / "0001" / "scans" / "0001.npz"
+    _rewrite(path, points=read_scan(path).points + 1e-3)
+    summary = _remake(run)
+    assert summary["missing_views"] == [1]
+    assert "is not what the execution wrote" in summary["left_out"][0]
+
+
+def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
+    """Killed before its first scan: all views are missing, nothing is claimed, no picture is left over."""
+    folder = copied / "executions" / "0001"
+    shutil.rmtree(folder / "scans")
+    (folder / "scans").mkdir()
+    summary = _remake(copied)
+    assert summary["missing_views"] == list(range(1, summary["n_views_planned"] + 1))
+    assert summary["coverage"]["visible"] == 0
+    assert not list(folder.glob("*.png"))
+    assert not (folder / "mesh.ply").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_execution_keeps_its_scans_and_is_reported(
+    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Run
+) -> None:
+    """In real time, stopped after the first scan: status and exit code tell, --report makes do with what is there."""
+    run = tmp_path / "run"
+    shutil.copytree(planned, run)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cell", "scan", "run", "--resolution", "2", "--realtime"],
+        cwd=tmp_path, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "120"},
+    )  # fmt: skip
+    folder = run / "executions" / "0001"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and process.poll() is None and not (folder / "scans" / "0001.npz").exists():
+        time.sleep(0.005)
+    process.send_signal(how)
+    _, errors = process.communicate(timeout=60)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    if how == signal.SIGINT:
+        assert process.returncode == 130, errors
+        assert (manifest["status"], manifest["exit_code"]) == ("interrupted", 130)
+        assert json.loads((folder / "events.jsonl").read_text().splitlines()[-1])["event"] == "interrupted"
+    else:
+        assert process.returncode == -signal.SIGKILL
+        assert manifest["status"] == "running"
+    there = len(list((folder / "scans").glob("*.npz")))
+    done = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert 1 <= summary["n_views"] == there < summary["n_views_planned"]
+    assert summary["missing_views"] == list(range(there + 1, summary["n_views_planned"] + 1))
+    assert "did not finish" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("scan", "absent"), 6, "does not exist"),
+        (("scan", "."), 6, "manifest.json"),
+        (("scan", "run", "--view", "99"), 2, "views 1 to"),
+        (("scan", "run", "--driver", "sym://"), 5, "sim://"),
+        (("scan", "run", "--driver", "sim://?speed=2"), 5, "max_speed"),
+        (("scan", "run", "--driver", "sim://?start=0,-80,90,0,90,0"), 5, "nothing was moved"),
+        (("scan", "run", "--pose-error", "0.5"), 2, "mm and deg"),
+        (("scan", "run", "--range-noise", "-1"), 2, "--range-noise"),
+        (("scan", "run", "--resolution", "0"), 2, "--resolution"),
+        (("scan", "run", "--report", "0007"), 6, "0007"),
+        (("scan", "run", "--report", "latest", "--view", "1"), 2, "--report"),
+    ],
+)
+def test_bad_input_gets_one_sentence_and_its_code(
+    arguments: tuple[str, ...],
+    code: int,
+    words: str,
+    executed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """No traceback; the sentence names what is wrong, and the exit code is the documented one."""
+    from cell.cli import main
+
+    (tmp_path / "run").symlink_to(executed)
+    monkeypatch.chdir(tmp_path)
+    kept = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as stop:
+            main(list(arguments))
+    finally:
+        signal.signal(signal.SIGTERM, kept)
+    said = capsys.readouterr()
+    assert stop.value.code == code, said.err
+    assert words in said.err
+    assert said.out == ""
+
+
+def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> None:
+    """A run that failed has nothing to drive; the sentence says in which stage it ended."""
+    run = tmp_path / "run.part"
+    shutil.copytree(planned, run)
+    manifest = json.loads((run / "manifest.json").read_text())
+    (run / "manifest.json").write_text(json.dumps({**manifest, "status": "failed", "stage": "reach"}))
+    with pytest.raises(FileError, match="stage 'reach'"):
+        _scan(run)
+
+
+def test_a_required_coverage_that_is_missed_ends_with_code_3(planned: Path, tmp_path: Path) -> None:
+    """The plan's requirement holds for the execution; a single view is not held against it."""
+    run = tmp_path / "run"
+    shutil.copytree(planned, run)
+    resolved = json.loads((run / "scene.resolved.json").read_text())
+    resolved["plan"]["required_visible"] = 1.0
+    (run / "scene.resolved.json").write_text(json.dumps(resolved))
+    manifest = json.loads((run / "manifest.json").read_text())
+    manifest["artefacts"].pop("scene.resolved.json")
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    assert _scan(run, resolution_deg=3.0).exit_code == 3
+    assert _scan(run, resolution_deg=3.0, view=1).exit_code == 0
