@@ -74,6 +74,6 @@ def _mesh(entry: dict, T_object_base: np.ndarray) -> trimesh.Trimesh | None:
         mesh = trimesh.creation.cylinder(size[0] / 2, size[1], sections=64)
     else:
         mesh = trimesh.creation.box([20.0, 20.0, 1e-3])
-    T = np.array(entry["T"])
+    T = np.array(entry["pose"])
     mesh.apply_transform(T if entry["attached_to"] == "object" else T_object_base @ T)
     return mesh

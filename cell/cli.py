@@ -4,19 +4,18 @@ Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing r
 folder, 70 a bug, 130 Ctrl-C. Heavy modules are imported inside the commands, so that `--help` answers at once.
 """
 
-import difflib
 import json
-import os
 import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
 
 import typer
 
-from cell.errors import CellError, FileError, UsageError
+from cell import options
+from cell.errors import UsageError
+from cell.failures import guarded
 
 app = typer.Typer(
     add_completion=False,
@@ -127,21 +126,21 @@ def plan(
     from cell.pipeline import plan as run_plan
     from cell.scene import load_scene
 
-    options: dict[str, dict[str, Any]] = {"part": {}, "placement": {}, "plan": {}}
+    tables: dict[str, dict[str, Any]] = {"part": {}, "placement": {}, "plan": {}}
     if part is not None:
-        options["part"] = _part_option(part, units)
+        tables["part"] = options.part(part, units)
     elif units is not None:
-        options["part"]["units"] = units
+        tables["part"]["units"] = units
     if place is not None:
-        options["placement"] = _placement_option(place)
+        tables["placement"] = options.placement(place)
     if faces is not None and percent is not None:
         raise UsageError("--faces and --percent both set the size of the planning mesh; give one of them")
     given = {
         "faces": faces,
         "percent_kept": percent,
         "candidates": candidates,
-        "standoffs_mm": _numbers("--standoff", standoff),
-        "rolls_deg": _numbers("--roll", roll),
+        "standoffs_mm": options.numbers("--standoff", standoff),
+        "rolls_deg": options.numbers("--roll", roll),
         "coverage": coverage,
         "required_visible": require,
         "fill": fill,
@@ -149,10 +148,12 @@ def plan(
         "solver": solver,
         "seed": seed,
     }
-    options["plan"] = {key: value for key, value in given.items() if value is not None}
+    tables["plan"] = {key: value for key, value in given.items() if value is not None}
     narrator = Narrator(quiet_stdout=as_json)
+    with options.named_as_options(tables):
+        checked = load_scene(scene, tables)
     outcome = run_plan(
-        load_scene(scene, options),
+        checked,
         scene_path=scene,
         out=out,
         argv=sys.argv[1:],
@@ -160,17 +161,23 @@ def plan(
         narrator=narrator,
     )
     if as_json:
-        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
     else:
         narrator.plan_table(outcome)
     raise typer.Exit(outcome.exit_code)
 
 
-@app.command(epilog="Example:\n\ncell check my_cell.toml")
+@app.command(
+    epilog="Examples:\n\ncell check my_cell.toml\n\n"
+    "cell check my_cell.toml --part part.stl --units mm --place 1200,500,0"
+)
 def check(
     scene: Annotated[
         Path | None, typer.Argument(help="Scene file (TOML). Default: the built-in scene.", show_default=False)
     ] = None,
+    part: Annotated[str | None, typer.Option(help="As in cell plan: mesh file or built-in part.")] = None,
+    units: Annotated[str | None, typer.Option(help="Unit of the mesh file.")] = None,
+    place: Annotated[str | None, typer.Option(metavar="X,Y,Z[,A,B,C]", help="As in cell plan.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
@@ -178,7 +185,14 @@ def check(
     from cell.narrator import Narrator
     from cell.scene import load_scene
 
-    result = check_scene(load_scene(scene))
+    tables: dict[str, dict[str, Any]] = {"part": {}, "placement": {}}
+    if part is not None:
+        tables["part"] = options.part(part, units)
+    if place is not None:
+        tables["placement"] = options.placement(place)
+    with options.named_as_options(tables):
+        checked = load_scene(scene, tables)
+    result = check_scene(checked)
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
@@ -222,8 +236,8 @@ def replay(
     width, cross, height = size.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise UsageError(f"--size {size} must be width x height in pixels, for instance --size 960x720")
-    options = ReplayOptions(execution, view, speed, frames, picture, fps, every, (int(width), int(height)), once)
-    made = run_replay(run, options, Narrator())
+    wanted = ReplayOptions(execution, view, speed, frames, picture, fps, every, (int(width), int(height)), once)
+    made = run_replay(run, wanted, Narrator())
     if made:
         sys.stdout.write(made + "\n")
 
@@ -293,18 +307,18 @@ def scan(
     from cell.narrator import Narrator
     from cell.scan_options import ScanOptions
 
-    errors = _numbers("--pose-error", pose_error) or [0.0, 0.0]
+    errors = options.numbers("--pose-error", pose_error) or [0.0, 0.0]
     if len(errors) != 2:
         raise UsageError(
             f"--pose-error {pose_error} must be two numbers, mm and deg, for instance --pose-error 0.5,0.1"
         )
-    options = ScanOptions(
+    wanted = ScanOptions(
         driver, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed
     )
     narrator = Narrator(quiet_stdout=as_json)
     if report is None:
-        outcome = scan_command.scan(run, options, argv=sys.argv[1:], narrator=narrator)
-    elif options == ScanOptions():
+        outcome = scan_command.scan(run, wanted, argv=sys.argv[1:], narrator=narrator)
+    elif wanted == ScanOptions():
         outcome = scan_command.report(run, report, narrator)
     else:
         raise UsageError("--report makes the report of what was scanned; leave the options of a new scan away")
@@ -318,87 +332,13 @@ def scan(
 def main(argv: list[str] | None = None) -> int:
     """Entry point of the console script: runs a command and turns every failure into one sentence and its exit code."""
     signal.signal(signal.SIGTERM, _stop)
-    code = _guarded(lambda: app(args=argv, prog_name="cell", standalone_mode=False))
-    sys.exit(code)
-
-
-def _guarded(run: Callable[[], Any]) -> int:
-    import click
-
-    try:
-        result = run()
-    except typer.Exit as stop:
-        return stop.exit_code
-    except (KeyboardInterrupt, click.Abort, typer.Abort):
-        return _say("stopped by Ctrl-C; what was finished is kept", 130)
-    except click.ClickException as error:
-        error.show()
-        return 2
-    except CellError as error:
-        return _say(str(error), error.exit_code)
-    except BrokenPipeError:
-        # The reader of stdout went away (`cell ... | head`); the work is done and the folder complete.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except MemoryError:
-        return _say("out of memory; use fewer --faces, --samples or --standoff values", 70)
-    except Exception as error:
-        if os.environ.get("SCAN_CELL_TRACEBACK"):
-            raise
-        return _say(
-            f"this is a bug in scan-cell: {type(error).__name__}: {error}. "
-            "Set SCAN_CELL_TRACEBACK=1 to see where, and please report it",
-            70,
-        )
-    return result if isinstance(result, int) else 0
-
-
-def _say(sentence: str, code: int) -> int:
-    sys.stderr.write(f"cell: {sentence}\n")
-    return code
+    words = sys.argv[1:] if argv is None else argv
+    sys.exit(guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words))
 
 
 def _stop(signum: int, frame: FrameType | None) -> None:
     """A polite kill ends a run as Ctrl-C does: the folder keeps its status."""
     raise KeyboardInterrupt
-
-
-def _placement_option(text: str) -> dict[str, Any]:
-    values = _numbers("--place", text)
-    if values is None or len(values) not in (3, 6):
-        raise UsageError(f"--place {text} must be x,y,z or x,y,z,A,B,C (mm and deg), for instance --place 1200,500,0")
-    placement: dict[str, Any] = {"position_mm": values[:3]}
-    if len(values) == 6:
-        placement["abc_deg"] = values[3:]
-    return placement
-
-
-def _part_option(part: str, units: str | None) -> dict[str, Any]:
-    from cell.stand_ins import NAMES
-
-    path = Path(part)
-    if part in NAMES and not path.is_file():
-        if units is not None:
-            raise UsageError(f"{part} is built in and has its own size; leave --units away")
-        return {"name": part}
-    if path.is_dir():
-        raise FileError(f"{part} is a folder; give a mesh file in it")
-    if not path.exists():
-        if path.suffix == "" and os.sep not in part:
-            close = difflib.get_close_matches(part.lower(), NAMES, n=1)
-            hint = f"did you mean {close[0]}? " if close else ""
-            raise UsageError(f"there is no built-in part and no file {part}; {hint}Built in are {', '.join(NAMES)}")
-        raise FileError(f"there is no file {part}; give the path of a mesh (STL, OBJ, PLY, OFF or GLB)")
-    return {"path": str(Path(part).absolute()), "units": units}
-
-
-def _numbers(option: str, text: str | None) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        return [float(piece) for piece in text.split(",")]
-    except ValueError:
-        raise UsageError(f"{option} {text} must be numbers separated by commas, without spaces") from None
 
 
 if __name__ == "__main__":

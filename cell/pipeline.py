@@ -25,7 +25,7 @@ from cell.occluders import Occluder, occluder_triangles
 from cell.plan_summary import draw, plan_summary
 from cell.prediction import Prediction
 from cell.resolve import Settings, resolve
-from cell.run_folder import RunFolder
+from cell.run_folder import SCHEMA, RunFolder
 from cell.scene import Scene
 from cell.view_plan import select_and_connect
 from cell.workpiece import Workpiece
@@ -55,6 +55,10 @@ class PlanOutcome:
     folder: Path
     exit_code: int
     summary: dict[str, Any]
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that `--json` prints: report.json, and where and how the run ended."""
+        return {"schema": SCHEMA, "exit_code": self.exit_code, "run_folder": str(self.folder), **self.summary}
 
 
 @dataclass(frozen=True, slots=True)

@@ -208,7 +208,7 @@ def _fixtures(scene: Scene, world: World) -> list[dict[str, Any]]:
             "name": name,
             "shape": shape,
             "size_mm": size_mm,
-            "T": T.tolist(),
+            "pose": T.tolist(),
             "attached_to": "base",
             "occludes": True,
             "built_in": True,
@@ -229,7 +229,7 @@ def _fixture(fixture: Fixture, world: World) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "name": fixture.name,
         "shape": fixture.shape,
-        "T": fixture.T.tolist(),
+        "pose": fixture.T.tolist(),
         "attached_to": fixture.attached_to,
         "occludes": fixture.occludes,
         "built_in": False,
@@ -240,6 +240,7 @@ def _fixture(fixture: Fixture, world: World) -> dict[str, Any]:
         mesh = world.fixture_meshes[fixture.name]
         entry["size_mm"] = [_mm(side) for side in np.ptp(mesh.vertices, axis=0)]
         entry["file"] = fixture_file(fixture.name)
+        entry["pose"] = np.eye(4).tolist()  # the file holds the triangles where the scene's pose has put them
     return entry
 
 

@@ -28,6 +28,7 @@ _STANDOFF_MM = 300.0
 _STANDOFF_RADII = 1.5  # a part of the user's: never nearer than this many radii of its bounding sphere
 _BASELINE_SHARE = 0.25
 _RANGE_SHARES = (0.5, 1.5)
+_LEAST_CLEARANCE_MM = 1.0  # steps between collision checks are as long as the clearance: below, a motion takes millions
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +56,13 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
     """Settle what the scene leaves to the part.
 
     Raises:
-        SceneError: if a standoff is outside the scanner's range.
+        SceneError: if a standoff is outside the scanner's range, or the clearance too small to plan a motion with.
     """
+    if scene.clearance_mm < _LEAST_CLEARANCE_MM:
+        raise SceneError(
+            f"clearance_mm is {scene.clearance_mm:g}; a motion is checked at steps of the clearance, so it must be at "
+            f"least {_LEAST_CLEARANCE_MM:g}"
+        )
     built_in = _DEFAULTS.get(part.name) if scene.part.path is None else None
     radius_mm = 1000 * float(np.linalg.norm(part.reference.vertices - part.centre, axis=1).max())
     standoffs_mm = _standoffs_mm(scene, built_in, radius_mm)
@@ -78,12 +84,16 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
         "baseline_mm": baseline_mm,
         "grazing_max_deg": scene.scanner.grazing_max_deg,
         "sensor_grazing_max_deg": scene.scanner.sensor_grazing_max_deg,
+        "sigma_angle_mdeg": scene.scanner.sigma_angle_mdeg,
     }
+    for name in ("sensor_fov_deg", "sensor_tilt_deg", "depth_of_field_mm"):  # given only where they limit
+        if getattr(scene.scanner, name) is not None:
+            scanner[name] = getattr(scene.scanner, name)
     planning_step = scene.scanner.planning_resolution_deg
     return Settings(
         faces=_faces(scene, built_in, len(part.reference.faces)),
         standoffs=tuple(standoff / 1000 for standoff in standoffs_mm),
-        rolls=tuple(np.deg2rad(scene.plan.rolls_deg).tolist()),
+        rolls=tuple(np.deg2rad(_distinct(scene.plan.rolls_deg)).tolist()),
         scanner=scanner,
         planning_scanner={**scanner, "resolution_deg": (planning_step, planning_step)},
         sphere_radius=max(*standoffs_mm, radius_mm + near) / 1000,
@@ -92,7 +102,7 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
 
 def _standoffs_mm(scene: Scene, built_in: tuple[int, float, float] | None, radius_mm: float) -> tuple[float, ...]:
     if scene.plan.standoffs_mm is not None:
-        return scene.plan.standoffs_mm
+        return tuple(dict.fromkeys(scene.plan.standoffs_mm))
     if built_in is not None:
         return (built_in[1],)
     wanted = max(_STANDOFF_MM, _STANDOFF_RADII * radius_mm)
@@ -100,6 +110,12 @@ def _standoffs_mm(scene: Scene, built_in: tuple[int, float, float] | None, radiu
         near, far = scene.scanner.range_mm
         wanted = min(max(wanted, near), far)
     return (wanted,)
+
+
+def _distinct(rolls_deg: tuple[float, ...]) -> list[float]:
+    """Each roll once; 0 and 360 degrees are the same viewpoint."""
+    first = {roll % 360: roll for roll in reversed(rolls_deg)}
+    return [roll for roll in rolls_deg if first.pop(roll % 360, None) is not None]
 
 
 def _faces(scene: Scene, built_in: tuple[int, float, float] | None, reference_faces: int) -> int:

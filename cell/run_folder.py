@@ -63,7 +63,10 @@ class RunFolder:
         """
         digest = hashlib.sha256(json.dumps([dict(inputs), seed], sort_keys=True).encode()).hexdigest()
         target = out if out is not None else Path("sim_runs") / f"{now:%Y%m%dT%H%M%SZ}-{digest[:8]}"
+        if target.name in ("", "."):
+            raise FileError(f"the run folder {target} has no name of its own; give --out a new folder's path")
         path = target.with_name(target.name + ".part")
+        _move_aside(path)
         for taken in (target, path):
             if taken.exists():
                 raise FileError(
@@ -184,6 +187,21 @@ class RunFolder:
             raise FileError(
                 f"{self.path / name} cannot be written: {_reason(error)}; what was finished before stays in {self.path}"
             ) from error
+
+
+def _move_aside(path: Path) -> None:
+    """Make way for a new run: an ended run's `.part` folder is kept as `.part.1`, `.part.2`, ..."""
+    try:
+        status = json.loads((path / "manifest.json").read_text(encoding="utf-8"))["status"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return  # no folder of ours, or none at all
+    if status == "running":
+        return  # perhaps it still is
+    number = next(n for n in range(1, 10_000) if not path.with_name(f"{path.name}.{n}").exists())
+    try:
+        path.rename(path.with_name(f"{path.name}.{number}"))
+    except OSError as error:
+        raise FileError(f"{path} cannot be moved out of the way: {_reason(error)}; choose another --out") from error
 
 
 def json_text(content: Mapping[str, Any]) -> str:

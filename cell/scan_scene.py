@@ -137,7 +137,7 @@ def _occluders(
         for fixture in resolved["fixtures"]:
             if not fixture["occludes"]:
                 continue
-            T = readonly("T", fixture["T"], (4, 4))
+            T = readonly("pose", fixture["pose"], (4, 4))
             size = np.array(fixture["size_mm"], dtype=np.float64) / 1000.0
             match fixture["shape"]:
                 case "box":
@@ -148,9 +148,8 @@ def _occluders(
                     vertices, faces = floor_square(float(T[2, 3]))
                     T = np.eye(4)
                 case "mesh":
-                    # Its file holds it in the frame that it is attached to; T is how the scene's author put it there.
                     mesh = run_reader.mesh(run, fixture["file"])
-                    vertices, faces, T = mesh.vertices, mesh.faces, np.eye(4)
+                    vertices, faces = mesh.vertices, mesh.faces
                 case shape:
                     raise ValueError(f"the fixture {fixture['name']} has the unknown shape {shape}")
             if fixture["attached_to"] == "base":

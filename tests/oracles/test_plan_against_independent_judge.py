@@ -149,7 +149,7 @@ def test_the_motion_touches_nothing_when_checked_ten_times_finer(run: dict[str, 
     model.endModel()
     obstacles = [fcl.CollisionObject(model)]
     for fixture in scene["fixtures"]:
-        T = np.array(fixture["T"])
+        T = np.array(fixture["pose"])
         size = np.array(fixture["size_mm"]) / 1000
         shape: Any = {
             "box": lambda s: fcl.Box(*s), "cylinder": lambda s: fcl.Cylinder(s[0] / 2, s[1]),
@@ -206,7 +206,7 @@ def test_predicted_coverage_is_true_by_brute_force(run: dict[str, Any]) -> None:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     post = next(fixture for fixture in scene["fixtures"] if fixture["name"] == "post")
-    T_post_object = np.linalg.inv(np.array(post["T"])) @ np.array(scene["T_base_object"])
+    T_post_object = np.linalg.inv(np.array(post["pose"])) @ np.array(scene["T_base_object"])
     scanner = scene["scanner"]
     half = np.radians(scanner["fov_deg"]) / 2
     seen = np.zeros(count, dtype=bool)
