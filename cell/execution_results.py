@@ -57,8 +57,9 @@ class ExecutedScan:
     def __post_init__(self) -> None:
         for name in ("T_reported", "T_true"):
             object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
-        if len(self.counts) != len(Rejection):
-            raise ValueError(f"it has {len(self.counts)} counts of rays; there must be {len(Rejection)}")
+        if not 0 < len(self.counts) <= len(Rejection):  # reasons are appended: an older scan has fewer
+            raise ValueError(f"it has {len(self.counts)} counts of rays; there must be 1 to {len(Rejection)}")
+        object.__setattr__(self, "counts", (*self.counts, *[0] * (len(Rejection) - len(self.counts))))
 
     @property
     def cloud(self) -> ScanCloud:

@@ -67,6 +67,7 @@ def part_matrix(
     method = scene.plan.fill
     scanner = scanners.load(scene.scanner.type)(**settings.planning_scanner)
     parameters = dict(scanner.parameters())
+    parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
     row_of_face = None
     if method == "rays":
         row_of_face = closest_face(

@@ -79,6 +79,10 @@ class Scanner(_Table):
     baseline_mm: NotNegative | None = None
     grazing_max_deg: Grazing = 75.0
     sensor_grazing_max_deg: Grazing = 90.0
+    sensor_fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] | None = None
+    sensor_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] | None = None
+    depth_of_field_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
+    sigma_angle_mdeg: NotNegative = 1.5
 
     @field_validator("type")
     @classmethod
@@ -91,7 +95,7 @@ class Scanner(_Table):
             raise ValueError(f"is '{name}'; {did_you_mean(name, known)}installed are: {', '.join(known) or 'none'}")
         return name
 
-    @field_validator("range_mm")
+    @field_validator("range_mm", "depth_of_field_mm")
     @classmethod
     def _ordered(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
         if limits is not None and not limits[0] < limits[1]:
@@ -222,6 +226,7 @@ class Plan(_Table):
     solver: Literal["auto", "greedy", "meta-raps", "local-search", "exact"] = "auto"
     coverage: Share = 1.0
     required_visible: Annotated[float, Field(ge=0, le=1)] = 0.0
+    max_sigma_mm: Positive | None = None
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
 
     @field_validator("percent_kept")

@@ -46,14 +46,24 @@ class Measurability:
         indices: (nnz,) int32 viewpoints that measure the feature, ascending within a row.
         features: the S rows.
         n_viewpoints: number of columns V.
+        sigma: (nnz,) float32 expected standard deviation of the point that each entry gives [m], from
+            `planner.quality.sigma_layer`; None where it was not asked for.
     """
 
     indptr: NDArray[np.int64]
     indices: NDArray[np.int32]
     features: SurfaceSamples
     n_viewpoints: int
+    sigma: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
+        if self.sigma is not None:
+            # readonly() refuses infinities; they are meant here: entries at exactly 90 degrees have no precision.
+            sigma = np.array(self.sigma, dtype=np.float32)
+            if sigma.shape != (len(self.indices),) or not (sigma >= 0).all():
+                raise PlannerError(f"sigma has shape {sigma.shape}; it must be ({len(self.indices)},) and 0 or more")
+            sigma.flags.writeable = False
+            object.__setattr__(self, "sigma", sigma)
         object.__setattr__(self, "indptr", readonly("indptr", self.indptr, (len(self.features) + 1,), np.int64))
         object.__setattr__(self, "indices", readonly("indices", self.indices, (None,), np.int32))
         if self.indptr[0] != 0 or self.indptr[-1] != len(self.indices) or (np.diff(self.indptr) < 0).any():
@@ -133,7 +143,7 @@ def occlude(
 ) -> Measurability:
     """Remove what occluders (fixtures, post, floor) hide; only the legs that survived the part are cast.
 
-    An entry filled by `rays` stands for its feature's own point here.
+    An entry filled by `rays` stands for its feature's own point here. A layer of sigma is not kept.
 
     Args:
         measurability: M of the part alone.
@@ -175,6 +185,7 @@ def measured(
     casters: Sequence[RayCaster],
     *,
     each: bool = False,
+    own: Sequence[RayCaster | None] | None = None,
     progress: Progress | None = None,
 ) -> NDArray[np.bool_]:
     """Which features a few given views measure: prediction on samples that the plan has not seen.
@@ -186,6 +197,7 @@ def measured(
         casters: the part's caster and those of occluders.
         each: answer for each view; otherwise for all of them together, where a feature is asked about only until a view
             measures it.
+        own: for each view what stands in the way of that view alone (the arm as it stands there), or None.
         progress: called with (poses done, poses in all) after each bundle.
 
     Returns:
@@ -197,7 +209,8 @@ def measured(
     if each:
         result = np.zeros((len(features), len(T_object_scanner)), dtype=np.bool_)
         for done, pose, row in _aimed(poses, targets, scanner, casters):
-            result[row, pose // K] = True
+            free = _own_free(poses, targets, scanner, own, pose, row, K)
+            result[row[free], pose[free] // K] = True
             if progress:
                 progress(done, len(poses))
         return result
@@ -207,12 +220,32 @@ def measured(
     def rows_of(pose: int) -> Indices:
         return in_view(targets, poses[pose], scanner, still_open)
 
-    for done, _, row in _free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
-        found[row] = True
+    for done, pose, row in _free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
+        found[row[_own_free(poses, targets, scanner, own, pose, row, K)]] = True
         still_open = still_open[~found[still_open]]
         if progress:
             progress(done, len(poses))
     return found
+
+
+def _own_free(
+    poses: Floats,
+    targets: Targets,
+    scanner: Scanner,
+    own: Sequence[RayCaster | None] | None,
+    pose: Indices,
+    row: Indices,
+    K: int,
+) -> NDArray[np.bool_]:
+    """(n,) whether what belongs to the view of each pair leaves its legs free."""
+    free = np.ones(len(row), dtype=np.bool_)
+    if own is not None:
+        for view in np.unique(pose // K):
+            caster = own[view]
+            if caster is not None:
+                here = np.flatnonzero(pose // K == view)
+                free[here] = legs_free(targets, poses, pose[here], row[here], scanner, (caster,))
+    return free
 
 
 Pairs = Iterator[tuple[int, Indices, Indices]]

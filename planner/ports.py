@@ -17,7 +17,11 @@ Floats = NDArray[np.float64]
 
 
 class Rejection(IntEnum):
-    """Why a ray of a scan, or an aimed sample, gives no point. The first condition that fails is kept, in this order."""
+    """Why a ray of a scan, or an aimed sample, gives no point; the first condition that fails is kept.
+
+    They are asked in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH, GRAZING_SOURCE,
+    GRAZING_SENSOR, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values stand in files: new ones are appended.
+    """
 
     MEASURED = 0
     NO_HIT = 1
@@ -27,6 +31,9 @@ class Rejection(IntEnum):
     GRAZING_SENSOR = 5
     SOURCE_BLOCKED = 6
     SENSOR_BLOCKED = 7
+    OUT_OF_DEPTH = 8
+    OUT_OF_SENSOR_FOV = 9
+    TOO_UNCERTAIN = 10
 
     @property
     def sentence(self) -> str:
@@ -43,6 +50,9 @@ _REJECTION_SENTENCES = {
     Rejection.GRAZING_SENSOR: "the sensor sees the surface beyond its grazing limit",
     Rejection.SOURCE_BLOCKED: "something stands between laser source and surface",
     Rejection.SENSOR_BLOCKED: "something stands between surface and sensor (shadow effect)",
+    Rejection.OUT_OF_DEPTH: "before or behind the depth of field",
+    Rejection.OUT_OF_SENSOR_FOV: "outside the sensor's field of view",
+    Rejection.TOO_UNCERTAIN: "the expected standard deviation of the point is above the limit",
 }
 
 
@@ -114,7 +124,7 @@ class Scanner(Protocol):
         ...
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
-        """The first condition that needs no ray and fails: FOV, range, grazing at source and sensor, in this order.
+        """The first condition that needs no ray and fails, in the order that `Rejection` gives; FOV first.
 
         Every limit is inclusive.
 
@@ -124,6 +134,22 @@ class Scanner(Protocol):
 
         Returns:
             (N,) `Rejection` values; MEASURED where every condition holds.
+        """
+        ...
+
+
+class SigmaScanner(Scanner, Protocol):
+    """A scanner that also knows how precise a point will be; only a limit on sigma and model noise need it."""
+
+    def sigma(self, points: Floats, normals: Floats) -> Floats:
+        """Expected standard deviation of the measured point along the ray from the source.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame.
+
+        Returns:
+            (N,) [m]; inf where no measurement is possible.
         """
         ...
 

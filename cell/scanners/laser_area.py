@@ -3,7 +3,12 @@
 The source stands at the origin of the scanner frame and looks along +z; the sensor stands a baseline away along +x. A
 point is inside the frustum (the paper's spherical cone) where its two planar angles are, |atan2(x, z)| <= FOV_h / 2 and
 |atan2(y, z)| <= FOV_v / 2, and where its distance from the source is within the range. The grazing angle is the one
-between the outward normal and the direction to the source (or to the sensor).
+between the outward normal and the direction to the source (or to the sensor). Two conditions are off unless they are
+given: the sensor's own field of view, two planar angles about its axis in the same way, and the depth of field, limits
+of the depth z. The sensor's axis lies in the plane of the baseline (x, z) and is tilted towards the source; by default
+it meets the source's axis in the middle of the working range.
+
+`sigma` is the expected standard deviation of a point along its ray: docs/sigma_model.md.
 
 Every limit is inclusive. `TOLERANCE` (relative for lengths, absolute for tangents and cosines) covers the rounding of
 float64 transforms, so that a point placed exactly on a limit counts: 0.3 nm at 0.3 m, 1e-9 rad at 75 degrees; near 0
@@ -23,6 +28,9 @@ from planner.readonly import readonly
 
 TOLERANCE = 1e-9
 
+SIGMA_ANGLE_MDEG = 1.5
+"""A twentieth of a pixel where 2048 pixels see 60 degrees; what a real sensor does has to come from its data sheet."""
+
 _BLOCK = 4096  # points per pass of `reject`: its temporaries then stay in the core's cache, 2.5 times faster
 
 
@@ -37,6 +45,12 @@ class LaserArea:
         baseline_mm: distance of the sensor from the source along +x [mm]; 0 makes the scanner monostatic.
         grazing_max_deg: largest grazing angle of the active ray, at the source leg [deg], 0 to 90.
         sensor_grazing_max_deg: the same of the reflected ray, at the sensor leg [deg], 0 to 90.
+        sensor_fov_deg: (horizontal, vertical) opening angles of the sensor about its axis [deg]; None: not limited.
+        sensor_tilt_deg: turn of the sensor's axis from z towards the source [deg], 0: parallel to z; None: it meets the
+            source's axis in the middle of the working range (of the depth of field, where that is given).
+        depth_of_field_mm: (smallest, largest) depth z of a point [mm]; None: not limited.
+        sigma_angle_mdeg: standard deviation of the direction in which the sensor sees the spot [1e-3 deg], on a surface
+            that faces source and sensor.
     """
 
     type_name: ClassVar[str] = "laser-area"
@@ -47,15 +61,31 @@ class LaserArea:
     baseline_mm: float = 75.0
     grazing_max_deg: float = 75.0
     sensor_grazing_max_deg: float = 90.0
+    sensor_fov_deg: tuple[float, float] | None = None
+    sensor_tilt_deg: float | None = None
+    depth_of_field_mm: tuple[float, float] | None = None
+    sigma_angle_mdeg: float = SIGMA_ANGLE_MDEG
     _shape: tuple[int, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("fov_deg", "resolution_deg", "range_mm"):
-            object.__setattr__(self, name, _pair(name, getattr(self, name)))
-        for name in ("baseline_mm", "grazing_max_deg", "sensor_grazing_max_deg"):
+        for name in ("fov_deg", "resolution_deg", "range_mm", "sensor_fov_deg", "depth_of_field_mm"):
+            if getattr(self, name) is not None or name in ("fov_deg", "resolution_deg", "range_mm"):
+                object.__setattr__(self, name, _pair(name, getattr(self, name)))
+        for name in ("baseline_mm", "grazing_max_deg", "sensor_grazing_max_deg", "sigma_angle_mdeg"):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
-        if not all(0 < angle < 180 for angle in self.fov_deg):
-            raise SceneError(f"scanner.fov_deg is {list(self.fov_deg)}; each angle must be above 0 and below 180")
+        if self.sensor_tilt_deg is not None:
+            object.__setattr__(self, "sensor_tilt_deg", _number("sensor_tilt_deg", self.sensor_tilt_deg))
+            if not -90 < self.sensor_tilt_deg < 90:
+                raise SceneError(f"scanner.sensor_tilt_deg is {self.sensor_tilt_deg:g}; it must be between -90 and 90")
+        for name in ("fov_deg", "sensor_fov_deg"):
+            angles = getattr(self, name)
+            if angles is not None and not all(0 < angle < 180 for angle in angles):
+                raise SceneError(f"scanner.{name} is {list(angles)}; each angle must be above 0 and below 180")
+        depth = self.depth_of_field_mm
+        if depth is not None and not 0 <= depth[0] < depth[1]:
+            raise SceneError(f"scanner.depth_of_field_mm is {list(depth)}; it must be [min, max] with 0 <= min < max")
+        if self.sigma_angle_mdeg < 0:
+            raise SceneError(f"scanner.sigma_angle_mdeg is {self.sigma_angle_mdeg:g}; it must be 0 or more")
         if not all(angle > 0 for angle in self.resolution_deg):
             raise SceneError(f"scanner.resolution_deg is {list(self.resolution_deg)}; each angle must be above 0")
         if not 0 <= self.range_mm[0] < self.range_mm[1]:
@@ -66,7 +96,7 @@ class LaserArea:
             if not 0 <= getattr(self, name) <= 90:
                 raise SceneError(f"scanner.{name} is {getattr(self, name):g}; it must be from 0 to 90")
         n_h, n_v = (round(fov / step) for fov, step in zip(self.fov_deg, self.resolution_deg, strict=True))
-        if n_h < 1 or n_v < 1:
+        if any(step > fov for fov, step in zip(self.fov_deg, self.resolution_deg, strict=True)):
             raise SceneError(
                 f"scanner.resolution_deg {list(self.resolution_deg)} leaves no ray in a field of view of "
                 f"{list(self.fov_deg)}; it must be at most the field of view"
@@ -90,7 +120,7 @@ class LaserArea:
 
     def parameters(self) -> dict[str, object]:
         """What defines this scanner, named as in the scene file and the run folder."""
-        return {
+        limits: dict[str, object] = {
             "type": self.type_name,
             "fov_deg": list(self.fov_deg),
             "resolution_deg": list(self.resolution_deg),
@@ -99,6 +129,19 @@ class LaserArea:
             "grazing_max_deg": self.grazing_max_deg,
             "sensor_grazing_max_deg": self.sensor_grazing_max_deg,
         }
+        if self.sensor_fov_deg is not None:  # what is off is not said, so that matrices and folders stay the same
+            limits |= {"sensor_fov_deg": list(self.sensor_fov_deg), "sensor_tilt_deg": math.degrees(self.sensor_tilt)}
+        if self.depth_of_field_mm is not None:
+            limits["depth_of_field_mm"] = list(self.depth_of_field_mm)
+        return limits | {"sigma_angle_mdeg": self.sigma_angle_mdeg}
+
+    @property
+    def sensor_tilt(self) -> float:
+        """Turn of the sensor's axis from z towards the source [rad]."""
+        if self.sensor_tilt_deg is not None:
+            return math.radians(self.sensor_tilt_deg)
+        near, far = self.depth_of_field_mm or self.range_mm
+        return math.atan2(self.baseline_mm, (near + far) / 2)
 
     def ray_directions(self) -> Floats:
         """(n_v * n_h, 3) unit directions, scanner frame, row by row; each through the middle of its cell of the FOV."""
@@ -113,7 +156,7 @@ class LaserArea:
         return readonly("ray directions", directions, (None, 3))
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
-        """The first condition that needs no ray and fails: FOV, range, grazing at source and sensor, in this order.
+        """The first condition that needs no ray and fails: FOV, range, depth, grazing; first the source's.
 
         Args:
             points: (N, 3) surface points [m], scanner frame.
@@ -150,9 +193,56 @@ class LaserArea:
         sensor_sees = towards_source + baseline * n_x >= cos_sensor * sensor_distance
         codes = np.where(sensor_sees, np.uint8(Rejection.MEASURED), np.uint8(Rejection.GRAZING_SENSOR))
         codes[~source_sees] = Rejection.GRAZING_SOURCE
+        if self.depth_of_field_mm is not None:
+            front, back = self.depth_of_field_mm
+            in_depth = (z >= front / 1000 * (1 - TOLERANCE)) & (z <= back / 1000 * (1 + TOLERANCE))
+            codes[~in_depth] = Rejection.OUT_OF_DEPTH
         codes[~in_range] = Rejection.OUT_OF_RANGE
+        if self.sensor_fov_deg is not None:
+            codes[~self._in_sensor_fov(x - baseline, y, z, TOLERANCE * sensor_distance)] = Rejection.OUT_OF_SENSOR_FOV
         codes[~inside] = Rejection.OUT_OF_FOV
         return codes
+
+    def _in_sensor_fov(self, x: Floats, y: Floats, z: Floats, slack: Floats) -> NDArray[np.bool_]:
+        """Which points, seen from the sensor along the axes of the scanner frame, are in its field of view."""
+        assert self.sensor_fov_deg is not None
+        cosine, sine = math.cos(self.sensor_tilt), math.sin(self.sensor_tilt)
+        along, across = cosine * z - sine * x, cosine * x + sine * z
+        tan_h, tan_v = (math.tan(math.radians(fov / 2)) for fov in self.sensor_fov_deg)
+        inside: NDArray[np.bool_] = (
+            (along > 0) & (np.abs(across) <= tan_h * along + slack) & (np.abs(y) <= tan_v * along + slack)
+        )
+        return inside
+
+    def sigma(self, points: Floats, normals: Floats) -> Floats:
+        """Expected standard deviation of a measured point along the ray from the source.
+
+        sigma = sigma_angle d / sin(gamma) / (cos(theta) sqrt(cos(phi))) with the distance d from the sensor, the
+        angle gamma between the legs and the incidence angles theta of the laser and phi of the line of sight:
+        docs/sigma_model.md derives it. On the source's axis before a wall it is sigma_angle (z^2 + b^2) / b.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame.
+
+        Returns:
+            (N,) [m]; inf where a leg does not meet the front of the surface, or the legs form no triangle (baseline 0,
+            a point on the line through source and sensor).
+        """
+        x, y, z = points.T
+        n_x, n_y, n_z = normals.T
+        baseline = self.baseline_mm / 1000
+        across = y * y + z * z
+        distance, sensor_distance = np.sqrt(x * x + across), np.sqrt((x - baseline) ** 2 + across)
+        towards_source = -(n_x * x + n_y * y + n_z * z)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cos_source = towards_source / distance
+            cos_sensor = (towards_source + baseline * n_x) / sensor_distance
+            sine = baseline * np.sqrt(across) / (distance * sensor_distance)  # of the angle between the legs
+            possible = (cos_source > 0) & (cos_sensor > 0) & (sine > 0)
+            spread = math.radians(self.sigma_angle_mdeg / 1000) / (cos_source * np.sqrt(np.maximum(cos_sensor, 0)))
+            sigma: Floats = np.where(possible, spread * sensor_distance / sine, np.inf)
+        return sigma
 
 
 def _number(name: str, value: object) -> float:
