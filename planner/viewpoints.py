@@ -106,6 +106,24 @@ def view_sphere(
     return _aimed(middle, outward, np.full(len(outward), -1), distance, _angles(rolls))
 
 
+def looking_at(
+    targets: Floats, outward: Floats, face: NDArray[np.integer], standoffs: Sequence[float], rolls: Sequence[float]
+) -> Viewpoints:
+    """Views of given points from given directions; standoffs and rolls change fastest, the rolls last.
+
+    Args:
+        targets: (N, 3) points to look at [m], object frame.
+        outward: (N, 3) unit directions from the points to the scanner.
+        face: (N,) planning face of each point, -1 for none.
+        standoffs: distances from point to source [m], > 0.
+        rolls: angles about the viewing axis [rad].
+
+    Raises:
+        PlannerError: if a standoff is not positive, or there is no standoff or no roll.
+    """
+    return _aimed(targets, outward, np.asarray(face), _positive("standoffs", standoffs), _angles(rolls))
+
+
 def enclosing_radius(mesh: TriangleMesh, centre: ArrayLike) -> float:
     """Radius [m] of the smallest sphere about `centre` ((3,) [m], object frame) that holds every vertex."""
     return float(np.linalg.norm(mesh.vertices - readonly("centre", centre, (3,)), axis=1).max())
