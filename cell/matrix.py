@@ -4,22 +4,33 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cell import measurability_cache, scanners
 from cell.errors import FileError
+from cell.measurability_cache import Hashes
 from cell.narrator import ProgressCallback
 from cell.resolve import Settings
 from cell.scene import Scene
 from planner import measurability, surface
 from planner.closest import closest_face
+from planner.columns import join_measurability, pick_measurability, pick_viewpoints
 from planner.measurability import Measurability
 from planner.ports import RayCaster
 from planner.surface import SurfaceSamples, TriangleMesh
 from planner.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from cell.narrator import Narrator
+
+
+CACHE_LIMIT_BYTES = 1_000_000_000
+"""Above this the oldest matrices are removed; one of the default plan has some 6 MB."""
+
+
+_KEPT = 4
+"""A file holds at most this many times the columns that one run asks for; beyond, it is begun anew with these."""
 
 
 def cache_folder() -> Path:
@@ -29,7 +40,7 @@ def cache_folder() -> Path:
 
 
 def surface_features(
-    scene: Scene, reference: TriangleMesh, planning: TriangleMesh, rng: "np.random.Generator"
+    scene: Scene, reference: TriangleMesh, planning: TriangleMesh, rng: np.random.Generator
 ) -> SurfaceSamples:
     """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`)."""
     if scene.plan.fill == "rays":
@@ -50,7 +61,7 @@ def part_matrix(
     use_cache: bool = True,
     progress: ProgressCallback | None = None,
 ) -> Measurability:
-    """Fill M for the part alone, or take it from the cache.
+    """Fill M for the part alone, or take from the cache what it holds of it; only the other columns are calculated.
 
     Args:
         scene: for the scanner's type and the method.
@@ -76,21 +87,46 @@ def part_matrix(
         )  # fmt: skip
     else:
         parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid
-    key = measurability_cache.cache_key(reference, features, candidates, parameters, method, row_of_face)
+    key = measurability_cache.row_key(reference, features, parameters, method, row_of_face)
     path = cache_folder() / f"{key[:32]}.npz"
-    if use_cache and path.exists():
-        cached = measurability_cache.load(path, key)
-        if cached.measurability is not None:
-            return cached.measurability
-        if narrator is not None:
+    hashes = measurability_cache.column_hashes(candidates)
+
+    def calculated(views: Viewpoints) -> Measurability:
+        return measurability.fill(
+            views, features, scanner, caster, method=method, part=reference, row_of_face=row_of_face, progress=progress
+        )
+
+    if not use_cache:
+        return calculated(candidates)
+    cached = measurability_cache.load(path, key) if path.exists() else None
+    if cached is None or cached.measurability is None:
+        if cached is not None and narrator is not None:
             narrator.note(f"a cached matrix is not used: {cached.reason}; it is calculated anew")
-    M = measurability.fill(
-        candidates, features, scanner, caster, method=method, part=reference, row_of_face=row_of_face, progress=progress
-    )
-    if use_cache:
-        try:
-            measurability_cache.save(path, M, key)
-        except FileError as error:
-            if narrator is not None:
-                narrator.note(f"the matrix is not kept for the next run: {error}")
-    return M
+        M = calculated(candidates)
+        _keep(path, M, key, hashes, narrator)
+        return M
+    place = cached.place_of(hashes)
+    missing = np.flatnonzero(place < 0)
+    if not len(missing):
+        return _columns(cached.measurability, place)
+    M = join_measurability([cached.measurability, calculated(pick_viewpoints(candidates, missing))])
+    place[missing] = cached.measurability.n_viewpoints + np.arange(len(missing))
+    wanted = _columns(M, place)
+    if M.n_viewpoints > _KEPT * len(candidates):
+        _keep(path, wanted, key, hashes, narrator)
+    else:
+        _keep(path, M, key, np.concatenate([cached.columns, hashes[missing]]), narrator)
+    return wanted
+
+
+def _columns(M: Measurability, place: NDArray[np.int64]) -> Measurability:
+    """The columns in the order that is wanted; M itself where it is in that order already."""
+    return M if np.array_equal(place, np.arange(M.n_viewpoints)) else pick_measurability(M, place)
+
+
+def _keep(path: Path, M: Measurability, key: str, columns: Hashes, narrator: "Narrator | None") -> None:
+    try:
+        measurability_cache.save(path, M, key, columns)
+    except FileError as error:
+        if narrator is not None:
+            narrator.note(f"the matrix is not kept for the next run: {error}")

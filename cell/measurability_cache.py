@@ -1,7 +1,10 @@
 """A measurability matrix on disk, with the hash of everything it depends on, so that it is calculated once.
 
-The part-only M does not depend on where the part stands: moving the part, changing fixtures or the robot reuses it. A
-file is refused, with the reason in one sentence, when it is damaged, of another format version or made for other
+The part-only M does not depend on where the part stands: moving the part, changing fixtures or the robot reuses it.
+Its columns do not depend on each other either, so the hash is split: one key over part, features, scanner and method
+names the file, and one hash over each viewpoint's poses stands beside its column. Where candidates are added, taken
+away or sorted anew, the columns that the file holds are taken from it and only the others are calculated. A file is
+refused, with the reason in one sentence, when it is damaged, of another format version or made for other
 inputs; the caller then calculates M anew and says so. Arrays only, nothing is pickled.
 """
 
@@ -22,10 +25,26 @@ from planner.measurability import Measurability
 from planner.surface import SurfaceSamples, TriangleMesh
 from planner.viewpoints import Viewpoints
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file and of the calculation: raised with every change of what M holds for the same inputs."""
 
-_FIELDS = ("indptr", "indices", "shape", "points", "normals", "areas", "face", "planning_face", "key", "format")
+_FIELDS = (
+    "indptr",
+    "indices",
+    "shape",
+    "points",
+    "normals",
+    "areas",
+    "face",
+    "planning_face",
+    "columns",
+    "key",
+    "format",
+)
+
+
+Hashes = NDArray[np.bytes_]
+"""(V,) sha256 of each viewpoint's poses as hex text."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,28 +52,36 @@ class Cached:
     """What a look into the cache gave: the matrix, or why it was refused.
 
     Attributes:
-        measurability: the matrix, or None.
+        measurability: the matrix as it is stored, or None.
+        columns: (V,) hashes of its columns; empty where the matrix is None.
         reason: one sentence where the matrix is None, else "".
     """
 
     measurability: Measurability | None
+    columns: Hashes
     reason: str
 
+    def place_of(self, wanted: Hashes) -> NDArray[np.int64]:
+        """(n,) stored column of each wanted hash, -1 where the file does not hold it."""
+        if not len(self.columns):
+            return np.full(len(wanted), -1, dtype=np.int64)
+        order = np.argsort(self.columns, kind="stable")
+        place = order[np.minimum(np.searchsorted(self.columns, wanted, sorter=order), len(order) - 1)]
+        return np.where(self.columns[place] == wanted, place, -1)
 
-def cache_key(
+
+def row_key(
     part: TriangleMesh,
     features: SurfaceSamples,
-    viewpoints: Viewpoints,
     scanner_parameters: Mapping[str, object],
     method: str,
     row_of_face: NDArray[np.integer] | None = None,
 ) -> str:
-    """sha256 (hex) over everything that M depends on.
+    """sha256 (hex) over everything that each column of M depends on, but for its viewpoint.
 
     Args:
         part: the mesh that rays were cast on.
         features: the rows.
-        viewpoints: the columns.
         scanner_parameters: the scanner's `parameters()`; anything that JSON can hold.
         method: "aimed" or "rays".
         row_of_face: the map that `rays` used.
@@ -70,7 +97,6 @@ def cache_key(
         "areas": features.areas,
         "face": features.face,
         "planning_face": features.planning_face,
-        "T_object_scanner": viewpoints.T_object_scanner,
     }
     if row_of_face is not None:
         arrays["row_of_face"] = np.asarray(row_of_face, dtype=np.int32)
@@ -80,13 +106,20 @@ def cache_key(
     return digest.hexdigest()
 
 
-def save(path: Path, measurability: Measurability, key: str) -> None:
+def column_hashes(viewpoints: Viewpoints) -> Hashes:
+    """(V,) sha256 of each viewpoint's poses: what its column depends on beside the row key."""
+    poses = np.ascontiguousarray(viewpoints.T_object_scanner)
+    return np.array([hashlib.sha256(pose.data).hexdigest() for pose in poses], dtype="S64")
+
+
+def save(path: Path, measurability: Measurability, key: str, columns: Hashes) -> None:
     """Write the matrix; the file appears complete or not at all. Equal matrices give equal bytes.
 
     Args:
         path: the .npz file; its folder is made if it is missing.
         measurability: what to write.
-        key: from `cache_key`.
+        key: from `row_key`.
+        columns: from `column_hashes`, of the matrix's viewpoints.
 
     Raises:
         FileError: if the file cannot be written.
@@ -106,6 +139,7 @@ def save(path: Path, measurability: Measurability, key: str) -> None:
                 areas=features.areas,
                 face=features.face,
                 planning_face=features.planning_face,
+                columns=columns,
                 key=np.frombuffer(key.encode("ascii"), dtype=np.uint8),
                 format=np.array(FORMAT, dtype=np.int64),
             )
@@ -127,30 +161,37 @@ def load(path: Path, key: str) -> Cached:
 
     Args:
         path: the .npz file.
-        key: from `cache_key`, of the inputs at hand.
+        key: from `row_key`, of the inputs at hand.
 
     Returns:
-        The matrix, or the reason why it has to be calculated.
+        The matrix with all columns that the file holds, or the reason why it has to be calculated.
     """
     try:
         if not path.exists():
-            return Cached(None, f"{path} does not exist yet")
+            return _refused(f"{path} does not exist yet")
         # zip checks a CRC of every array that is read in full, so a flipped bit is found here.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             missing = [name for name in _FIELDS if name not in stored]
             if missing:
-                return Cached(None, f"{path} is no measurability matrix: it lacks {', '.join(missing)}")
+                return _refused(f"{path} is no measurability matrix: it lacks {', '.join(missing)}")
             if int(stored["format"]) != FORMAT:
-                return Cached(None, f"{path} has format {int(stored['format'])}; this version reads {FORMAT}")
+                return _refused(f"{path} has format {int(stored['format'])}; this version reads {FORMAT}")
             if stored["key"].tobytes() != key.encode("ascii"):
-                return Cached(None, f"{path} was calculated for another part, scanner, viewpoints, features or method")
+                return _refused(f"{path} was calculated for another part, scanner, features or method")
             arrays = {name: stored[name] for name in _FIELDS}
         features = SurfaceSamples(
             arrays["points"], arrays["normals"], arrays["areas"], arrays["face"], arrays["planning_face"]
         )
         rows, columns = (int(length) for length in arrays["shape"])
         if rows != len(features):
-            return Cached(None, f"{path} is damaged: {rows} rows for {len(features)} features")
-        return Cached(Measurability(arrays["indptr"], arrays["indices"], features, columns), "")
+            return _refused(f"{path} is damaged: {rows} rows for {len(features)} features")
+        if arrays["columns"].shape != (columns,) or arrays["columns"].dtype != np.dtype("S64"):
+            return _refused(f"{path} is damaged: its {columns} columns do not have one hash each")
+        M = Measurability(arrays["indptr"], arrays["indices"], features, columns)
+        return Cached(M, arrays["columns"], "")
     except Exception as error:  # a damaged zip fails in a dozen ways: BadZipFile, zlib.error, NotImplementedError, ...
-        return Cached(None, f"{path} cannot be read ({type(error).__name__}: {error})")
+        return _refused(f"{path} cannot be read ({type(error).__name__}: {error})")
+
+
+def _refused(reason: str) -> Cached:
+    return Cached(None, np.empty(0, dtype="S64"), reason)

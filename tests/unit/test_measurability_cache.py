@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.errors import FileError
-from cell.measurability_cache import FORMAT, cache_key, load, save
+from cell.measurability_cache import FORMAT, column_hashes, load, row_key, save
 from cell.scanners.laser_area import LaserArea
 from planner.measurability import Measurability
 from planner.surface import SurfaceSamples, TriangleMesh
@@ -29,10 +29,28 @@ def matrix(parts):
     return Measurability([0, 2, 2, 3], [0, 4, 1], parts[1], 5)
 
 
+def _key(parts):
+    mesh, features, _, scanner, method = parts
+    return row_key(mesh, features, scanner, method)
+
+
+def _distinct(count):
+    """Viewpoints with one translation each."""
+    T = np.tile(np.eye(4), (count, 1, 1, 1))
+    T[:, 0, 0, 3] = np.arange(count)
+    return Viewpoints(T, np.arange(count), np.ones(count), np.zeros(count))
+
+
+def _nudged(value, name):
+    array = np.array(getattr(value, name))
+    array.flat[0] = array.flat[0] + (1 if array.dtype.kind == "i" else 1e-12)
+    return dataclasses.replace(value, **{name: array})
+
+
 def test_a_saved_matrix_comes_back_whole(tmp_path, parts, matrix):
     """Every array and the shape, from a folder that did not exist."""
-    path, key = tmp_path / "new" / "m.npz", cache_key(*parts)
-    save(path, matrix, key)
+    path, key = tmp_path / "new" / "m.npz", _key(parts)
+    save(path, matrix, key, column_hashes(parts[2]))
     found = load(path, key)
     assert found.reason == ""
     assert found.measurability.shape == (3, 5)
@@ -47,7 +65,7 @@ def test_a_saved_matrix_comes_back_whole(tmp_path, parts, matrix):
 
 def test_the_file_s_fields_are_the_run_folder_s(tmp_path, parts, matrix):
     """Programs that know only NumPy read these names."""
-    save(tmp_path / "m.npz", matrix, cache_key(*parts))
+    save(tmp_path / "m.npz", matrix, _key(parts), column_hashes(parts[2]))
     with np.load(tmp_path / "m.npz", allow_pickle=False) as stored:
         names = set(stored.files)
         assert stored["shape"].tolist() == [3, 5]
@@ -57,38 +75,53 @@ def test_the_file_s_fields_are_the_run_folder_s(tmp_path, parts, matrix):
 def test_equal_matrices_give_equal_bytes(tmp_path, parts, matrix):
     """No clock and no name gets into the file."""
     for name in ("a.npz", "b.npz"):
-        save(tmp_path / name, matrix, cache_key(*parts))
+        save(tmp_path / name, matrix, _key(parts), column_hashes(parts[2]))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_every_input_changes_the_key(parts):
     """One changed number in any input gives another key; the same inputs give the same."""
-    mesh, features, views, scanner, method = parts
-    base = cache_key(*parts)
-    assert base == cache_key(*parts)
+    mesh, features, _, scanner, method = parts
+    base = row_key(mesh, features, scanner, method)
+    assert base == row_key(mesh, features, scanner, method)
     assert len(base) == 64
 
-    def nudged(value, name):
-        array = np.array(getattr(value, name))
-        array.flat[0] = array.flat[0] + (1 if array.dtype.kind == "i" else 1e-12)
-        return dataclasses.replace(value, **{name: array})
-
     keys = [base]
-    keys += [cache_key(nudged(mesh, name), *parts[1:]) for name in ("vertices", "faces")]
-    keys += [cache_key(mesh, nudged(features, name), *parts[2:]) for name in SurfaceSamples.__dataclass_fields__]
-    keys.append(cache_key(mesh, features, nudged(views, "T_object_scanner"), scanner, method))
-    keys += [cache_key(mesh, features, views, {**scanner, name: 1}, method) for name in scanner]
-    keys.append(cache_key(mesh, features, views, scanner, "rays"))
-    keys.append(cache_key(mesh, features, views, scanner, "rays", np.array([0, 1])))
-    keys.append(cache_key(mesh, features, views, scanner, "rays", np.array([1, 0])))
+    keys += [row_key(_nudged(mesh, name), features, scanner, method) for name in ("vertices", "faces")]
+    names = SurfaceSamples.__dataclass_fields__
+    keys += [row_key(mesh, _nudged(features, name), scanner, method) for name in names]
+    keys += [row_key(mesh, features, {**scanner, name: 1}, method) for name in scanner]
+    keys.append(row_key(mesh, features, scanner, "rays"))
+    keys.append(row_key(mesh, features, scanner, "rays", np.array([0, 1])))
+    keys.append(row_key(mesh, features, scanner, "rays", np.array([1, 0])))
     assert len(set(keys)) == len(keys)
+
+
+def test_a_column_s_hash_is_of_its_poses_alone(parts):
+    """A pose nudged by 1e-12 changes its own column's hash and no other; what a pose was made for does not count."""
+    views = _distinct(5)
+    base = column_hashes(views)
+    assert len(set(base)) == 5
+    changed = column_hashes(_nudged(views, "T_object_scanner"))
+    assert (changed != base).tolist() == [True, False, False, False, False]
+    assert (column_hashes(_nudged(views, "standoff")) == base).all()
+
+
+def test_columns_are_found_in_any_order(tmp_path, parts, matrix):
+    """Wanted hashes are found where they are stored, those of other viewpoints nowhere."""
+    views = _distinct(7)
+    hashes = column_hashes(views)
+    save(tmp_path / "m.npz", matrix, "0" * 64, hashes[:5])
+    found = load(tmp_path / "m.npz", "0" * 64)
+    assert found.place_of(hashes[[6, 3, 0, 5, 4]]).tolist() == [-1, 3, 0, -1, 4]
+    assert load(tmp_path / "none.npz", "0" * 64).place_of(hashes).tolist() == [-1] * 7
 
 
 def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matrix):
     """Missing, of other inputs, of another version, cut off, flipped, text, and another npz."""
-    key, path = cache_key(*parts), tmp_path / "m.npz"
+    key, path = _key(parts), tmp_path / "m.npz"
     assert "does not exist" in load(path, key).reason
-    save(path, matrix, key)
+    save(path, matrix, key, column_hashes(parts[2]))
     good = path.read_bytes()
     assert "another part" in load(path, "0" * 64).reason
 
@@ -102,6 +135,8 @@ def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matr
     assert "0 to 4" in load(path, key).reason
     np.savez(path, **{**arrays, "shape": np.array([7, 5])})
     assert "damaged" in load(path, key).reason
+    np.savez(path, **{**arrays, "columns": arrays["columns"][:4]})
+    assert "one hash each" in load(path, key).reason
     np.savez(path, **{**arrays, "indices": np.array([{}, None, 1], dtype=object)}, allow_pickle=True)
     assert "cannot be read" in load(path, key).reason  # nothing is unpickled
 
@@ -116,8 +151,8 @@ def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matr
 
 def test_no_flipped_byte_gets_through(tmp_path, parts, matrix):
     """Whatever byte of the file is damaged: the same matrix or a reason comes back, no error, no other numbers."""
-    key, path = cache_key(*parts), tmp_path / "m.npz"
-    save(path, matrix, key)
+    key, path = _key(parts), tmp_path / "m.npz"
+    save(path, matrix, key, column_hashes(parts[2]))
     good = path.read_bytes()
     refused = 0
     for place in range(0, len(good), 5):
@@ -126,6 +161,7 @@ def test_no_flipped_byte_gets_through(tmp_path, parts, matrix):
         refused += found is None
         if found is not None:
             assert (found.indices == matrix.indices).all()
+            assert (load(path, key).columns == column_hashes(parts[2])).all()
             assert (found.features.points == matrix.features.points).all()
     assert refused > 0.5 * len(range(0, len(good), 5))
 
@@ -134,14 +170,14 @@ def test_a_folder_that_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_
     """The path lies below a file."""
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"cannot be written to .*choose a folder"):
-        save(tmp_path / "file" / "m.npz", matrix, cache_key(*parts))
+        save(tmp_path / "file" / "m.npz", matrix, _key(parts), column_hashes(parts[2]))
     assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
 
 
 def test_an_interrupted_write_keeps_the_old_file(tmp_path, parts, matrix, monkeypatch):
     """A full disk in the middle of writing: the error is told, the earlier matrix is still whole, no scrap stays."""
-    key, path = cache_key(*parts), tmp_path / "m.npz"
-    save(path, matrix, key)
+    key, path = _key(parts), tmp_path / "m.npz"
+    save(path, matrix, key, column_hashes(parts[2]))
 
     def full(stream, **arrays):
         stream.write(b"PK half")
@@ -149,6 +185,6 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path, parts, matrix, monkey
 
     monkeypatch.setattr("cell.measurability_cache.np.savez", full)
     with pytest.raises(FileError, match="No space left"):
-        save(path, matrix, key)
+        save(path, matrix, key, column_hashes(parts[2]))
     assert load(path, key).measurability is not None
     assert [entry.name for entry in tmp_path.iterdir()] == ["m.npz"]

@@ -1,0 +1,81 @@
+"""Step 5 with its cache: what a run calculates, what it takes from the file, and that both give the same matrix."""
+
+import numpy as np
+import pytest
+
+from cell import matrix
+from cell.embree import EmbreeRayCaster
+from cell.matrix import cache_folder, part_matrix
+from cell.resolve import resolve
+from cell.scene import load_scene
+from cell.stand_ins import NAMES
+from cell.workpiece import load
+from planner import measurability, surface
+from planner.columns import pick_viewpoints
+from planner.viewpoints import optimal_scanning_zone
+
+
+@pytest.fixture
+def asked(tmp_path, monkeypatch):
+    """A function from viewpoints to (M, how many viewpoints were calculated), with a cache of its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert "humerus" in NAMES
+    part = load("humerus")
+    reference = part.reference
+    planning = surface.decimate(reference, 60)
+    features = surface.sample(reference, planning, 120, np.random.default_rng(0))
+    caster = EmbreeRayCaster(reference.vertices, reference.faces)
+    calculated = []
+
+    def counted(views, *args, **keys):
+        calculated.append(len(views))
+        return fill(views, *args, **keys)
+
+    fill = measurability.fill
+    monkeypatch.setattr(measurability, "fill", counted)
+
+    def ask(views, *, method="aimed", **keys):
+        scene = load_scene(None, {"part": {"name": "humerus"}, "plan": {"fill": method}})
+        rows = features if method == "aimed" else surface.face_features(reference, planning)
+        calculated.clear()
+        M = part_matrix(scene, resolve(scene, part), reference, planning, rows, views, caster, **keys)
+        return M, sum(calculated)
+
+    ask.views = optimal_scanning_zone(planning, (0.03,), (0.0, 1.0))
+    return ask
+
+
+def _same(a, b):
+    return a.shape == b.shape and (a.matrix() != b.matrix()).nnz == 0 and a.indices.tobytes() == b.indices.tobytes()
+
+
+@pytest.mark.parametrize("method", ["aimed", "rays"])
+def test_only_new_columns_are_calculated(asked, method):
+    """Candidates added, dropped and sorted anew: only unseen ones are calculated, all equal the uncached."""
+    rng = np.random.default_rng(1)
+    total = len(asked.views)
+    seen: set[int] = set()
+    for which in (np.arange(40), np.arange(60), rng.permutation(50), np.arange(55, total), np.arange(total)):
+        views = pick_viewpoints(asked.views, which)
+        M, calculated = asked(views, method=method)
+        assert calculated == len(set(which.tolist()) - seen)
+        seen |= set(which.tolist())
+        assert _same(M, asked(views, method=method, use_cache=False)[0])
+    assert len(list(cache_folder().iterdir())) == 1
+
+
+def test_a_file_does_not_grow_without_end(asked, monkeypatch):
+    """Beyond a multiple of what one run asks for, the file is begun anew with what is asked for now."""
+    monkeypatch.setattr(matrix, "_KEPT", 2)
+    for start in (0, 10, 20, 30):
+        asked(pick_viewpoints(asked.views, np.arange(start, start + 10)))
+    (path,) = cache_folder().iterdir()
+    with np.load(path) as stored:
+        assert stored["shape"][1] <= 20
+    assert asked(pick_viewpoints(asked.views, np.arange(30, 40)))[1] == 0
+
+
+def test_without_the_cache_nothing_is_left(asked):
+    """use_cache=False neither reads nor writes."""
+    asked(asked.views, use_cache=False)
+    assert not cache_folder().exists()
