@@ -5,6 +5,7 @@ folder, 70 a bug, 130 Ctrl-C. Heavy modules are imported inside the commands, so
 """
 
 import json
+import os
 import signal
 import sys
 from pathlib import Path
@@ -15,7 +16,7 @@ import typer
 
 from cell import options
 from cell.errors import UsageError
-from cell.failures import guarded
+from cell.failures import INTERRUPTED, guarded
 
 app = typer.Typer(
     add_completion=False,
@@ -333,7 +334,13 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point of the console script: runs a command and turns every failure into one sentence and its exit code."""
     signal.signal(signal.SIGTERM, _stop)
     words = sys.argv[1:] if argv is None else argv
-    sys.exit(guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words))
+    code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
+    if code == INTERRUPTED:
+        # The interrupt may have come between a ray engine and its threads: leave without taking them down in order.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def _stop(signum: int, frame: FrameType | None) -> None:

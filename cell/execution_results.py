@@ -212,7 +212,7 @@ def achieved(
         radius=radius,
         adds=_added(measured),
         largest_first=_added(measured[:, order]),
-        views_per_face=np.divide(total, n_samples, out=np.zeros(faces), where=n_samples > 0),
+        views_per_face=np.divide(total, n_samples, out=np.full(faces, np.nan), where=n_samples > 0),
     )
 
 

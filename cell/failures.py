@@ -10,7 +10,7 @@ import typer
 
 from cell.errors import CellError
 
-_INTERRUPTED = 130
+INTERRUPTED = 130
 _BUG = 70
 _STOPPED = "stopped by Ctrl-C; what was finished is kept"
 
@@ -32,9 +32,9 @@ def guarded(run: Callable[[], Any], *, as_json: bool) -> int:
         result = run()
     except typer.Exit as stop:
         # typer itself turns Ctrl-C into this code; a command that ends an execution in good order uses it as well.
-        return _say(_STOPPED, _INTERRUPTED, as_json) if stop.exit_code == _INTERRUPTED else stop.exit_code
+        return _say(_STOPPED, INTERRUPTED, as_json) if stop.exit_code == INTERRUPTED else stop.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        return _say(_STOPPED, _INTERRUPTED, as_json)
+        return _say(_STOPPED, INTERRUPTED, as_json)
     except _UsageMistake as error:
         error.show()
         if type(error).__name__ == "NoArgsIsHelpError":  # `cell` alone: the help is the answer
@@ -64,6 +64,6 @@ def _say(sentence: str, code: int, as_json: bool, *, said: bool = False) -> int:
     if not said:
         sys.stderr.write(f"cell: {sentence}\n")
     if as_json:
-        status = "interrupted" if code == _INTERRUPTED else "failed"
+        status = "interrupted" if code == INTERRUPTED else "failed"
         sys.stdout.write(json.dumps({"status": status, "exit_code": code, "reason": sentence}, indent=2) + "\n")
     return code

@@ -66,7 +66,7 @@ class Narrator:
         table.add_column(style="bold")
         table.add_column()
         table.add_row("views", f"{summary['n_views']}  ({summary['status']})")
-        table.add_row("lower bound", f"{summary['lower_bound']} views for these candidates and samples")
+        table.add_row("lower bound", f"{_views(summary['lower_bound'])} for these candidates and samples")
         table.add_row(
             "visible coverage",
             f"{100 * coverage['visible']:.2f} % of the surface, "
@@ -132,3 +132,7 @@ class Narrator:
         self._results.print(table)
         for problem in result.problems:
             self._errors.print(f"wrong: {problem}", markup=False, soft_wrap=True)
+
+
+def _views(number: int) -> str:
+    return "1 view" if number == 1 else f"{number} views"

@@ -21,6 +21,7 @@ from planner.reach import Verdict
 from planner.surface import TriangleMesh, face_normals
 
 _UNSEEN = "#b03a2e"
+_UNKNOWN = (0.75, 0.75, 0.75)
 _SEEN = ("#d4e6f1", "#a9cce3", "#7fb3d5", "#5499c7", "#2471a3", "#1a5276", "#154360")
 _VERDICT_COLOURS = {
     Verdict.REACHABLE: "#2471a3",
@@ -39,40 +40,47 @@ def part_and_views(
     fov_rad: tuple[float, float],
     numbers: Sequence[int] | None = None,
 ) -> None:
-    """The part coloured by how many views measure each planning face, with the views as frustums round it.
+    """The part coloured by how many views measure each planning face, from two sides, and the views round it.
 
     Args:
         path: PNG to write.
         planning: mesh in the object frame [m].
-        views_per_face: (F,) number of views that measure the face, averaged over its samples.
+        views_per_face: (F,) number of views that measure the face, averaged over its samples; NaN (grey) without any.
         T_object_scanner: (n, 4, 4) views in visiting order.
         fov_rad: horizontal and vertical field of view [rad].
         numbers: (n,) of the views; None counts from 1.
     """
-    figure = Figure(figsize=(13.0, 6.2), dpi=110, layout="constrained")
+    figure = Figure(figsize=(15.0, 5.6), dpi=110, layout="constrained")
     most = max(len(_SEEN), 1)
     colours = ListedColormap([_UNSEEN, *_SEEN])
     norm = BoundaryNorm(np.arange(-0.5, most + 1), most + 1)
     # A face of which some sample is measured is not red: rounding up, the picture shows where nothing at all is seen.
-    shade = colours(norm(np.clip(np.ceil(views_per_face), 0, most)))
+    shade = colours(norm(np.clip(np.ceil(np.nan_to_num(views_per_face)), 0, most)))
+    shade[np.isnan(views_per_face), :3] = _UNKNOWN
     light = 0.62 + 0.38 * np.clip(face_normals(planning) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
     shade[:, :3] *= light[:, None]
     triangles = planning.vertices[planning.faces] * 1000.0
     positions = T_object_scanner[:, :3, 3] * 1000.0
     # One view has no middle of its own; its frustum is as long as its distance from the part asks for.
     about = T_object_scanner[:, :3, 3].mean(axis=0) if len(positions) > 1 else triangles.mean(axis=(0, 1)) / 1000.0
-    for index, azimuth in enumerate((-60, 120)):
-        axes = figure.add_subplot(1, 2, index + 1, projection="3d")
+    centre = triangles.mean(axis=(0, 1))
+    for index, (azimuth, title) in enumerate(
+        ((-60, "from the front right"), (120, "from the back left"), (-60, "views"))
+    ):
+        axes = figure.add_subplot(1, 3, index + 1, projection="3d")
         axes.add_collection3d(Poly3DCollection(triangles, facecolors=shade, edgecolors="none", antialiased=False))
-        axes.add_collection3d(
-            Line3DCollection(_frustums(T_object_scanner, fov_rad, about), colors="#444444", linewidths=0.7, alpha=0.8)
-        )
-        for number, place in zip(numbers or range(1, len(positions) + 1), positions, strict=True):
-            axes.text(*place, str(number), fontsize=9, color="#111111", ha="center", va="center")
-        _equal_box(axes, np.concatenate([triangles.reshape(-1, 3), positions]))
+        shown = triangles.reshape(-1, 3)
+        if title == "views":
+            lines = Line3DCollection(_frustums(T_object_scanner, fov_rad, about), colors="#444444", linewidths=0.7)
+            axes.add_collection3d(lines)
+            labels = positions + 0.1 * (positions - centre)  # outward, clear of the frustum
+            for number, place in zip(numbers or range(1, len(positions) + 1), labels, strict=True):
+                axes.text(*place, str(number), fontsize=8, color="#111111", ha="center", va="center")
+            shown = np.concatenate([shown, positions])
+        _equal_box(axes, shown)
         axes.view_init(elev=22, azim=azimuth)
-        axes.set_title("from the front right" if index == 0 else "from the back left", fontsize=10)
-    bar = figure.colorbar(ScalarMappable(norm, colours), ax=figure.axes, shrink=0.7, ticks=range(most + 1))
+        axes.set_title(title, fontsize=10)
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=figure.axes, shrink=0.75, ticks=range(most + 1))
     bar.ax.set_yticklabels([str(k) for k in range(most)] + [f"{most} or more"])
     bar.set_label("views that measure the face")
     _save(figure, path)

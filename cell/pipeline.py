@@ -5,7 +5,7 @@ next one starts.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,7 +19,8 @@ from cell.collision import MujocoCollisionChecker
 from cell.embree import EmbreeRayCaster
 from cell.errors import CellError, FileError, UnreachableError
 from cell.kinematics import Kr16Kinematics
-from cell.matrix import part_matrix, surface_features
+from cell.matrix import limit_sigma, part_matrix, surface_features
+from cell.mesh_checks import Kind
 from cell.narrator import Narrator, ProgressCallback
 from cell.occluders import Occluder, occluder_triangles
 from cell.plan_summary import draw, plan_summary
@@ -37,6 +38,8 @@ from planner.surface import TriangleMesh
 from planner.viewpoints import Viewpoints
 
 log = logging.getLogger(__name__)
+
+_ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
 _FEATURES, _HELD_OUT, _SELECTION, _MOTION = range(4)
 """Streams of randomness: each step draws from its own, so that one step's appetite does not change another's draws."""
@@ -134,7 +137,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         world = compile_world(scene, reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
         checker = MujocoCollisionChecker(world)
         kinematics = Kr16Kinematics.from_model(world.model)
-        plan_files.write_cell(run.folder, scene, settings, part, world, scanner.parameters())
+        plan_files.write_cell(run.folder, scene, settings, part, len(planning.faces), world, scanner.parameters())
 
     with run.step("reach") as progress:
         reached = reach.solve(
@@ -142,7 +145,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         )
         plan_files.write_reach(run.folder, reached)
         if not reached.reachable.any():
-            raise UnreachableError(_nothing_reachable(reached))
+            raise UnreachableError(_nothing_reachable(reached, part))
 
     with run.step("measurability") as progress:
         casters = [EmbreeRayCaster(reference.vertices, reference.faces)]
@@ -152,9 +155,11 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         )  # fmt: skip
         casters.append(_caster_of(occluder_triangles(world)))
         M = measurability.occlude(M, candidates, scanner, casters[1], ray_caster=casters[0], progress=progress)
+        if scene.plan.max_sigma_mm is not None:
+            M, scanner = limit_sigma(M, candidates, scanner, scene.plan.max_sigma_mm, casters)
         plan_files.write_measurability(run.folder, M)
         held_out = surface.sample(reference, planning, coverage.SAMPLES, run.rng(_HELD_OUT))
-        prediction = Prediction.of(held_out, scanner, casters, candidates.T_object_scanner[reached.reachable])
+        prediction = Prediction.of(held_out, scanner, casters, candidates.T_object_scanner[reached.reachable], progress)
 
     with run.step("select, order and connect") as progress:
         limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
@@ -183,9 +188,30 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         )
         plan_files.write_plan(run.folder, summary, chosen, candidates)
         plan_files.write_report(run.folder, summary)
-        draw(run.folder, scene, part, planning, candidates, reached, M, chosen, motion, world)
-    below = visible.fraction < scene.plan.required_visible
-    return summary, 3 if below else 0
+        draw(run.folder, scene, part, planning, candidates, reached, prediction, chosen, motion, world)
+    return summary, 3 if _below(run.narrator, summary) else 0
+
+
+def _below(narrator: Narrator, summary: Mapping[str, Any]) -> bool:
+    """Whether the plan stays below a coverage that was asked for; says which, and what would help.
+
+    A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers.
+    """
+    coverage, settings = summary["coverage"], summary["settings"]
+    share, asked = coverage["visible_of_coverable"], settings["coverage"]
+    missed: bool = asked < 1 and share < asked
+    if missed:
+        narrator.note(
+            f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
+            "for, although it covers every sample of the matrix; more --samples or --faces bring it closer"
+        )
+    if coverage["visible"] < settings["required_visible"]:
+        narrator.note(
+            f"the plan measures {100 * coverage['visible']:.2f} % of the surface, less than the "
+            f"{100 * settings['required_visible']:g} % required; move the part, or allow more standoffs and rolls"
+        )
+        return True
+    return missed
 
 
 def _candidates(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleMesh) -> Viewpoints:
@@ -212,13 +238,14 @@ def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
         )
 
 
-def _nothing_reachable(reached: Reach) -> str:
+def _nothing_reachable(reached: Reach, part: Workpiece) -> str:
     counts = ", ".join(f"{count} {verdict.sentence}" for verdict, count in reached.counts().items() if count)
     worst = next(iter(reached.blockers()), "")
     return (
         f"none of the {len(reached)} candidate viewpoints is reachable: {counts}"
         + (f" (most often {worst})" if worst else "")
         + "; move the part (--place), change the standoff or allow more --roll values"
+        + (", or turn its faces round if they face inwards" if any(f.kind in _ONE_SIDED for f in part.findings) else "")
     )
 
 

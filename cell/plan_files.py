@@ -69,6 +69,7 @@ def write_cell(
     scene: Scene,
     settings: Settings,
     part: Workpiece,
+    planning_faces: int,
     world: World,
     scanner_parameters: Mapping[str, object],
 ) -> None:
@@ -76,6 +77,7 @@ def write_cell(
     limits = world.limits
     plan = scene.plan.model_dump(mode="json") | {
         "faces": settings.faces,
+        "planning_faces": planning_faces,
         "standoffs_mm": [_mm(standoff) for standoff in settings.standoffs],
         "sphere_radius_mm": _mm(settings.sphere_radius),
     }
@@ -136,6 +138,7 @@ def write_measurability(folder: RunFolder, M: Measurability) -> None:
         areas=features.areas,
         face=features.face,
         planning_face=features.planning_face,
+        **({} if M.sigma is None else {"sigma": M.sigma}),
     )
 
 

@@ -3,9 +3,11 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell import pictures
 from cell.plan_files import degrees
+from cell.prediction import Prediction
 from cell.resolve import Settings
 from cell.run_folder import RunFolder
 from cell.scene import Scene
@@ -79,12 +81,14 @@ def plan_summary(
             "visible": visible,
             "coverable": coverable,
             "visible_of_coverable": visible / coverable if coverable > 0 else 0.0,
+            "visible_with_arm": chosen.visible_with_arm,
             "target_on_features": chosen.target,
             "planned_on_features": cover.covered_area / cover.total_area,
             "coverable_on_features": cover.coverable_area / cover.total_area,
         },
+        **({} if M.sigma is None else {"sigma": _sigma(M, cover.views, scene.plan.max_sigma_mm)}),
         "solver": cover.solver,
-        "status": cover.sentence,
+        "status": cover.sentence + _at_target(chosen.target, scene.plan.coverage),
         "lower_bound": cover.lower_bound,
         "gap": cover.gap,
         "verdicts": {verdict.name.lower(): count for verdict, count in reached.counts().items()},
@@ -121,18 +125,18 @@ def draw(
     planning: TriangleMesh,
     candidates: Viewpoints,
     reached: Reach,
-    M: Measurability,
+    prediction: Prediction,
     chosen: ConnectedPlan,
     motion: Motion,
     world: World,
 ) -> None:
     """The four pictures of the report; arguments as in `plan_summary`."""
     cover = chosen.cover
+    measured_by = prediction.views_per_face(chosen.T_object_scanner[:, None], len(planning.faces))
     fov = np.deg2rad(scene.scanner.fov_deg)
     pictures.part_and_views(
-        folder.path / "views.png", planning, _views_per_face(M, cover.views, len(planning.faces)),
-        chosen.T_object_scanner, (float(fov[0]), float(fov[1])),
-    )  # fmt: skip
+        folder.path / "views.png", planning, measured_by, chosen.T_object_scanner, (float(fov[0]), float(fov[1]))
+    )
     pictures.cover_curve(
         folder.path / "cover.png", cover.marginal_area, cover.coverable_area, cover.total_area, cover.lower_bound
     )
@@ -161,14 +165,20 @@ def envelope(world: World) -> Floats:
     return np.stack([r, z], axis=1)
 
 
-def _views_per_face(M: Measurability, views: Any, faces: int) -> Floats:
-    """(F,) number of views that measure a planning face, averaged over its samples; 0 where it has none."""
-    counts = np.asarray(M.matrix()[:, views].sum(axis=1)).ravel()
-    face = M.features.planning_face
-    samples = np.bincount(face, minlength=faces)
-    total = np.bincount(face, weights=counts, minlength=faces)
-    average: Floats = np.divide(total, samples, out=np.zeros(faces), where=samples > 0)
-    return average
+def _at_target(target: float, asked: float) -> str:
+    """What the status is about where the target on the matrix was raised above the coverage that was asked for."""
+    return (
+        "" if target == asked else f", at {100 * target:.2f} % of the coverable samples for the {100 * asked:g} % asked"
+    )
+
+
+def _sigma(M: Measurability, views: NDArray[np.int64], limit_mm: float | None) -> dict[str, Any]:
+    """Expected standard deviation of the plan's points, over the samples of the matrix that it measures [mm]."""
+    from planner.quality import best_sigma
+
+    best = 1000 * best_sigma(M, views)
+    median, most = np.quantile(best[np.isfinite(best)], [0.5, 0.95])
+    return {"median_mm": round(float(median), 6), "quantile_95_mm": round(float(most), 6), "limit_mm": limit_mm}
 
 
 def _mm_or_none(metres: float) -> float | None:

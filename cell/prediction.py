@@ -1,6 +1,6 @@
 """Predicted coverage of a plan on samples that the optimiser has not seen (definitions: planner/coverage.py)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planner import coverage
 from planner.coverage import Coverage
+from planner.measurability import measured
 from planner.ports import Floats, RayCaster, Scanner
 from planner.surface import SurfaceSamples
 
@@ -30,7 +31,12 @@ class Prediction:
 
     @classmethod
     def of(
-        cls, samples: SurfaceSamples, scanner: Scanner, casters: Sequence[RayCaster], T_object_scanner: Floats
+        cls,
+        samples: SurfaceSamples,
+        scanner: Scanner,
+        casters: Sequence[RayCaster],
+        T_object_scanner: Floats,
+        progress: Callable[[int, int], None] | None = None,
     ) -> "Prediction":
         """Ask the reachable candidates.
 
@@ -39,8 +45,10 @@ class Prediction:
             scanner: the sensor's law.
             casters: the part's and the occluders', object frame.
             T_object_scanner: (n, K, 4, 4) poses of the reachable candidates [m].
+            progress: called with (poses done, poses in all).
         """
-        return cls(samples, scanner, casters, coverage.visible(T_object_scanner, samples, scanner, casters))
+        found = coverage.visible(T_object_scanner, samples, scanner, casters, progress=progress)
+        return cls(samples, scanner, casters, found)
 
     def visible(self, T_object_scanner: Floats) -> Coverage:
         """Visible coverage of views (n, K, 4, 4) [m]."""
@@ -54,3 +62,12 @@ class Prediction:
         """Coverable share of the surface, what a plan's own poses measure included (they differ by micrometres)."""
         either: NDArray[np.bool_] = self.coverable.covered | visible.covered
         return float(self.samples.areas[either].sum() / self.samples.areas.sum())
+
+    def views_per_face(self, T_object_scanner: Floats, faces: int) -> Floats:
+        """(faces,) views (n, K, 4, 4) [m] that measure a planning face, averaged over its samples; NaN without any."""
+        seen = measured(T_object_scanner, self.samples, self.scanner, self.casters, each=True).sum(axis=1)
+        of_face = self.samples.planning_face
+        number = np.bincount(of_face, minlength=faces)
+        total = np.bincount(of_face, weights=seen, minlength=faces)
+        average: Floats = np.divide(total, number, out=np.full(faces, np.nan), where=number > 0)
+        return average

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from cell import cell_shapes
 from cell.errors import SceneError
+from cell.own_view import hidden_share
 from cell.robot import AXES, LINKS
 from cell.world import World
 
@@ -39,7 +40,12 @@ def impossible(world: World, T_base_object: ArrayLike | None = None) -> list[str
         T_base_object: (4, 4) placement [m]; None is the scene's.
     """
     T = world.T_base_object if T_base_object is None else np.asarray(T_base_object, dtype=np.float64)
-    return [*_home_outside_limits(world), *_part_out_of_room(world, T), *_in_each_other(world, T)]
+    return [
+        *_home_outside_limits(world),
+        *_housing_in_own_view(world),
+        *_part_out_of_room(world, T),
+        *_in_each_other(world, T),
+    ]
 
 
 def _home_outside_limits(world: World) -> list[str]:
@@ -48,6 +54,16 @@ def _home_outside_limits(world: World) -> list[str]:
         f"robot.home_deg has {axis} at {angle:g} deg; it must be from {low:g} to {high:g}"
         for axis, angle, low, high in zip(AXES, world.scene.robot.home_deg, lower.round(6), upper.round(6), strict=True)
         if not low - 1e-9 <= angle <= high + 1e-9
+    ]
+
+
+def _housing_in_own_view(world: World) -> list[str]:
+    share = hidden_share(world)
+    if share == 0:
+        return []
+    return [
+        f"the housing hides {100 * share:.0f} % of the scanner's own field of view; its front must lie behind source "
+        "and sensor: change housing.position_mm, housing.size_mm or the mount"
     ]
 
 

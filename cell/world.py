@@ -42,6 +42,7 @@ class World:
         T_object_centre: (4, 4) middle of the part's bounding box, axes parallel to the object's [m].
         T_flange_scanner: (4, 4) the mount [m].
         T_flange_housing: (4, 4) middle of the housing [m].
+        baseline: from source to sensor [m].
         home: (6,) joint angles [rad].
         limits: of the axes, at full speed and acceleration.
         clearance: distance that a free configuration keeps [m].
@@ -59,6 +60,7 @@ class World:
     T_object_centre: Floats
     T_flange_scanner: Floats
     T_flange_housing: Floats
+    baseline: float
     home: Floats
     limits: JointLimits
     clearance: float
@@ -174,6 +176,7 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
         T_object_centre=T_object_centre,
         T_flange_scanner=T_flange_scanner,
         T_flange_housing=T_flange_housing,
+        baseline=baseline / 1000.0,
         home=np.deg2rad(scene.robot.home_deg),
         limits=robot.limits(model),
         clearance=scene.clearance_mm / 1000.0,

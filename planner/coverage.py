@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.measurability import measured
+from planner.measurability import Progress, measured
 from planner.ports import Floats, RayCaster, Scanner
 from planner.readonly import readonly
 from planner.surface import SurfaceSamples, TriangleMesh
@@ -56,7 +56,12 @@ class Coverage:
 
 
 def visible(
-    T_object_scanner: Floats, samples: SurfaceSamples, scanner: Scanner, casters: Sequence[RayCaster]
+    T_object_scanner: Floats,
+    samples: SurfaceSamples,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    *,
+    progress: Progress | None = None,
 ) -> Coverage:
     """Visible coverage of the given views: planned, or executed.
 
@@ -65,8 +70,9 @@ def visible(
         samples: of the reference, not those that the optimiser saw.
         scanner: the sensor's law.
         casters: the reference's caster and those of occluders, object frame.
+        progress: called with (poses done, poses in all).
     """
-    return _coverage(measured(T_object_scanner, samples, scanner, casters), samples)
+    return _coverage(measured(T_object_scanner, samples, scanner, casters, progress=progress), samples)
 
 
 def coverable(

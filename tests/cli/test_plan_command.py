@@ -73,6 +73,28 @@ def test_a_calculated_matrix_equals_the_cached_one(
     assert first["artefacts"] == second["artefacts"]
 
 
+def test_a_failure_prints_one_json_object_too(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
+    """`--json` holds its promise when nothing is reachable: reason and exit code in the object."""
+    done = run_cell(
+        "plan", str(part_file), "--units", "mm", "--place", "9000,0,0", "--faces", "60", "--json", cwd=tmp_path
+    )
+    answer = json.loads(done.stdout)
+    assert (done.returncode, answer["exit_code"], answer["status"]) == (4, 4, "failed")
+    assert "reachable" in answer["reason"]
+
+
+def test_a_coverage_that_the_samples_cannot_keep_is_said(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
+    """Few faces, one sample each and 99.9 %: the note says what was reached, and the code is 3."""
+    done = run_cell(
+        "plan", str(part_file), "--units", "mm", "--place", "1100,400,100", "--faces", "40", "--samples", "1",
+        "--standoff", "250", "--coverage", "0.999", "--json", cwd=tmp_path,
+    )  # fmt: skip
+    share = json.loads(done.stdout)["coverage"]["visible_of_coverable"]
+    assert share < 0.999
+    assert done.returncode == 3
+    assert "less than the 99.9 % asked" in done.stderr
+
+
 def test_json_prints_one_object_on_stdout(planned: Path) -> None:
     """The object is the report's; it says views, bound and coverage in fractions."""
     summary = json.loads((planned / "report.json").read_text())
@@ -103,6 +125,12 @@ def test_json_prints_one_object_on_stdout(planned: Path) -> None:
         (("plan", "PART", "--units", "mm", "--coverage", "1.2"), 2, "coverage"),
         (("plan", "PART", "--units", "mm", "--solver", "magic"), 2, "solver"),
         (("plan", "PART", "--units", "mm", "--out", "taken"), 6, "taken"),
+        (("plan", "PART", "--units", "mm", "--out", "."), 6, "no name of its own"),
+        (("plan", "PART", "--units", "mm", "--bogus"), 2, "No such option"),
+        (("plan", "PART", "--units", "mm", "--seed", "1.5"), 2, "--seed"),
+        (("plan", "PART", "another.stl"), 2, "another.stl"),
+        (("plan", "PART", "--units", "mm", "--scene", "no_clearance.toml"), 2, "clearance_mm is 0"),
+        (("plan", "PART", "--units", "mm", "--scene", "blind.toml"), 2, "own field of view"),
     ],
 )  # fmt: skip
 def test_bad_input_gets_one_sentence_and_its_code(
@@ -122,6 +150,8 @@ def test_bad_input_gets_one_sentence_and_its_code(
     (tmp_path / "nan.ply").write_bytes(mesh.export(file_type="ply"))
     (tmp_path / "typo.toml").write_text("[scaner]\nbaseline_mm = 5\n")
     (tmp_path / "short_range.toml").write_text("[scanner]\nrange_mm = [100, 400]\n")
+    (tmp_path / "no_clearance.toml").write_text("clearance_mm = 0\n")
+    (tmp_path / "blind.toml").write_text("[housing]\nposition_mm = [0, 0, 100]\n")
     (tmp_path / "taken").mkdir()
     filled = tuple(str(part_file) if word == "PART" else word for word in arguments)
     done = (
@@ -194,6 +224,7 @@ def test_ctrl_c_in_any_stage_keeps_what_was_finished(stage: str, part_file: Path
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
+    assert "stopped by Ctrl-C" in errors
     assert "Traceback" not in errors
     kept = json.loads(manifest.read_text())
     assert (kept["status"], kept["exit_code"]) == ("interrupted", 130)

@@ -1,0 +1,37 @@
+"""A housing that stands in its scanner's own view is found, and the default one does not."""
+
+import numpy as np
+import pytest
+
+from cell.errors import SceneError
+from cell.own_view import hidden_share
+from cell.scene import Scene
+from cell.world import compile as compile_world
+
+PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
+
+
+def share(**housing: object) -> float:
+    """Hidden share of the built-in scene with these keys of its housing."""
+    scene = Scene.model_validate({"housing": housing})
+    return hidden_share(compile_world(scene, PART, baseline_mm=75.0, refuse=False))
+
+
+def test_the_default_housing_hides_nothing() -> None:
+    """Its front face lies in the plane of source and sensor."""
+    assert share() == 0
+
+
+def test_a_housing_across_the_beam_hides_its_solid_angle() -> None:
+    """A box whose near face, 60 x 60 mm, stands 70 mm ahead: the share of the tangent square that it fills."""
+    hidden = share(position_mm=[0, 0, 100], size_mm=[60, 60, 60])
+    half = np.tan(np.radians(30))
+    from_source = (30 / 70 / half) ** 2
+    assert from_source < hidden < 1  # the sensor loses more beside it
+    assert hidden == pytest.approx(from_source, abs=0.35)
+
+
+def test_a_scene_with_such_a_housing_is_refused() -> None:
+    """The sentence says what to change."""
+    with pytest.raises(SceneError, match=r"own field of view.*housing\.position_mm"):
+        compile_world(Scene.model_validate({"housing": {"position_mm": [0, 0, 100]}}), PART, baseline_mm=75.0)

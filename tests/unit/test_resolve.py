@@ -1,0 +1,76 @@
+"""What the scene leaves open is settled by the part's defaults, as docs and the table say."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.errors import SceneError
+from cell.resolve import resolve
+from cell.scene import Scene
+from cell.workpiece import Workpiece, from_mesh
+
+TABLE = {
+    "mseke": (930, 300.0, 75.0),
+    "mug": (748, 100.0, 25.0),
+    "robinet": (814, 100.0, 25.0),
+    "petanque": (338, 300.0, 75.0),
+    "humerus": (276, 30.0, 7.5),
+    "st-jean": (746, 300.0, 75.0),
+}
+
+
+def ball(radius_mm: float, name: str = "ball") -> Workpiece:
+    """A sphere as a part."""
+    body = trimesh.creation.icosphere(3, radius_mm)
+    return from_mesh(name, body.vertices, body.faces, "mm", "0")
+
+
+def own(**tables: dict) -> Scene:
+    """A scene of a user's file, without the file."""
+    scene = Scene.model_validate(tables)
+    return scene.model_copy(update={"part": scene.part.model_copy(update={"path": "ball.stl", "units": "mm"})})
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_built_in_parts_have_the_documented_defaults(name: str) -> None:
+    """Faces, standoff, baseline and range of each built-in part."""
+    faces, standoff, baseline = TABLE[name]
+    settings = resolve(Scene.model_validate({"part": {"name": name}}), ball(30, name))
+    assert settings.faces == faces
+    assert settings.standoffs == (standoff / 1000,)
+    assert settings.scanner["baseline_mm"] == baseline
+    assert settings.scanner["range_mm"] == (0.5 * standoff, 1.5 * standoff)
+
+
+def test_a_users_part_gets_a_standoff_that_suits_its_size() -> None:
+    """300 mm, or 1.5 radii of the bounding sphere where that is more; the baseline is a quarter of it."""
+    assert resolve(own(), ball(100)).standoffs == (0.3,)
+    large = resolve(own(), ball(400))
+    assert large.standoffs[0] == pytest.approx(0.6)
+    assert large.scanner["baseline_mm"] == pytest.approx(150)
+    assert resolve(own(scanner={"range_mm": [100, 450]}), ball(400)).standoffs == (0.45,)
+
+
+def test_a_standoff_outside_the_range_is_refused() -> None:
+    """The sentence names both numbers."""
+    with pytest.raises(SceneError, match=r"600 mm is outside the scanner's range of 100 to 400 mm"):
+        resolve(own(scanner={"range_mm": [100, 400]}, plan={"standoffs_mm": [200, 600]}), ball(50))
+
+
+def test_equal_rolls_and_standoffs_count_once() -> None:
+    """0 and 360 degrees are the same viewpoint."""
+    settings = resolve(own(plan={"rolls_deg": [0, 90, 360, 0], "standoffs_mm": [300, 300, 250]}), ball(50))
+    np.testing.assert_allclose(settings.rolls, np.radians([0, 90]))
+    assert settings.standoffs == (0.3, 0.25)
+
+
+@pytest.mark.parametrize("clearance", [0, 0.5])
+def test_a_clearance_too_small_to_plan_with_is_refused(clearance: float) -> None:
+    """Checks are as far apart as the clearance; below 1 mm a motion would take millions of them."""
+    with pytest.raises(SceneError, match="at least 1"):
+        resolve(own(clearance_mm=clearance), ball(50))
+
+
+def test_the_percentage_is_of_the_faces_that_are_kept() -> None:
+    """10 percent of 1280 faces are 128."""
+    assert resolve(own(plan={"percent_kept": 10.0}), ball(50)).faces == 128
