@@ -1,28 +1,30 @@
 """Step 5 with its cache: the part-only measurability matrix, calculated once per part, candidates and scanner."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell import measurability_cache, scanners
-from cell.errors import FileError
+from cell.errors import FileError, SceneError
 from cell.measurability_cache import Hashes
 from cell.narrator import ProgressCallback
 from cell.resolve import Settings
 from cell.scene import Scene
-from planner import measurability, surface
+from planner import measurability, quality, surface
 from planner.closest import closest_face
 from planner.columns import join_measurability, pick_measurability, pick_viewpoints
 from planner.measurability import Measurability
-from planner.ports import RayCaster
+from planner.ports import RayCaster, Scanner
 from planner.surface import SurfaceSamples, TriangleMesh
 from planner.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
     from cell.narrator import Narrator
+    from planner.ports import SigmaScanner
 
 
 CACHE_LIMIT_BYTES = 1_000_000_000
@@ -130,3 +132,36 @@ def _keep(path: Path, M: Measurability, key: str, columns: Hashes, narrator: "Na
     except FileError as error:
         if narrator is not None:
             narrator.note(f"the matrix is not kept for the next run: {error}")
+
+
+def limit_sigma(
+    M: Measurability, candidates: Viewpoints, scanner: Scanner, max_sigma_mm: float, casters: Sequence[RayCaster]
+) -> tuple[Measurability, Scanner]:
+    """Only what is measured precisely enough: the matrix with its layer of sigma, and the scanner that keeps the limit.
+
+    Args:
+        M: the matrix with occluders applied.
+        candidates: its columns.
+        scanner: the sensor's law.
+        max_sigma_mm: largest expected standard deviation of a point [mm], inclusive.
+        casters: the part's and the occluders'.
+
+    Raises:
+        SceneError: if the scanner does not know its sigma, or no candidate measures anything so precisely.
+    """
+    if not callable(getattr(scanner, "sigma", None)):
+        raise SceneError(
+            f"plan.max_sigma_mm is {max_sigma_mm:g}, but the scanner {type(scanner).__name__} does not know how "
+            "precise its points are; leave the limit out, or choose another scanner.type"
+        )
+    precise = cast("SigmaScanner", scanner)
+    layered = quality.sigma_layer(M, candidates, precise, casters=casters)
+    kept = quality.within(layered, max_sigma_mm / 1000)
+    if len(M.indices) and not len(kept.indices):
+        best = 1000 * float(layered.sigma.min()) if layered.sigma is not None else float("nan")
+        raise SceneError(
+            f"plan.max_sigma_mm is {max_sigma_mm:g} and no candidate measures anything so precisely: the best point "
+            f"has an expected standard deviation of {best:.3g} mm; a longer baseline, a smaller standoff or a smaller "
+            "scanner.sigma_angle_mdeg makes it less"
+        )
+    return kept, quality.Limited(precise, max_sigma_mm / 1000)

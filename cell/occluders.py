@@ -97,25 +97,42 @@ def occluder_triangles(
     ]
 
 
-def arm_triangles(world: World, q: ArrayLike) -> list[Occluder]:
-    """The enclosing shapes of base, arm and bracket at one configuration, base frame.
-
-    The housing is left out: the rays start in its front face.
+def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
+    """The enclosing shapes of base, arm and bracket at one configuration, base frame; of the housing where it can hide.
 
     Args:
         world: the compiled scene.
         q: (6,) joint angles [rad], KUKA signs.
+        ends: (n, 3) where legs begin [m], scanner frame: source and sensor. A shape in or on which one of them stands
+            has a window there and is left out; the housing is one of the shapes then. With its front face in the plane
+            of the source (its default) no leg comes near it. None leaves the housing out and nothing else.
     """
     import mujoco
 
     data = world.data()
     data.qpos[:] = readonly("q", q, (6,))
     mujoco.mj_kinematics(world.model, data)
-    return [
+    names = (*LINKS, "bracket") if ends is None else (*LINKS, "bracket", "housing")
+    pieces = [
         Occluder(name, *_shape(world.model, data, geom), "base")
         for geom, name in enumerate(world.entities)
-        if name in (*LINKS, "bracket")
+        if name in names
     ]
+    if ends is None:
+        return pieces
+    flange = data.site("flange")
+    R = flange.xmat.reshape(3, 3) @ world.T_flange_scanner[:3, :3]
+    origin = flange.xpos + flange.xmat.reshape(3, 3) @ world.T_flange_scanner[:3, 3]
+    in_base = readonly("ends", ends, (None, 3)) @ R.T + origin
+    return [piece for piece in pieces if not any(_holds(piece, end) for end in in_base)]
+
+
+def _holds(piece: Occluder, point: Floats) -> bool:
+    """Whether a point (3,) [m] is inside a convex piece, or on it within a micrometre."""
+    a, b, c = (piece.vertices[piece.faces[:, corner]] for corner in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return bool((np.einsum("ij,ij->i", normals, point - a) <= 1e-6).all())
 
 
 def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, NDArray[np.int32]]:

@@ -1,5 +1,8 @@
 """Steps 6 to 8: choose views, order them, connect them; a view that cannot be connected is replaced or given up.
 
+Arm, bracket and housing hide as well, differently at every configuration: a view that its own arm shades (cell/
+self_shading.py) is taken with other joint solutions, or banned where all of them do it.
+
 Less than full coverage is a promise about the surface, so it is kept on samples that the optimiser has not seen: where
 the cover falls short of it there, its target on the matrix is raised. The views are ordered and connected; a view to
 which no path is found is banned and the cover is solved again without it, until every view of the plan is connected.
@@ -13,6 +16,7 @@ from numpy.typing import NDArray
 from cell.errors import SceneError, UnreachableError
 from cell.narrator import ProgressCallback
 from cell.prediction import Prediction
+from cell.self_shading import arm_caster, own_shade, visible_with_arm
 from cell.world import World
 from planner import cover, tour
 from planner.cover import Cover
@@ -26,7 +30,7 @@ from planner.viewpoints import Viewpoints
 
 @dataclass(frozen=True, slots=True)
 class DroppedView:
-    """A candidate that was chosen, could not be connected and was banned.
+    """A candidate that was chosen, could not be connected or is shaded by its own arm, and was banned.
 
     Attributes:
         candidate: row of the viewpoints.
@@ -49,7 +53,8 @@ class ConnectedPlan:
         T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
         T_base_scanner: (n, 4, 4) the same in base [m].
         T_base_flange: (n, 4, 4) the same of the flange [m].
-        dropped: candidates that could not be connected.
+        dropped: candidates that could not be connected, or that the arm shades.
+        visible_with_arm: visible coverage where each view's own arm hides as well, fraction of the surface.
     """
 
     cover: Cover
@@ -60,6 +65,7 @@ class ConnectedPlan:
     T_base_scanner: Floats
     T_base_flange: Floats
     dropped: tuple[DroppedView, ...]
+    visible_with_arm: float
 
     def __post_init__(self) -> None:
         n = len(self.candidate)
@@ -112,17 +118,21 @@ def select_and_connect(
         UnreachableError: if no view that measures anything can be connected.
     """
     banned: dict[int, str] = {}
+    unshaded: dict[int, Floats] = {}  # the joint solutions that are left of a view that its arm shaded
+    covered = -1
     while True:
-        chosen, target = _covering(
-            M,
-            reached,
-            candidates,
-            prediction,
-            coverage=coverage,
-            solver=solver,
-            banned=tuple(banned),
-            rng=selection_rng,
-        )
+        if len(banned) != covered:
+            chosen, target = _covering(
+                M,
+                reached,
+                candidates,
+                prediction,
+                coverage=coverage,
+                solver=solver,
+                banned=tuple(banned),
+                rng=selection_rng,
+            )
+            covered = len(banned)
         if not len(chosen.views):
             why = "; ".join(f"candidate {view}: {reason}" for view, reason in banned.items())
             raise UnreachableError(
@@ -131,7 +141,7 @@ def select_and_connect(
                 + "; change the placement, the standoff or the fixtures"
             )
         motion = tour.plan_motion(
-            [reached.q_of(int(view)) for view in chosen.views],
+            [unshaded.get(int(view), reached.q_of(int(view))) for view in chosen.views],
             world.home,
             checker,
             limits,
@@ -145,21 +155,36 @@ def select_and_connect(
                 f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "
                 "the placement or the fixtures"
             )
-        if not motion.dropped:
-            break
         for lost in motion.dropped:
             blocker = f" ({lost.blocker})" if lost.blocker else ""
             banned[int(chosen.views[lost.view])] = lost.reason.sentence + blocker
+        if motion.dropped:
+            continue
+        stops = chosen.views[motion.order]
+        shaded = own_shade(M, candidates, stops, motion.q, world, prediction.scanner)
+        for shade in shaded:
+            view = int(stops[shade.stop])
+            left = shade.free_of_shade(unshaded.get(view, reached.q_of(view)))
+            if len(left):
+                unshaded[view] = left
+            else:
+                banned[view] = shade.sentence
+        if not shaded:
+            break
     T_base_flange = kinematics.forward(motion.q)
+    T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
     return ConnectedPlan(
         cover=chosen,
         target=target,
         tour=motion,
         candidate=chosen.views[motion.order],
-        T_object_scanner=np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner,
+        T_object_scanner=T_object_scanner,
         T_base_scanner=T_base_flange @ world.T_flange_scanner,
         T_base_flange=T_base_flange,
         dropped=tuple(DroppedView(view, reason) for view, reason in banned.items()),
+        visible_with_arm=visible_with_arm(
+            prediction, T_object_scanner[:, None], [arm_caster(world, q, prediction.scanner) for q in motion.q]
+        ),
     )
 
 
