@@ -30,9 +30,6 @@ def guarded(run: Callable[[], Any], *, as_json: bool) -> int:
     """
     try:
         result = run()
-    except typer.Exit as stop:
-        # typer itself turns Ctrl-C into this code; a command that ends an execution in good order uses it as well.
-        return _say(_STOPPED, INTERRUPTED, as_json) if stop.exit_code == INTERRUPTED else stop.exit_code
     except (KeyboardInterrupt, typer.Abort):
         return _say(_STOPPED, INTERRUPTED, as_json)
     except _UsageMistake as error:
@@ -57,7 +54,8 @@ def guarded(run: Callable[[], Any], *, as_json: bool) -> int:
             _BUG,
             as_json,
         )
-    return result if isinstance(result, int) else 0
+    code = result if isinstance(result, int) else 0  # typer hands the code of its Exit back
+    return _say(_STOPPED, INTERRUPTED, as_json) if code == INTERRUPTED else code  # and takes Ctrl-C for such an exit
 
 
 def _say(sentence: str, code: int, as_json: bool, *, said: bool = False) -> int:

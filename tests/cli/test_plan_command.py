@@ -208,8 +208,8 @@ def test_ctrl_c_in_any_stage_keeps_what_was_finished(stage: str, part_file: Path
     """An interrupt ends with code 130, one sentence, and a folder that says where it stopped."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
     process = subprocess.Popen(
-        [sys.executable, "-m", "cell", "plan", str(part_file), "--units", "mm", "--faces", "2500", "--no-cache",
-         "--place", "1100,400,100", "--samples", "8", "--out", "run"],
+        [sys.executable, "-m", "cell", "plan", str(part_file), "--units", "mm", "--faces", "1000", "--no-cache",
+         "--place", "1100,400,100", "--samples", "4", "--out", "run"],
         cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     manifest = tmp_path / "run.part" / "manifest.json"
