@@ -1,9 +1,9 @@
-"""Step 3 for `targeted`: the base set, and after it candidates aimed at what no reachable candidate measures.
+"""Step 3: candidates by the scene's generator; `targeted` goes on until nothing more becomes coverable.
 
-The base set is made before reach and measurability are asked, like the other generators' candidates. `grow` then goes
-round: it takes a spread of the open features (those that no reachable candidate measures), makes views of each over the
-whole family (`planner.targeted.aimed_at`), keeps those that measure their feature past the part and the occluders and
-that the arm reaches, and appends the few that measure most of what is open.
+`targeted` begins with its base set, made before reach and measurability are asked, like the other generators'
+candidates. `grow` then goes round: it takes a spread of the open features (those that no reachable candidate measures),
+makes views of each over the whole family (`planner.targeted.aimed_at`), keeps those that measure their feature past the
+part and the occluders and that the arm reaches, and appends the few that measure most of what is open.
 
 It stops when every open feature has been aimed at, when a round makes nothing coverable, or after `ROUNDS` rounds. Each
 round aims at `TARGETS` features at most, spread over the open surface, so a round in vain says that what is left lies
@@ -16,12 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.errors import SceneError
 from cell.narrator import ProgressCallback
-from planner import columns, targeted
+from cell.resolve import Settings
+from cell.scene import Scene
+from cell.workpiece import Workpiece
+from planner import columns, targeted, viewpoints
 from planner.legs import Targets
 from planner.measurability import Measurability
 from planner.ports import RayCaster, Scanner
 from planner.reach import Reach
+from planner.surface import TriangleMesh
 from planner.viewpoints import Viewpoints
 
 TARGETS = 96
@@ -54,6 +59,22 @@ class Grown:
     rounds: int
     given_up: int
 
+    def all(self) -> tuple[Viewpoints, Reach, Measurability]:
+        """Candidates, reach and M, in the same order."""
+        return self.candidates, self.reached, self.measurability
+
+
+def first(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleMesh) -> Viewpoints:
+    """The generator's candidates; of `targeted`, the base set."""
+    step_x, step_y = np.deg2rad(scene.plan.view_sphere_step_deg)
+    if scene.plan.candidates == "view-sphere":
+        return viewpoints.view_sphere(part.centre, settings.sphere_radius, step_x, step_y, settings.rolls)
+    if scene.plan.candidates == "targeted":
+        return targeted.base_set(
+            planning, part.centre, settings.sphere_radius, (step_x, step_y), settings.standoffs, settings.rolls
+        )
+    return viewpoints.optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
+
 
 def grow(
     candidates: Viewpoints,
@@ -79,11 +100,19 @@ def grow(
         reach_of: verdicts and joint solutions of viewpoints.
         measure: M of viewpoints with occluders applied, over the same features.
         progress: called with (open features aimed at, open features).
+
+    Raises:
+        SceneError: if the viewpoints have several poses.
     """
+    if candidates.T_object_scanner.shape[1] != 1:
+        raise SceneError(
+            "plan.candidates = 'targeted' aims single poses, and this scanner sweeps; choose "
+            "'optimal-scanning-zone' or 'view-sphere'"
+        )
     features = measurability.features
     targets = Targets.of(features.points, features.normals)
     within = targeted.limits(scanner, standoff)
-    viewpoints, reaches, matrices = [candidates], [reached], [measurability]
+    views_of, reaches, matrices = [candidates], [reached], [measurability]
     is_open = ~_measured_by(measurability, reached)
     untried = is_open.copy()
     rounds = 0
@@ -98,7 +127,7 @@ def grow(
         still = np.flatnonzero(is_open)
         seen = targeted.measured_rows(views, targets, still, scanner, casters)
         views = columns.pick_viewpoints(views, targeted.most_useful(seen, features.areas[still], _DEPTH))
-        viewpoints.append(views)
+        views_of.append(views)
         reaches.append(reach_of(views))
         matrices.append(measure(views))
         is_open &= ~_measured_by(matrices[-1], reaches[-1])
@@ -106,10 +135,10 @@ def grow(
         if progress is not None:
             progress(int((is_open & ~untried).sum()), int(is_open.sum()))
     return Grown(
-        columns.join_viewpoints(viewpoints),
+        columns.join_viewpoints(views_of),
         columns.join_reach(reaches),
         columns.join_measurability(matrices),
-        added=sum(map(len, viewpoints[1:])),
+        added=sum(map(len, views_of[1:])),
         rounds=rounds,
         given_up=int((is_open & ~untried).sum()),
     )

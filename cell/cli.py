@@ -75,7 +75,7 @@ def plan(
     ] = None,
     candidates: Annotated[
         str | None,
-        typer.Option(help="optimal-scanning-zone (one per face and roll) or view-sphere.", rich_help_panel=_VIEWS),
+        typer.Option(help="optimal-scanning-zone (one per face), view-sphere or targeted.", rich_help_panel=_VIEWS),
     ] = None,
     standoff: Annotated[
         str | None,

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cell import plan_files, scanners, workpiece
+from cell.candidates import first, grow
 from cell.collision import MujocoCollisionChecker
 from cell.embree import EmbreeRayCaster
 from cell.errors import CellError, FileError, UnreachableError
@@ -31,10 +32,11 @@ from cell.scene import Scene
 from cell.view_plan import select_and_connect
 from cell.workpiece import Workpiece
 from cell.world import compile as compile_world
-from planner import coverage, measurability, reach, surface, timing, viewpoints
+from planner import coverage, measurability, reach, surface, timing
 from planner.errors import PlannerError
+from planner.measurability import Measurability
+from planner.ports import Scanner
 from planner.reach import Reach
-from planner.surface import TriangleMesh
 from planner.viewpoints import Viewpoints
 
 log = logging.getLogger(__name__)
@@ -128,7 +130,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
     with run.step("decimate and sample"):
         planning = surface.decimate(reference, settings.faces)
         _note_other_count(run.narrator, len(planning.faces), settings.faces)
-        candidates = _candidates(scene, settings, part, planning)
+        candidates = first(scene, settings, part, planning)
         features = surface_features(scene, reference, planning, run.rng(_FEATURES))
         plan_files.write_meshes(run.folder, reference, planning)
         plan_files.write_viewpoints(run.folder, candidates)
@@ -140,26 +142,41 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         plan_files.write_cell(run.folder, scene, settings, part, len(planning.faces), world, scanner.parameters())
 
     with run.step("reach") as progress:
-        reached = reach.solve(
-            candidates, world.T_base_object, world.T_flange_scanner, kinematics, checker, progress=progress
-        )
+
+        def reach_of(views: Viewpoints, progress: ProgressCallback | None = None) -> Reach:
+            return reach.solve(
+                views, world.T_base_object, world.T_flange_scanner, kinematics, checker, progress=progress
+            )
+
+        reached = reach_of(candidates, progress)
         plan_files.write_reach(run.folder, reached)
         if not reached.reachable.any():
             raise UnreachableError(_nothing_reachable(reached, part))
 
     with run.step("measurability") as progress:
         casters = [EmbreeRayCaster(reference.vertices, reference.faces)]
-        M = part_matrix(
-            scene, settings, reference, planning, features, candidates, casters[0],
-            narrator=run.narrator, use_cache=run.use_cache, progress=progress,
-        )  # fmt: skip
         casters.append(_caster_of(occluder_triangles(world)))
-        M = measurability.occlude(M, candidates, scanner, casters[1], ray_caster=casters[0], progress=progress)
-        if scene.plan.max_sigma_mm is not None:
-            M, scanner = limit_sigma(M, candidates, scanner, scene.plan.max_sigma_mm, casters)
+
+        def measure(views: Viewpoints) -> tuple[Measurability, Scanner]:
+            M = part_matrix(
+                scene, settings, reference, planning, features, views, casters[0],
+                narrator=run.narrator, use_cache=run.use_cache, progress=progress,
+            )  # fmt: skip
+            M = measurability.occlude(M, views, scanner, casters[1], ray_caster=casters[0], progress=progress)
+            most = scene.plan.max_sigma_mm
+            return (M, scanner) if most is None else limit_sigma(M, views, scanner, most, casters)
+
+        M, judge = measure(candidates)
+        if scene.plan.candidates == "targeted":
+            candidates, reached, M = grow(
+                candidates, reached, M, standoff=settings.standoffs[0], scanner=judge, casters=casters,
+                reach_of=reach_of, measure=lambda views: measure(views)[0], progress=progress,
+            ).all()  # fmt: skip
+            plan_files.write_viewpoints(run.folder, candidates)
+            plan_files.write_reach(run.folder, reached)
         plan_files.write_measurability(run.folder, M)
         held_out = surface.sample(reference, planning, coverage.SAMPLES, run.rng(_HELD_OUT))
-        prediction = Prediction.of(held_out, scanner, casters, candidates.T_object_scanner[reached.reachable], progress)
+        prediction = Prediction.of(held_out, judge, casters, candidates.T_object_scanner[reached.reachable], progress)
 
     with run.step("select, order and connect") as progress:
         limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
@@ -212,14 +229,6 @@ def _below(narrator: Narrator, summary: Mapping[str, Any]) -> bool:
         )
         return True
     return missed
-
-
-def _candidates(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleMesh) -> Viewpoints:
-    """Step 3: candidate viewpoints by the scene's generator."""
-    if scene.plan.candidates == "view-sphere":
-        step_x, step_y = np.deg2rad(scene.plan.view_sphere_step_deg)
-        return viewpoints.view_sphere(part.centre, settings.sphere_radius, step_x, step_y, settings.rolls)
-    return viewpoints.optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
 
 
 def _caster_of(pieces: Sequence[Occluder]) -> EmbreeRayCaster:

@@ -213,7 +213,7 @@ Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discrimina
 class Plan(_Table):
     """How to plan; None takes the part's default."""
 
-    candidates: Literal["optimal-scanning-zone", "view-sphere"] = "optimal-scanning-zone"
+    candidates: Literal["optimal-scanning-zone", "view-sphere", "targeted"] = "optimal-scanning-zone"
     view_sphere_step_deg: Annotated[
         tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
     ] = (15.0, 15.0)
@@ -228,6 +228,13 @@ class Plan(_Table):
     required_visible: Annotated[float, Field(ge=0, le=1)] = 0.0
     max_sigma_mm: Positive | None = None
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+
+    @field_validator("fill")
+    @classmethod
+    def _aimed_at_samples(cls, fill: str, info: ValidationInfo) -> str:
+        if fill == "rays" and info.data.get("candidates") == "targeted":
+            raise ValueError("is 'rays', and candidates = 'targeted' aims at surface samples; choose fill = 'aimed'")
+        return fill
 
     @field_validator("percent_kept")
     @classmethod

@@ -61,7 +61,7 @@ def pick_reach(reached: Reach, which: NDArray[np.integer]) -> Reach:
 
 
 def join_measurability(parts: Sequence[Measurability]) -> Measurability:
-    """M with the columns of all parts, which have the same features.
+    """M with the columns of all parts, which have the same features; with its sigma where every part has it.
 
     Raises:
         PlannerError: if the parts differ in their number of features.
@@ -71,7 +71,12 @@ def join_measurability(parts: Sequence[Measurability]) -> Measurability:
     if len({len(part.features) for part in parts}) != 1:
         sizes = ", ".join(str(len(part.features)) for part in parts)
         raise PlannerError(f"matrices of {sizes} features cannot be joined; their features must be the same")
-    return _of(hstack([part.matrix() for part in parts], format="csr"), parts[0].features)
+    sigmas = [part.sigma for part in parts]
+    layer = [sigma for sigma in sigmas if sigma is not None]
+    if len(layer) < len(parts):
+        return _of(hstack([part.matrix() for part in parts], format="csr"), parts[0].features)
+    stacks = [_with(part, sigma) for part, sigma in zip(parts, layer, strict=True)]
+    return _of(hstack(stacks, format="csr"), parts[0].features, layered=True)
 
 
 def pick_measurability(measurability: Measurability, which: NDArray[np.integer]) -> Measurability:
@@ -79,6 +84,14 @@ def pick_measurability(measurability: Measurability, which: NDArray[np.integer])
     return _of(measurability.matrix().tocsc()[:, which].tocsr(), measurability.features)
 
 
-def _of(matrix: "csr_array", features: SurfaceSamples) -> Measurability:
+def _with(measurability: Measurability, data: NDArray[np.float32]) -> "csr_array":
+    from scipy.sparse import csr_array
+
+    return csr_array((data, measurability.indices, measurability.indptr), shape=measurability.shape)
+
+
+def _of(matrix: "csr_array", features: SurfaceSamples, *, layered: bool = False) -> Measurability:
     matrix.sort_indices()
-    return Measurability(matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32), features, matrix.shape[1])
+    sigma = matrix.data if layered else None
+    indptr, indices = matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32)
+    return Measurability(indptr, indices, features, matrix.shape[1], sigma)
