@@ -104,6 +104,14 @@ def plan(
         int | None,
         typer.Option(help="Surface samples per planning face (aimed).", rich_help_panel=_VIEWS),
     ] = None,
+    max_sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            help="Count a point as measured only if its expected standard deviation is at most this.",
+            rich_help_panel=_VIEWS,
+        ),
+    ] = None,
     solver: Annotated[
         str | None,
         typer.Option(help="auto, greedy, meta-raps, local-search or exact.", rich_help_panel=_VIEWS),
@@ -146,6 +154,7 @@ def plan(
         "required_visible": require,
         "fill": fill,
         "samples_per_face": samples,
+        "max_sigma_mm": max_sigma,
         "solver": solver,
         "seed": seed,
     }
@@ -267,6 +276,14 @@ def scan(
     range_noise: Annotated[
         float, typer.Option(metavar="MM", help="Noise along each ray, one sigma.", rich_help_panel=_ERRORS)
     ] = 0.0,
+    noise: Annotated[
+        str,
+        typer.Option(
+            metavar="none|model",
+            help="model: noise along each ray by the scanner's own law, from range, triangulation angle and incidence.",
+            rich_help_panel=_ERRORS,
+        ),
+    ] = "none",
     pose_error: Annotated[
         str | None,
         typer.Option(
@@ -314,7 +331,7 @@ def scan(
             f"--pose-error {pose_error} must be two numbers, mm and deg, for instance --pose-error 0.5,0.1"
         )
     wanted = ScanOptions(
-        driver, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed
+        driver, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed, noise
     )
     narrator = Narrator(quiet_stdout=as_json)
     if report is None:

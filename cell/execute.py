@@ -187,8 +187,9 @@ def scan_and_write(
     T_true = disturbance.true_pose(T_reported, np.random.default_rng([seed, POSE, leg.stop]))
     seen = virtual_scan.scan(scene.scanner, T_true, scene.part_caster, scene.reference, scene.occluder_caster)
     points = disturbance.as_reported(
-        seen.points, T_true, T_reported, scene.scanner.source, np.random.default_rng([seed, NOISE, leg.stop])
-    )
+        seen.points, T_true, T_reported, scene.scanner.source, np.random.default_rng([seed, NOISE, leg.stop]),
+        seen.sigma(scene.scanner, scene.reference) if disturbance.by_model else None,
+    )  # fmt: skip
     folder.write_scan(
         name,
         stop=np.array(leg.stop),

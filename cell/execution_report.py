@@ -67,7 +67,8 @@ def _table(summary: Mapping[str, Any]) -> list[str]:
         f"| points | {summary['n_points']:,} |",
         f"| scanner | {settings['scanner']}, {h:g} x {v:g} deg, {settings['rays_per_scan']:,} rays a scan |",
         f"| driver | {settings['driver']} |",
-        f"| range noise (1 sigma) | {_off(settings['range_noise_mm'], 'mm')} |",
+        f"| range noise (1 sigma) | {_off(settings['range_noise_mm'], 'mm')}"
+        + (" and the scanner's own model |" if settings.get("noise") == "model" else " |"),
         f"| pose error (1 sigma an axis) | {_off(settings['pose_error_mm'], 'mm')}, "
         f"{_off(settings['pose_error_deg'], 'deg')} |",
         f"| motion | {motion['planned_s']:.2f} s planned{executed} |",

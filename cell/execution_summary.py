@@ -56,6 +56,7 @@ def execution_summary(
         "settings": {
             **{name: options.get(name) for name in ("driver", "view", "range_noise_mm", "pose_error_mm")},
             **{name: options.get(name) for name in ("pose_error_deg", "register", "close_holes")},
+            "noise": options.get("noise", "none"),
             "scanner": scene.scanner_parameters["type"],
             "resolution_deg": list(scene.scanner_parameters["resolution_deg"]),
             "rays_per_scan": scene.scanner.grid_shape[0] * scene.scanner.grid_shape[1],

@@ -20,11 +20,13 @@ class Disturbance:
         range_noise: along the ray [m].
         position: of the scanner's origin, along each axis [m].
         rotation: of the scanner, about each of its axes [rad].
+        by_model: draw noise along the ray by the scanner's own sigma as well.
     """
 
     range_noise: float = 0.0
     position: float = 0.0
     rotation: float = 0.0
+    by_model: bool = False
 
     @property
     def moves_pose(self) -> bool:
@@ -42,7 +44,13 @@ class Disturbance:
         return T
 
     def as_reported(
-        self, points: Floats, T_true: Floats, T_reported: Floats, source: Floats, rng: np.random.Generator
+        self,
+        points: Floats,
+        T_true: Floats,
+        T_reported: Floats,
+        source: Floats,
+        rng: np.random.Generator,
+        sigma: Floats | None = None,
     ) -> Floats:
         """Points as the data tell them: with noise along their rays, and seen from the reported pose.
 
@@ -52,15 +60,19 @@ class Disturbance:
             T_reported: (4, 4) pose that the controller reports [m].
             source: (3,) where the rays begin [m], scanner frame.
             rng: source of randomness.
+            sigma: (P,) one sigma of each point along its ray by the scanner's model [m]; only for `by_model`.
 
         Returns:
             (P, 3) [m], object frame; the very same points without noise and pose error.
         """
-        if self.range_noise > 0 and len(points):
+        spread = np.full(len(points), self.range_noise)
+        if self.by_model and sigma is not None:
+            spread = np.hypot(spread, sigma)
+        if (spread > 0).any():
             origin = T_true[:3, :3] @ source + T_true[:3, 3]
             rays = points - origin
             rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-            points = points + self.range_noise * rng.standard_normal(len(points))[:, None] * rays
+            points = points + (spread * rng.standard_normal(len(points)))[:, None] * rays
         if T_true is T_reported:
             return points
         T = T_reported @ np.linalg.inv(T_true)

@@ -24,6 +24,7 @@ class ScanOptions:
         register: correct poses by registration; None does it where there is a pose error.
         close_holes: close the holes of the surface, marked.
         seed: of noise and pose error; None takes the plan's.
+        noise: "model": noise along the ray by the scanner's own sigma, in addition to `range_noise_mm`; or "none".
     """
 
     driver: str = "sim://"
@@ -36,6 +37,7 @@ class ScanOptions:
     register: bool | None = None
     close_holes: bool = False
     seed: int | None = None
+    noise: str = "none"
 
     def __post_init__(self) -> None:
         for name, value in (
@@ -45,6 +47,8 @@ class ScanOptions:
         ):
             if not 0 <= value < np.inf:
                 raise UsageError(f"{name} {value:g} must be 0 or more")
+        if self.noise not in ("none", "model"):
+            raise UsageError(f"--noise {self.noise} is unknown; it must be none or model")
         if self.resolution_deg is not None and not 0 < self.resolution_deg < np.inf:
             raise UsageError(f"--resolution {self.resolution_deg:g} must be above 0, in degrees")
         if self.seed is not None and self.seed < 0:
@@ -59,7 +63,10 @@ class ScanOptions:
     def disturbance(self) -> Disturbance:
         """Noise and pose error in SI units."""
         return Disturbance(
-            self.range_noise_mm / 1000, self.pose_error_mm / 1000, float(np.radians(self.pose_error_deg))
+            self.range_noise_mm / 1000,
+            self.pose_error_mm / 1000,
+            float(np.radians(self.pose_error_deg)),
+            self.noise == "model",
         )
 
     def kept(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from cell.errors import FileError, SceneError, UsageError
 from cell.occluders import box, floor_square, prism
 from cell.run_record import RunRecord, artefact, understood
 from planner.ports import Floats, Scanner
+from planner.quality import Limited
 from planner.readonly import readonly
 from planner.surface import TriangleMesh
 
@@ -88,6 +89,7 @@ def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
         name = str(resolved["part"]["name"])
         speed = float(resolved["speed_scaling"])
         required = float(resolved["plan"]["required_visible"])
+        max_sigma_mm = resolved["plan"].get("max_sigma_mm")
     if resolution_deg is not None:
         parameters["resolution_deg"] = [resolution_deg, resolution_deg]
     kind = scanners.load(str(parameters["type"]))
@@ -97,6 +99,8 @@ def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
         if resolution_deg is None:
             raise
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
+    if max_sigma_mm is not None:
+        scanner = Limited(scanner, float(max_sigma_mm) / 1000)  # what the plan does not count, the scan does not take
     return ScanScene(
         part_name=name,
         reference=reference,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.errors import SceneError
 from planner.legs import flat_poses, lift
 from planner.ports import Floats, RayCaster, Rejection, Scanner
 from planner.readonly import readonly
@@ -47,6 +48,33 @@ class Scan:
         object.__setattr__(self, "pixel", readonly("pixel", self.pixel, (None,), np.int32))
         object.__setattr__(self, "points", readonly("points", self.points, (len(self.pixel), 3)))
         object.__setattr__(self, "face", readonly("face", self.face, (len(self.pixel),), np.int32))
+
+    def sigma(self, scanner: Scanner, part_mesh: TriangleMesh) -> Floats:
+        """(P,) expected standard deviation of each point along its ray [m], by the scanner's own model.
+
+        A point at exactly 90 degrees to the sensor, which has none, gets the largest of the others.
+
+        Args:
+            scanner: that scanned.
+            part_mesh: the part, object frame.
+
+        Raises:
+            SceneError: if the scanner does not know its sigma, or has none for any point (baseline 0).
+        """
+        law = getattr(scanner, "sigma", None)
+        if not callable(law):
+            raise SceneError(
+                f"the scanner {type(scanner).__name__} does not know how precise its points are; give --range-noise"
+            )
+        R, t = self.T_object_scanner[:3, :3], self.T_object_scanner[:3, 3]
+        sigma: Floats = law((self.points - t) @ R, _normals(part_mesh, self.face) @ R)
+        known = np.isfinite(sigma)
+        if len(sigma) and not known.any():
+            raise SceneError(
+                "the scanner's model gives no point a finite standard deviation (a baseline of 0 triangulates nothing)"
+                "; give --range-noise instead of --noise model"
+            )
+        return np.where(known, sigma, sigma[known].max(initial=0.0))
 
     def counts(self) -> dict[Rejection, int]:
         """How many rays ended for each reason; they add up to the rays of the grid."""

@@ -7,6 +7,7 @@ scanner that keeps the limit itself, for predictions, which ask for conditions, 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,12 @@ class Limited:
             )
         if not self.max_sigma > 0:
             raise PlannerError(f"the limit on sigma is {self.max_sigma} m; it must be above 0")
+
+    def __getattr__(self, name: str) -> Any:
+        """What the scanner has beyond the protocol, such as the poses of its sweep."""
+        if name in ("scanner", "max_sigma"):  # not set yet: nothing to ask
+            raise AttributeError(name)
+        return getattr(self.scanner, name)
 
     @property
     def source(self) -> Floats:
