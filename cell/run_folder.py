@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError
+from cell.errors import CellError, FileError
+from planner.errors import PlannerError
 from planner.surface import TriangleMesh
 
 SCHEMA = "scan-cell/run/1"
@@ -107,6 +108,21 @@ class RunFolder:
         finally:
             seconds = self.manifest["seconds"]
             seconds[name] = round(seconds.get(name, 0.0) + perf_counter() - start, 3)
+
+    @contextmanager
+    def kept_on_failure(self) -> Iterator[None]:
+        """Work that ends early keeps the folder with what was finished, its status, stage and reason."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            self.fail("interrupted", 130, "stopped by Ctrl-C")
+            raise
+        except (CellError, PlannerError) as error:
+            self.fail("failed", getattr(error, "exit_code", CellError.exit_code), str(error))
+            raise
+        except BaseException as error:
+            self.fail("failed", CellError.exit_code, f"{type(error).__name__}: {error}")
+            raise
 
     def write_text(self, name: str, text: str) -> None:
         """Write a text artefact (UTF-8, as given)."""

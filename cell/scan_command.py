@@ -15,7 +15,7 @@ import numpy as np
 
 from cell import cloud_files, execute, execution_report, run_reader, scan_driver, scan_scene
 from cell.deviation import deviation
-from cell.errors import CellError, DriverFailureError, FileError
+from cell.errors import DriverFailureError, FileError
 from cell.execution_folder import EXECUTING, ExecutionFolder
 from cell.execution_reader import read_execution
 from cell.execution_results import ExecutedScan, achieved, merged, usable
@@ -27,7 +27,6 @@ from cell.run_record import RunRecord, open_run
 from cell.scan_options import ScanOptions
 from cell.scan_scene import ScanScene
 from drivers.errors import DriverError
-from planner.errors import PlannerError
 from planner.timing import Motion
 
 _DEVIATION = 12
@@ -85,7 +84,7 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
     kept = options.kept() | {"scanner": dict(scene.scanner_parameters)}
     folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
     work = _Work(run, folder, narrator)
-    with _kept_on_failure(folder):
+    with folder.kept_on_failure(), _drivers_errors_as_ours():
         if options.view is not None:
             _write_motion(folder, legs.motion(motion))
         with work.step(EXECUTING) as progress, driver:
@@ -225,22 +224,9 @@ def _exit_code(summary: dict[str, Any], scene: ScanScene) -> int:
 
 
 @contextmanager
-def _kept_on_failure(folder: ExecutionFolder) -> Iterator[None]:
-    """An execution that ends early keeps its scans, with status, stage and reason; a driver's error gets its code."""
+def _drivers_errors_as_ours() -> Iterator[None]:
+    """A driver's error ends the command with its code."""
     try:
         yield
-    except KeyboardInterrupt:
-        folder.fail("interrupted", 130, "stopped by Ctrl-C")
-        raise
     except DriverError as error:
-        folder.fail("failed", DriverFailureError.exit_code, str(error))
         raise DriverFailureError(str(error)) from error
-    except CellError as error:
-        folder.fail("failed", error.exit_code, str(error))
-        raise
-    except PlannerError as error:
-        folder.fail("failed", CellError.exit_code, str(error))
-        raise
-    except BaseException as error:
-        folder.fail("failed", CellError.exit_code, f"{type(error).__name__}: {error}")
-        raise
