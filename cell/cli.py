@@ -73,6 +73,14 @@ def plan(
         float | None,
         typer.Option(help="In place of --faces: percentage of the faces that is KEPT.", rich_help_panel=_VIEWS),
     ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(help="A real sensor by name, see cell sensors; in place of scanner.type.", rich_help_panel=_VIEWS),
+    ] = None,
+    baseline: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="From laser source to sensor.", rich_help_panel=_VIEWS),
+    ] = None,
     candidates: Annotated[
         str | None,
         typer.Option(help="optimal-scanning-zone (one per face), view-sphere or targeted.", rich_help_panel=_VIEWS),
@@ -159,6 +167,7 @@ def plan(
         "seed": seed,
     }
     tables["plan"] = {key: value for key, value in given.items() if value is not None}
+    tables["scanner"] = {k: v for k, v in {"sensor": sensor, "baseline_mm": baseline}.items() if v is not None}
     narrator = Narrator(quiet_stdout=as_json)
     with options.named_as_options(tables):
         checked = load_scene(scene, tables)
@@ -208,6 +217,21 @@ def check(
     else:
         Narrator().check_table(result)
     raise typer.Exit(result.exit_code)
+
+
+@app.command(epilog="Examples:\n\ncell sensors\n\ncell plan --sensor gocator-2340 --baseline 100")
+def sensors(
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """List the real sensors that a scene may name, what is known of each, and what you have to give."""
+    from cell import sensors as library
+    from cell.run_folder import SCHEMA
+
+    if as_json:
+        known = [library.load(name).summary() for name in library.names()]
+        sys.stdout.write(json.dumps({"schema": SCHEMA, "sensors": known}, indent=2, allow_nan=False) + "\n")
+    else:
+        library.print_table()
 
 
 @app.command(
@@ -345,6 +369,36 @@ def scan(
     else:
         narrator.scan_table(outcome)
     raise typer.Exit(outcome.exit_code)
+
+
+@app.command(
+    epilog="Examples:\n\n"
+    "cell why sim_runs/trial\n\n"
+    "cell why sim_runs/trial --samples 20000 --json\n\n"
+    "Writes why.json, why.ply and why.png to why/ in the run folder; the plan stays as it is.\n\n"
+    "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
+)
+def why(
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    samples: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Surface samples to ask about. Default: 100,000, as coverage is defined."),
+    ] = None,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
+    ] = False,
+) -> None:
+    """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
+    from cell.narrator import Narrator
+    from cell.why import explain
+
+    narrator = Narrator(quiet_stdout=as_json)
+    outcome = explain(run, narrator, samples=samples)
+    if as_json:
+        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+    else:
+        narrator.why_table(outcome)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from cell.check import CheckResult
     from cell.pipeline import PlanOutcome
     from cell.scan_command import ScanOutcome
+    from cell.why import WhyOutcome
 
 log = logging.getLogger(__name__)
 log.addHandler(logging.NullHandler())  # without a run.log, Python would print each warning a second time
@@ -121,6 +123,24 @@ class Narrator:
         table.add_row("motion", f"{motion['planned_s']:.1f} s planned{took}")
         table.add_row("execution", str(outcome.folder))
         self._results.print(table)
+
+    def why_table(self, outcome: "WhyOutcome") -> None:
+        """Why parts of the surface stay open, by area."""
+        from cell import why_files
+
+        summary = outcome.summary
+        table = Table(
+            title=f"Why {100 * summary['open']:.2f} % of {summary['part']} stay open",
+            title_justify="left",
+            show_lines=True,
+        )
+        for name in ("reason", "of the surface", "where (mm, part)", "what would measure it"):
+            table.add_column(name)
+        for row in why_files.table_rows(summary):
+            table.add_row(*(escape(cell) for cell in row))
+        self._results.print(table)
+        self._results.print(f"all together: {why_files.overall_line(summary)}", markup=False, soft_wrap=True)
+        self._results.print(f"files: {outcome.folder}", markup=False, soft_wrap=True)
 
     def check_table(self, result: "CheckResult") -> None:
         """What `cell check` found."""
