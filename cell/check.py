@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from cell import workpiece
+from cell import scanners, workpiece
 from cell.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.resolve import resolve
 from cell.robot import AXES, Dimensions, dimensions
@@ -131,7 +131,8 @@ def check_scene(scene: Scene) -> CheckResult:
     """
     part = workpiece.load(scene.part.source, scene.part.units)
     settings = resolve(scene, part)
-    baseline_mm = float(settings.scanner["baseline_mm"])
+    scanner = scanners.make(scene.scanner.type, settings.scanner)
+    baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
     world = compile_world(scene, part.reference.vertices, baseline_mm=baseline_mm, refuse=False)
     checker = MujocoCollisionChecker(world)
     contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))

@@ -57,7 +57,8 @@ def _missing(summary: Mapping[str, Any]) -> str:
 def _table(summary: Mapping[str, Any]) -> list[str]:
     settings, motion = summary["settings"], summary["motion"]
     executed = "" if motion["executed_s"] is None else f"; the controller took {motion['executed_s']:.2f} s"
-    h, v = settings["resolution_deg"]
+    grid = " x ".join(f"{step:g}" for step in settings["resolution_deg"])
+    grid = f", {grid} deg" if grid else ""
     view = "" if settings["view"] is None else f", only view {settings['view']} was asked for"
     return [
         "| | |",
@@ -65,7 +66,7 @@ def _table(summary: Mapping[str, Any]) -> list[str]:
         f"| part | {summary['part']['name']}: {summary['part']['faces']:,} faces |",
         f"| views | {summary['n_views']} of the plan's {summary['n_views_planned']}{view} |",
         f"| points | {summary['n_points']:,} |",
-        f"| scanner | {settings['scanner']}, {h:g} x {v:g} deg, {settings['rays_per_scan']:,} rays a scan |",
+        f"| scanner | {settings['scanner']}{grid}, {settings['rays_per_scan']:,} rays a scan |",
         f"| driver | {settings['driver']} |",
         f"| range noise (1 sigma) | {_off(settings['range_noise_mm'], 'mm')}"
         + (" and the scanner's own model |" if settings.get("noise") == "model" else " |"),

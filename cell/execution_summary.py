@@ -58,7 +58,7 @@ def execution_summary(
             **{name: options.get(name) for name in ("pose_error_deg", "register", "close_holes")},
             "noise": options.get("noise", "none"),
             "scanner": scene.scanner_parameters["type"],
-            "resolution_deg": list(scene.scanner_parameters["resolution_deg"]),
+            "resolution_deg": list(scene.scanner_parameters.get("resolution_deg", [])),
             "rays_per_scan": scene.scanner.grid_shape[0] * scene.scanner.grid_shape[1],
             "seed": seed,
         },

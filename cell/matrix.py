@@ -78,7 +78,7 @@ def part_matrix(
         progress: called with (poses done, poses in all).
     """
     method = scene.plan.fill
-    scanner = scanners.load(scene.scanner.type)(**settings.planning_scanner)
+    scanner = scanners.make(scene.scanner.type, settings.planning_scanner)
     parameters = dict(scanner.parameters())
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
     row_of_face = None

@@ -15,6 +15,8 @@ _OPTION_OF_KEY = {
     "part.units": "--units",
     "placement.position_mm": "--place",
     "placement.abc_deg": "--place",
+    "scanner.sensor": "--sensor",
+    "scanner.baseline_mm": "--baseline",
     "plan.faces": "--faces",
     "plan.percent_kept": "--percent",
     "plan.candidates": "--candidates",

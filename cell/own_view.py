@@ -16,7 +16,7 @@ def hidden_share(world: World) -> float:
     Args:
         world: the compiled scene.
     """
-    half = np.tan(np.radians(world.scene.scanner.fov_deg) / 2)
+    half = np.tan(np.radians(world.scene.scanner.opening_deg) / 2)
     x, y = np.meshgrid(*(np.linspace(-side, side, _GRID) for side in half))
     ends = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) * _LEG_ENDS
     T_housing_scanner = np.linalg.inv(world.T_flange_housing) @ world.T_flange_scanner

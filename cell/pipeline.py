@@ -7,7 +7,7 @@ next one starts.
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from cell import plan_files, scanners, workpiece
 from cell.candidates import first, grow
 from cell.collision import MujocoCollisionChecker
 from cell.embree import EmbreeRayCaster
-from cell.errors import CellError, FileError, UnreachableError
+from cell.errors import FileError, UnreachableError
 from cell.kinematics import Kr16Kinematics
 from cell.matrix import limit_sigma, part_matrix, surface_features
 from cell.mesh_checks import Kind
@@ -33,7 +33,6 @@ from cell.view_plan import select_and_connect
 from cell.workpiece import Workpiece
 from cell.world import compile as compile_world
 from planner import coverage, measurability, reach, surface, timing
-from planner.errors import PlannerError
 from planner.measurability import Measurability
 from planner.ports import Scanner
 from planner.reach import Reach
@@ -116,7 +115,7 @@ def plan(
     inputs = plan_files.input_hashes(scene, part)
     folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC))
     run = Run(folder, narrator, scene.plan.seed, use_cache)
-    with _kept_on_failure(folder), _logged(folder.path / "run.log"):
+    with folder.kept_on_failure(), _logged(folder.path / "run.log"):
         plan_files.write_scene(folder, scene_path)
         summary, exit_code = _steps(run, scene, part, settings)
     return PlanOutcome(folder.finish(exit_code), exit_code, summary)
@@ -125,7 +124,8 @@ def plan(
 def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple[dict[str, Any], int]:
     """Steps 2 to 9 and the report; returns the summary and the exit code."""
     reference = part.reference
-    scanner = scanners.load(scene.scanner.type)(**settings.scanner)
+    scanner = scanners.make(scene.scanner.type, settings.scanner)
+    settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
 
     with run.step("decimate and sample"):
         planning = surface.decimate(reference, settings.faces)
@@ -133,19 +133,22 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         candidates = first(scene, settings, part, planning)
         features = surface_features(scene, reference, planning, run.rng(_FEATURES))
         plan_files.write_meshes(run.folder, reference, planning)
-        plan_files.write_viewpoints(run.folder, candidates)
+        plan_files.write_viewpoints(run.folder, scanners.swept(scanner, candidates))
 
     with run.step("compile the cell"):
-        world = compile_world(scene, reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
+        world = compile_world(scene, reference.vertices, baseline_mm=scanners.baseline_mm(settings.scanner, scanner))
         checker = MujocoCollisionChecker(world)
         kinematics = Kr16Kinematics.from_model(world.model)
-        plan_files.write_cell(run.folder, scene, settings, part, len(planning.faces), world, scanner.parameters())
+        described = scanners.described(scene.scanner.type, scanner)
+        plan_files.write_cell(run.folder, scene, settings, part, len(planning.faces), world, described)
+        scanners.note_what_is_not_planned(run.narrator.note, scene, scanner)
 
     with run.step("reach") as progress:
 
         def reach_of(views: Viewpoints, progress: ProgressCallback | None = None) -> Reach:
+            poses = scanners.swept(scanner, views)
             return reach.solve(
-                views, world.T_base_object, world.T_flange_scanner, kinematics, checker, progress=progress
+                poses, world.T_base_object, world.T_flange_scanner, kinematics, checker, progress=progress
             )
 
         reached = reach_of(candidates, progress)
@@ -158,6 +161,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         casters.append(_caster_of(occluder_triangles(world)))
 
         def measure(views: Viewpoints) -> tuple[Measurability, Scanner]:
+            views = scanners.swept(scanner, views)
             M = part_matrix(
                 scene, settings, reference, planning, features, views, casters[0],
                 narrator=run.narrator, use_cache=run.use_cache, progress=progress,
@@ -172,8 +176,9 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
                 candidates, reached, M, standoff=settings.standoffs[0], scanner=judge, casters=casters,
                 reach_of=reach_of, measure=lambda views: measure(views)[0], progress=progress,
             ).all()  # fmt: skip
-            plan_files.write_viewpoints(run.folder, candidates)
+            plan_files.write_viewpoints(run.folder, scanners.swept(scanner, candidates))
             plan_files.write_reach(run.folder, reached)
+        candidates = scanners.swept(scanner, candidates)
         plan_files.write_measurability(run.folder, M)
         held_out = surface.sample(reference, planning, coverage.SAMPLES, run.rng(_HELD_OUT))
         prediction = Prediction.of(held_out, judge, casters, candidates.T_object_scanner[reached.reachable], progress)
@@ -189,7 +194,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         plan_files.write_motion(run.folder, motion, chosen.tour)
 
     with run.step("report"):
-        visible = prediction.visible(chosen.T_object_scanner[:, None])
+        visible = prediction.visible(chosen.T_object_poses)
         summary = plan_summary(
             scene,
             settings,
@@ -256,25 +261,6 @@ def _nothing_reachable(reached: Reach, part: Workpiece) -> str:
         + "; move the part (--place), change the standoff or allow more --roll values"
         + (", or turn its faces round if they face inwards" if any(f.kind in _ONE_SIDED for f in part.findings) else "")
     )
-
-
-@contextmanager
-def _kept_on_failure(folder: RunFolder) -> Iterator[None]:
-    """A run that ends early keeps its folder, with status, stage and reason."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        folder.fail("interrupted", 130, "stopped by Ctrl-C")
-        raise
-    except CellError as error:
-        folder.fail("failed", error.exit_code, str(error))
-        raise
-    except PlannerError as error:
-        folder.fail("failed", CellError.exit_code, str(error))
-        raise
-    except BaseException as error:
-        folder.fail("failed", CellError.exit_code, f"{type(error).__name__}: {error}")
-        raise
 
 
 @contextmanager

@@ -166,6 +166,7 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour) -> None:
 
 def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedPlan, candidates: Viewpoints) -> None:
     """`plan.json`: the views in visiting order, with what is known about the selection."""
+    swept = chosen.T_object_poses.shape[1] > 1
     views = [
         {
             "id": int(candidate),
@@ -174,6 +175,7 @@ def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedP
             "T_base_scanner": chosen.T_base_scanner[stop].tolist(),
             "T_base_flange": chosen.T_base_flange[stop].tolist(),
             "q_deg": degrees(chosen.tour.q[stop]),
+            **({"sweep": {"T_object_scanner": chosen.T_object_poses[stop].tolist()}} if swept else {}),
         }
         for stop, candidate in enumerate(chosen.candidate)
     ]

@@ -66,7 +66,9 @@ def plan_summary(
             "placement_mm": list(scene.placement.position_mm),
             "placement_abc_deg": list(scene.placement.abc_deg),
             "scanner": scene.scanner.type,
+            **({} if scene.scanner.sensor is None else {"sensor": scene.scanner.sensor}),
             **{key: _plain(value) for key, value in settings.scanner.items()},
+            **sweep_summary(chosen),
             "standoffs_mm": [round(standoff * 1000, 9) for standoff in settings.standoffs],
             "rolls_deg": list(scene.plan.rolls_deg),
             "candidates": scene.plan.candidates,
@@ -132,8 +134,8 @@ def draw(
 ) -> None:
     """The four pictures of the report; arguments as in `plan_summary`."""
     cover = chosen.cover
-    measured_by = prediction.views_per_face(chosen.T_object_scanner[:, None], len(planning.faces))
-    fov = np.deg2rad(scene.scanner.fov_deg)
+    measured_by = prediction.views_per_face(chosen.T_object_poses, len(planning.faces))
+    fov = np.deg2rad(scene.scanner.opening_deg)
     pictures.part_and_views(
         folder.path / "views.png", planning, measured_by, chosen.T_object_scanner, (float(fov[0]), float(fov[1]))
     )
@@ -179,6 +181,12 @@ def _sigma(M: Measurability, views: NDArray[np.int64], limit_mm: float | None) -
     best = 1000 * best_sigma(M, views)
     median, most = np.quantile(best[np.isfinite(best)], [0.5, 0.95])
     return {"median_mm": round(float(median), 6), "quantile_95_mm": round(float(most), 6), "limit_mm": limit_mm}
+
+
+def sweep_summary(chosen: ConnectedPlan) -> dict[str, Any]:
+    """What is said of views that sweep: how many poses, and that the motion does not hold them; else nothing."""
+    K = chosen.T_object_poses.shape[1]
+    return {} if K == 1 else {"sweep_poses": K, "sweep_in_motion": False}
 
 
 def _mm_or_none(metres: float) -> float | None:

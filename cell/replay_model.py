@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cell import robot
+from cell import robot, scanners
 from cell.errors import FileError
 from cell.replay_look import add_mesh, light, paint, show_surface
 from cell.replay_marks import GLYPH_SHARE
@@ -26,6 +26,7 @@ from planner.surface import TriangleMesh
 if TYPE_CHECKING:
     import mujoco
 
+_DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 POINTS_SHOWN = 6_000
 """Points of one scan that are shown; more cover the surface without a gap and cost time alone."""
 
@@ -106,7 +107,8 @@ def dress(
         centre = (T_base_object @ readonly("T_object_centre", scene["T_object_centre"], (4, 4)))[:3, 3]
         clearance = float(scene["clearance_mm"]) / 1000.0
         scanner = scene["scanner"]
-        corners = frustum(*np.radians(scanner["fov_deg"]), *(np.array(scanner["range_mm"]) / 1000.0))
+        opening = np.radians(scanners.drawn_opening_deg(scanner))
+        corners = frustum(*opening, *(np.array(scanner.get("range_mm", _DRAWN_RANGE_MM)) / 1000.0))
 
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
     paint(spec)

@@ -28,11 +28,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         f"| planning mesh | {part['planning_faces']:,} faces |",
         f"| placement of its centre in base | {_list(settings['placement_mm'])} mm, "
         f"A B C {_list(settings['placement_abc_deg'])} deg |",
-        f"| scanner | {settings['scanner']}, standoff {_list(settings['standoffs_mm'])} mm, "
-        f"baseline {settings['baseline_mm']:g} mm, "
-        f"range {settings['range_mm'][0]:g} to {settings['range_mm'][1]:g} mm |",
-        f"| field of view, grazing limits | {_times(settings['fov_deg'])} deg, "
-        f"source {settings['grazing_max_deg']:g} deg, sensor {settings['sensor_grazing_max_deg']:g} deg |",
+        *_scanner_rows(settings),
         f"| candidates | {settings['candidates']}, {sum(summary['verdicts'].values()):,} |",
         f"| matrix | {settings['fill']}, {summary['n_features']:,} surface samples |",
         f"| selection | {summary['solver']}, {summary['n_views']} views, lower bound {summary['lower_bound']}, "
@@ -69,6 +65,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     lines += [
         f"In task-space order (Christofides) the same views would take {motion['baseline_duration_s']:.2f} s.",
         "",
+        *_of_sweeps(settings),
         "![Joint motion](motion.png)",
         "",
         "## What the numbers mean",
@@ -80,6 +77,41 @@ def markdown(summary: Mapping[str, Any]) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _scanner_rows(settings: Mapping[str, Any]) -> list[str]:
+    """The scanner's rows of the table; a plug-in's own keys stand as they are named."""
+    row = f"| scanner | {settings.get('sensor') or settings['scanner']}, standoff {_list(settings['standoffs_mm'])} mm"
+    if "baseline_mm" in settings:
+        row += f", baseline {settings['baseline_mm']:g} mm"
+    if "range_mm" in settings:
+        row += f", range {settings['range_mm'][0]:g} to {settings['range_mm'][1]:g} mm"
+    rows = [row + " |"]
+    if {"fov_deg", "grazing_max_deg", "sensor_grazing_max_deg"} <= set(settings):
+        rows.append(
+            f"| field of view, grazing limits | {_times(settings['fov_deg'])} deg, "
+            f"source {settings['grazing_max_deg']:g} deg, sensor {settings['sensor_grazing_max_deg']:g} deg |"
+        )
+    elif "fan_deg" in settings:
+        sweep = f"turned by {settings['sweep_deg']:g} deg" if "sweep_deg" in settings else "straight"
+        length = f", {settings['sweep_mm']:g} mm" if "sweep_mm" in settings else ""
+        rows.append(
+            f"| fan, sweep, grazing limits | {settings['fan_deg']:g} deg, {sweep}{length} in {settings['sweep_poses']} "
+            f"poses, source {settings['grazing_max_deg']:g} deg, sensor {settings['sensor_grazing_max_deg']:g} deg |"
+        )
+    return rows
+
+
+def _of_sweeps(settings: Mapping[str, Any]) -> list[str]:
+    """What the motion of views that sweep does not hold."""
+    if "sweep_poses" not in settings:
+        return []
+    return [
+        f"Each view is a sweep of {settings['sweep_poses']} poses, all of them reachable. **The sweep itself is not in "
+        "this motion yet**: it stops at the first pose of each view, and neither the way from pose to pose nor its time "
+        "is planned. Coverage counts all poses of the sweep; the arm's own shadow along it is not judged.",
+        "",
+    ]
 
 
 def _percent(share: float) -> str:

@@ -28,6 +28,7 @@ _STANDOFF_MM = 300.0
 _STANDOFF_RADII = 1.5  # a part of the user's: never nearer than this many radii of its bounding sphere
 _BASELINE_SHARE = 0.25
 _RANGE_SHARES = (0.5, 1.5)
+_LINE_KEYS = ("fan_deg", "sweep_mm", "sweep_deg", "sweep_steps", "line_points")
 _LEAST_CLEARANCE_MM = 1.0  # steps between collision checks are as long as the clearance: below, a motion takes millions
 
 
@@ -89,13 +90,15 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
     for name in ("sensor_fov_deg", "sensor_tilt_deg", "depth_of_field_mm"):  # given only where they limit
         if getattr(scene.scanner, name) is not None:
             scanner[name] = getattr(scene.scanner, name)
+    scanner = _of_the_plug_in(scene, scanner)
     planning_step = scene.scanner.planning_resolution_deg
+    planned = {"resolution_deg": (planning_step, planning_step)} if "resolution_deg" in scanner else {}
     return Settings(
         faces=_faces(scene, built_in, len(part.reference.faces)),
         standoffs=tuple(standoff / 1000 for standoff in standoffs_mm),
         rolls=tuple(np.deg2rad(_distinct(scene.plan.rolls_deg)).tolist()),
         scanner=scanner,
-        planning_scanner={**scanner, "resolution_deg": (planning_step, planning_step)},
+        planning_scanner={**scanner, **planned},
         sphere_radius=max(*standoffs_mm, radius_mm + near) / 1000,
     )
 
@@ -103,6 +106,8 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
 def _standoffs_mm(scene: Scene, built_in: tuple[int, float, float] | None, radius_mm: float) -> tuple[float, ...]:
     if scene.plan.standoffs_mm is not None:
         return tuple(dict.fromkeys(scene.plan.standoffs_mm))
+    if scene.scanner.sensor is not None and scene.scanner.range_mm is not None:
+        return (sum(scene.scanner.range_mm) / 2,)  # a real sensor is used in the middle of its range
     if built_in is not None:
         return (built_in[1],)
     wanted = max(_STANDOFF_MM, _STANDOFF_RADII * radius_mm)
@@ -110,6 +115,16 @@ def _standoffs_mm(scene: Scene, built_in: tuple[int, float, float] | None, radiu
         near, far = scene.scanner.range_mm
         wanted = min(max(wanted, near), far)
     return (wanted,)
+
+
+def _of_the_plug_in(scene: Scene, usual: Mapping[str, Any]) -> dict[str, Any]:
+    """What the scanner's class takes: of the usual keys those that it has, and the keys of its own that are given."""
+    from cell import scanners
+
+    named = {key: getattr(scene.scanner, key) for key in _LINE_KEYS if getattr(scene.scanner, key) is not None}
+    known = scanners.keys(scene.scanner.type)
+    offered = {**usual, **named, **(scene.scanner.model_extra or {})}
+    return {key: value for key, value in offered.items() if known is None or key in known}
 
 
 def _distinct(rolls_deg: tuple[float, ...]) -> list[float]:

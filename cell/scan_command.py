@@ -181,8 +181,9 @@ def _draw(folder: ExecutionFolder, scene: ScanScene, plan: Any, scans: Sequence[
         folder.remove("cover.png")
         return
     from cell import pictures
+    from cell.scanners import drawn_opening_deg
 
-    h, v = (float(angle) for angle in np.radians(scene.scanner_parameters["fov_deg"]))
+    h, v = (float(angle) for angle in np.radians(drawn_opening_deg(scene.scanner_parameters)))
     poses = np.stack([scan.T_true for scan in scans])
     pictures.part_and_views(
         folder.path / "views.png", scene.planning, reached.views_per_face, poses, (h, v), [scan.stop for scan in scans]

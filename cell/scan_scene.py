@@ -92,13 +92,18 @@ def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
         max_sigma_mm = resolved["plan"].get("max_sigma_mm")
     if resolution_deg is not None:
         parameters["resolution_deg"] = [resolution_deg, resolution_deg]
-    kind = scanners.load(str(parameters["type"]))
     try:
-        scanner = kind(**{key: value for key, value in parameters.items() if key != "type"})
+        values = {key: value for key, value in parameters.items() if key != "type"}
+        scanner: Any = scanners.make(str(parameters["type"]), values)
     except SceneError as error:
         if resolution_deg is None:
             raise
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
+    if hasattr(scanner, "T_view_scanner"):
+        raise UsageError(
+            f"the views of this plan are sweeps ({parameters['type']}), and their motion is not planned yet: they "
+            "cannot be executed; plan with a scanner that measures at rest, such as laser-area"
+        )
     if max_sigma_mm is not None:
         scanner = Limited(scanner, float(max_sigma_mm) / 1000)  # what the plan does not count, the scan does not take
     return ScanScene(

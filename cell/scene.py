@@ -8,9 +8,18 @@ place from the baseline). `models/scene.toml` is the built-in scene with every k
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from cell.errors import SceneError
 
@@ -69,9 +78,12 @@ class Robot(_Table):
 
 
 class Scanner(_Table):
-    """The scanner's law; the keys are those of the plug-in that `type` names."""
+    """The scanner's law; the keys are those of the plug-in that `type` names, a foreign one's own keys among them."""
+
+    model_config = ConfigDict(extra="allow")  # `_keys_of_its_type` refuses what the plug-in does not know
 
     type: str = "laser-area"
+    sensor: str | None = None
     fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] = (60.0, 60.0)
     resolution_deg: Annotated[tuple[Positive, Positive], Field(strict=False)] = (0.25, 0.25)
     planning_resolution_deg: Positive = 1.0
@@ -83,6 +95,18 @@ class Scanner(_Table):
     sensor_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] | None = None
     depth_of_field_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
     sigma_angle_mdeg: NotNegative = 1.5
+    fan_deg: Fov = 28.0
+    sweep_mm: Positive | None = None
+    sweep_deg: Fov | None = None
+    sweep_steps: Annotated[int, Field(ge=1)] = 8
+    line_points: Annotated[int, Field(ge=1)] = 640
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keys_of_its_type(cls, table: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        from cell.scanner_table import validated
+
+        return validated(table, handler, cls.model_fields["type"].default)
 
     @field_validator("type")
     @classmethod
@@ -101,6 +125,14 @@ class Scanner(_Table):
         if limits is not None and not limits[0] < limits[1]:
             raise ValueError(f"is {list(limits)}; it must be [min, max] with min < max")
         return limits
+
+    @property
+    def opening_deg(self) -> tuple[float, float]:
+        """Angles across and along a line [deg], for outlines and pictures: the field of view, or the thin fan."""
+        from cell import scanners
+
+        known = scanners.keys(self.type) or ()
+        return (0.5, self.fan_deg) if "fan_deg" in known and "fov_deg" not in known else self.fov_deg
 
 
 class Mount(_Posed):

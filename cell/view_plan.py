@@ -18,7 +18,7 @@ from cell.narrator import ProgressCallback
 from cell.prediction import Prediction
 from cell.self_shading import arm_caster, own_shade, visible_with_arm
 from cell.world import World
-from planner import cover, tour
+from planner import cover, sweeps, tour
 from planner.cover import Cover
 from planner.measurability import Measurability
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
@@ -53,8 +53,10 @@ class ConnectedPlan:
         T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
         T_base_scanner: (n, 4, 4) the same in base [m].
         T_base_flange: (n, 4, 4) the same of the flange [m].
+        T_object_poses: (n, K, 4, 4) all poses of each view: `T_object_scanner`, and the rest of its sweep.
         dropped: candidates that could not be connected, or that the arm shades.
-        visible_with_arm: visible coverage where each view's own arm hides as well, fraction of the surface.
+        visible_with_arm: visible coverage where each view's own arm hides as well, fraction of the surface; None for
+            views that sweep: where the arm stands during a sweep is not planned.
     """
 
     cover: Cover
@@ -64,14 +66,16 @@ class ConnectedPlan:
     T_object_scanner: Floats
     T_base_scanner: Floats
     T_base_flange: Floats
+    T_object_poses: Floats
     dropped: tuple[DroppedView, ...]
-    visible_with_arm: float
+    visible_with_arm: float | None
 
     def __post_init__(self) -> None:
         n = len(self.candidate)
         object.__setattr__(self, "candidate", readonly("candidate", self.candidate, (n,), np.int64))
         for name in ("T_object_scanner", "T_base_scanner", "T_base_flange"):
             object.__setattr__(self, name, readonly(name, getattr(self, name), (n, 4, 4)))
+        object.__setattr__(self, "T_object_poses", readonly("T_object_poses", self.T_object_poses, (n, None, 4, 4)))
 
     @property
     def via_candidate(self) -> NDArray[np.int64]:
@@ -134,7 +138,8 @@ def select_and_connect(
             )
             covered = len(banned)
         if not len(chosen.views):
-            why = "; ".join(f"candidate {view}: {reason}" for view, reason in banned.items())
+            told = [f"candidate {view}: {reason}" for view, reason in banned.items()]
+            why = "; ".join(told[:_TOLD] + ([f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []))
             raise UnreachableError(
                 "no view is left that measures the part and can be reached by a free motion"
                 + (f" ({why})" if why else "")
@@ -161,7 +166,8 @@ def select_and_connect(
         if motion.dropped:
             continue
         stops = chosen.views[motion.order]
-        shaded = own_shade(M, candidates, stops, motion.q, world, prediction.scanner)
+        at_rest = candidates.T_object_scanner.shape[1] == 1
+        shaded = own_shade(M, candidates, stops, motion.q, world, prediction.scanner) if at_rest else ()
         for shade in shaded:
             view = int(stops[shade.stop])
             left = shade.free_of_shade(unshaded.get(view, reached.q_of(view)))
@@ -182,12 +188,18 @@ def select_and_connect(
         T_base_scanner=T_base_flange @ world.T_flange_scanner,
         T_base_flange=T_base_flange,
         dropped=tuple(DroppedView(view, reason) for view, reason in banned.items()),
+        T_object_poses=T_object_scanner[:, None]
+        if at_rest
+        else sweeps.begun_at(T_object_scanner, candidates.T_object_scanner[stops]),
         visible_with_arm=visible_with_arm(
             prediction, T_object_scanner[:, None], [arm_caster(world, q, prediction.scanner) for q in motion.q]
-        ),
+        )
+        if at_rest
+        else None,
     )
 
 
+_TOLD = 3  # candidates whose reasons are given when none is left
 _RAISES = 6  # of the target; each closes the gap that the held-out samples show, so one or two do
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
 

@@ -1,17 +1,45 @@
 """Scanners by name: plug-ins of the entry-point group `cell.scanners`, imported only when chosen.
 
-A plug-in is a class that implements `planner.ports.Scanner` and takes the keys of the scene's `[scanner]` table
-(without `type`) as keyword arguments. Another distribution adds one with
+A plug-in is a class that implements `ScannerPlugin`. The arguments of the class are its keys in the scene's `[scanner]`
+table. Another distribution adds one with
 
     [project.entry-points."cell.scanners"]
-    laser-line = "my_package.my_module:LaserLine"
+    my-scanner = "my_package.my_module:MyScanner"
+
+docs/scanners.md shows how to write one.
 """
 
+import inspect
+import json
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, Protocol
 
-from cell.errors import SceneError
+from cell.errors import CellError, SceneError
+from planner.ports import Scanner
+
+if TYPE_CHECKING:
+    from cell.scene import Scene
+    from planner.viewpoints import Viewpoints
 
 GROUP = "cell.scanners"
+
+_MEMBERS = ("source", "sensor", "grid_shape", "ray_directions", "reject", "parameters")
+
+
+class ScannerPlugin(Scanner, Protocol):
+    """A scanner that can be written down.
+
+    It may have more: `T_view_scanner`, the (K, 4, 4) poses of a sweep about a viewpoint [m], makes each viewpoint a
+    column of K poses; `sigma`, the expected standard deviation of a point (`planner.ports.SigmaScanner`).
+    """
+
+    def parameters(self) -> dict[str, Any]:
+        """What defines this scanner, JSON types: calling the class with them makes it again (`type` aside).
+
+        The matrix cache takes equal parameters for equal scanners. `fov_deg` and `range_mm` are drawn in pictures.
+        """
+        ...
 
 
 def names() -> tuple[str, ...]:
@@ -28,14 +56,7 @@ def load(name: str) -> type:
     Raises:
         SceneError: if no installed distribution offers the name, two do, or the one that does cannot be imported.
     """
-    found = [point for point in entry_points(group=GROUP) if point.name == name]
-    if not found:
-        valid = ", ".join(names()) or "none (is scan-cell installed?)"
-        raise SceneError(f"scanner type '{name}' is not installed; valid are: {valid}")
-    if len({point.value for point in found}) > 1:
-        offers = " and ".join(f"{_distribution(point)} ({point.value})" for point in found)
-        raise SceneError(f"scanner type '{name}' is offered by {offers}; uninstall all but one")
-    point = found[0]
+    point = _offered(name)
     try:
         chosen = point.load()
     except Exception as error:  # a foreign plug-in may fail in any way at import
@@ -46,9 +67,136 @@ def load(name: str) -> type:
     if not isinstance(chosen, type):
         raise SceneError(
             f"scanner type '{name}' of distribution {_distribution(point)} is {point.value}, which is no class; "
-            "a scanner is a class that implements planner.ports.Scanner"
+            "a scanner is a class that implements cell.scanners.ScannerPlugin"
         )
     return chosen
+
+
+def keys(name: str) -> tuple[str, ...] | None:
+    """Keys of a scanner in the scene: the arguments of its class; None where it takes any (`**keys`).
+
+    Raises:
+        SceneError: as `load`.
+    """
+    arguments = inspect.signature(load(name)).parameters.values()
+    if any(argument.kind is argument.VAR_KEYWORD for argument in arguments):
+        return None
+    return tuple(
+        argument.name
+        for argument in arguments
+        if argument.kind in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY)
+    )
+
+
+def make(name: str, values: Mapping[str, Any]) -> ScannerPlugin:
+    """Make a scanner and look at whether it is one.
+
+    Args:
+        name: the scene's `scanner.type`.
+        values: of its keys.
+
+    Raises:
+        SceneError: if the class refuses the values, lacks a member of the protocol, or its parameters cannot be
+            written down; the message names the distribution.
+    """
+    kind = load(name)
+    whose = f"scanner type '{name}' of distribution {_distribution(_offered(name))}"
+    try:
+        scanner = kind(**values)
+        missing = [member for member in _MEMBERS if not hasattr(scanner, member)]
+        parameters = None if missing else scanner.parameters()
+    except CellError:
+        raise  # the plug-in's own sentence about a value
+    except Exception as error:  # a foreign plug-in may fail in any way
+        raise SceneError(
+            f"{whose} cannot be made of {', '.join(values) or 'no keys'}: {type(error).__name__}: {error}; repair or "
+            "uninstall that distribution"
+        ) from error
+    if missing:
+        raise SceneError(
+            f"{whose} lacks {', '.join(missing)}; a scanner has {', '.join(_MEMBERS)} (cell.scanners.ScannerPlugin)"
+        )
+    try:
+        if not isinstance(parameters, dict):
+            raise TypeError(f"it is a {type(parameters).__name__}")
+        json.dumps(parameters, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise SceneError(
+            f"{whose} has parameters() that cannot be written down: {error}; it must return a dict of JSON types"
+        ) from error
+    made: ScannerPlugin = scanner
+    return made
+
+
+def described(name: str, scanner: ScannerPlugin) -> dict[str, Any]:
+    """What defines a scanner, its type included, as the run folder keeps it."""
+    return {"type": name, **{key: value for key, value in scanner.parameters().items() if key != "type"}}
+
+
+def settled(values: Mapping[str, Any], scanner: ScannerPlugin) -> dict[str, Any]:
+    """The keys that a scanner was made of, and those that it has settled itself, such as the length of its sweep."""
+    own = scanner.parameters()
+    return {**values, **{key: value for key, value in own.items() if key not in values and key != "type"}}
+
+
+def swept(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
+    """The columns that a scanner makes of viewpoints: of one that sweeps its sweeps, otherwise the viewpoints."""
+    T_view_scanner = getattr(scanner, "T_view_scanner", None)
+    if T_view_scanner is None:
+        return viewpoints
+    from planner.sweeps import swept as sweeps_of
+
+    return sweeps_of(viewpoints, T_view_scanner)
+
+
+def note_what_is_not_planned(note: Callable[[str], None], scene: "Scene", scanner: Scanner) -> None:
+    """Say what a person has to know about a scanner that sweeps, or that is named as a real sensor."""
+    T_view_scanner = getattr(scanner, "T_view_scanner", None)
+    if T_view_scanner is not None:
+        note(
+            f"each view is a sweep of {len(T_view_scanner)} poses, all of them reachable; the motion stops at the "
+            "first of them: the sweep itself is not in the motion yet, and the arm's own shadow along it is not judged"
+        )
+    if scene.scanner.sensor is not None and "size_mm" not in scene.housing.model_fields_set:
+        from cell import sensors
+
+        body = sensors.load(scene.scanner.sensor).figures.get("body_mm")
+        stated = "its body is not stated" if body is None else f"its body is {' x '.join(f'{s:g}' for s in body)} mm"
+        note(
+            f"the housing that collides is the scene's, {' x '.join(f'{s:g}' for s in scene.housing.size_mm)} mm; "
+            f"{scene.scanner.sensor}: {stated}; set housing.size_mm and housing.position_mm to the real one"
+        )
+
+
+def baseline_mm(values: Mapping[str, Any], scanner: Scanner) -> float:
+    """Distance of source and sensor [mm]: the key, or what a scanner without that key says by its positions."""
+    if "baseline_mm" in values:
+        return float(values["baseline_mm"])
+    return float(sum((scanner.sensor - scanner.source) ** 2) ** 0.5 * 1000)
+
+
+def drawn_opening_deg(parameters: Mapping[str, Any]) -> tuple[float, float]:
+    """Angles (across, along) that stand for a scanner in pictures [deg]: its field of view, a line's thin fan.
+
+    A scanner that states neither is drawn 10 degrees wide.
+    """
+    if "fov_deg" in parameters:
+        return float(parameters["fov_deg"][0]), float(parameters["fov_deg"][1])
+    if "fan_deg" in parameters:
+        return 0.5, float(parameters["fan_deg"])
+    return 10.0, 10.0
+
+
+def _offered(name: str) -> EntryPoint:
+    """The one entry point of a name."""
+    found = [point for point in entry_points(group=GROUP) if point.name == name]
+    if not found:
+        valid = ", ".join(names()) or "none (is scan-cell installed?)"
+        raise SceneError(f"scanner type '{name}' is not installed; valid are: {valid}")
+    if len({point.value for point in found}) > 1:
+        offers = " and ".join(f"{_distribution(point)} ({point.value})" for point in found)
+        raise SceneError(f"scanner type '{name}' is offered by {offers}; uninstall all but one")
+    return found[0]
 
 
 def _distribution(point: EntryPoint) -> str:

@@ -1,0 +1,192 @@
+"""`laser-line`: a triangulation sensor with one laser sheet, swept along a path or turned (planner/sweeps.py).
+
+The sheet is the plane x = 0 of the scanner frame: the fan opens by `fan_deg` about z within it, along y, and the
+baseline (x) is perpendicular to it, as in real line sensors, where the camera looks at the line from the side. The
+source (the fan's apex) is the origin.
+
+A surface point is measured by pose k of a sweep where it lies within half a step of that pose's sheet and every
+condition holds there, at the point's own place:
+
+    fan      |atan2(y, z)| <= fan / 2
+    range    near <= z <= far: the depth along z, as data sheets give it, not the distance from the source
+    grazing  the angle between normal and laser, and between normal and line of sight, as for `laser-area`
+
+The step is the sweep divided by the number of poses (`sweep_mm` / `sweep_steps`, or `sweep_deg` / `sweep_steps`), so
+that the poses tile the sweep. Every limit is inclusive, with the tolerances of `laser-area`.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import SceneError
+from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea
+from planner.ports import Floats, Rejection
+from planner.readonly import readonly
+from planner.sweeps import straight_poses, turned_poses
+
+_ACROSS_DEG = 179.0  # opening of the law across the sheet where the slab decides instead: never narrower than a slab
+_NO_LIMIT_MM = (0.0, 1e9)  # the law's distance from the source, where the depth decides instead
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserLine:
+    """A laser line sensor and its sweep.
+
+    Attributes:
+        fan_deg: full opening angle of the laser sheet [deg], above 0 and below 180; real sensors have 26 to 30.
+        range_mm: (smallest, largest) depth z of a point, from the source [mm].
+        baseline_mm: distance of the sensor from the source along +x [mm].
+        grazing_max_deg: largest grazing angle at the source leg [deg], 0 to 90.
+        sensor_grazing_max_deg: the same at the sensor leg [deg], 0 to 90.
+        sweep_mm: length of a straight sweep along the baseline [mm]; without `sweep_mm` and `sweep_deg` it is as long
+            as the line is in the middle of the range.
+        sweep_deg: in its place: angle through which the sheet is turned about the line through the source [deg].
+        sweep_steps: poses of a sweep.
+        line_points: points of one line, of equal angle.
+        sigma_angle_mdeg: noise of the direction in which the sensor sees the line [1e-3 deg], as for `laser-area`.
+    """
+
+    type_name: ClassVar[str] = "laser-line"
+
+    fan_deg: float = 28.0
+    range_mm: tuple[float, float] = (150.0, 450.0)
+    baseline_mm: float = 75.0
+    grazing_max_deg: float = 75.0
+    sensor_grazing_max_deg: float = 90.0
+    sweep_mm: float | None = None
+    sweep_deg: float | None = None
+    sweep_steps: int = 8
+    line_points: int = 640
+    sigma_angle_mdeg: float = SIGMA_ANGLE_MDEG
+    _law: LaserArea = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._check()
+        across = _ACROSS_DEG if self.sweep_deg is None else self.sweep_deg / self.sweep_steps
+        # Within the sheet the line sensor is an area sensor with a fan for a field of view and limits of depth.
+        law = LaserArea(
+            fov_deg=(across, self.fan_deg),
+            resolution_deg=(across, self.fan_deg / self.line_points),
+            range_mm=_NO_LIMIT_MM,
+            baseline_mm=self.baseline_mm,
+            grazing_max_deg=self.grazing_max_deg,
+            sensor_grazing_max_deg=self.sensor_grazing_max_deg,
+            depth_of_field_mm=self.range_mm,
+            sigma_angle_mdeg=self.sigma_angle_mdeg,
+        )
+        object.__setattr__(self, "_law", law)
+        object.__setattr__(self, "range_mm", law.depth_of_field_mm)
+        if self.sweep_mm is None and self.sweep_deg is None:
+            width = math.tan(math.radians(self.fan_deg / 2)) * sum(self.range_mm)
+            object.__setattr__(self, "sweep_mm", width)
+
+    def _check(self) -> None:
+        """What the law does not check, or would name after its own keys."""
+        if self.sweep_mm is not None and self.sweep_deg is not None:
+            raise SceneError("scanner.sweep_mm and scanner.sweep_deg both describe the sweep; give one of them")
+        for name, below in (("fan_deg", 180.0), ("sweep_mm", math.inf), ("sweep_deg", 180.0)):
+            value = getattr(self, name)
+            if name != "fan_deg" and value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < below:
+                limit = "" if below == math.inf else f" and below {below:g}"
+                raise SceneError(f"scanner.{name} is {value!r}; it must be a finite number above 0{limit}")
+        for name in ("sweep_steps", "line_points"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise SceneError(f"scanner.{name} is {value!r}; it must be a whole number of at least 1")
+        if not isinstance(self.range_mm, (tuple, list)) or len(self.range_mm) != 2:
+            raise SceneError(f"scanner.range_mm is {self.range_mm!r}; it must be a pair of numbers")
+        near, far = self.range_mm
+        if not all(isinstance(z, (int, float)) and not isinstance(z, bool) for z in (near, far)) or not (
+            0 <= near < far < math.inf
+        ):
+            raise SceneError(f"scanner.range_mm is {[near, far]}; it must be [min, max] with 0 <= min < max")
+
+    @property
+    def source(self) -> Floats:
+        """(3,) the laser source [m], scanner frame: the origin, the fan's apex."""
+        return self._law.source
+
+    @property
+    def sensor(self) -> Floats:
+        """(3,) the sensor [m], scanner frame: the baseline along +x, perpendicular to the sheet."""
+        return self._law.sensor
+
+    @property
+    def T_view_scanner(self) -> Floats:
+        """(K, 4, 4) poses of one sweep in the frame of the viewpoint that is its middle [m]."""
+        if self.sweep_deg is not None:
+            return turned_poses(math.radians(self.sweep_deg), self.sweep_steps)
+        return straight_poses(self._sweep_length, self.sweep_steps)
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """(n_v, n_h) rays of one line: the points along y, and one across."""
+        return self.line_points, 1
+
+    def parameters(self) -> dict[str, object]:
+        """What defines this scanner, named as in the scene file and the run folder."""
+        sweep = {"sweep_mm": self.sweep_mm} if self.sweep_deg is None else {"sweep_deg": self.sweep_deg}
+        return {
+            "type": self.type_name,
+            "fan_deg": self.fan_deg,
+            "range_mm": list(self.range_mm),
+            "baseline_mm": self.baseline_mm,
+            "grazing_max_deg": self.grazing_max_deg,
+            "sensor_grazing_max_deg": self.sensor_grazing_max_deg,
+            **sweep,
+            "sweep_steps": self.sweep_steps,
+            "line_points": self.line_points,
+            "sigma_angle_mdeg": self.sigma_angle_mdeg,
+        }
+
+    def ray_directions(self) -> Floats:
+        """(line_points, 3) unit directions in the sheet, scanner frame; each through the middle of its share."""
+        angles = np.radians(((np.arange(self.line_points) + 0.5) / self.line_points - 0.5) * self.fan_deg)
+        rays = np.stack([np.zeros(self.line_points), np.sin(angles), np.cos(angles)], axis=1)
+        return readonly("ray directions", rays, (None, 3))
+
+    def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
+        """The first condition that needs no ray and fails: sheet and fan, range, grazing at source and sensor.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame; a normal of zero or NaN grazes.
+
+        Returns:
+            (N,) `Rejection` values; MEASURED where every condition holds.
+        """
+        if self.sweep_deg is None:
+            # Most points are off the sheet: they are not asked further.
+            half = self._sweep_length / self.sweep_steps / 2
+            near = np.abs(points[:, 0]) <= half + TOLERANCE * (np.abs(points[:, 2]) + half)
+            codes = np.full(len(points), Rejection.OUT_OF_FOV, dtype=np.uint8)
+            found = np.flatnonzero(near)
+            codes[found] = self._law.reject(points[found], normals[found])
+        else:
+            codes = self._law.reject(points, normals)
+        codes[codes == Rejection.OUT_OF_DEPTH] = Rejection.OUT_OF_RANGE  # the depth is this sensor's range
+        return codes
+
+    def sigma(self, points: Floats, normals: Floats) -> Floats:
+        """Expected standard deviation of a measured point along the ray from the source, as for `laser-area`.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame.
+
+        Returns:
+            (N,) [m]; inf where no measurement is possible.
+        """
+        return self._law.sigma(points, normals)
+
+    @property
+    def _sweep_length(self) -> float:
+        """Length of a straight sweep [m]."""
+        assert self.sweep_mm is not None
+        return self.sweep_mm / 1000
