@@ -7,6 +7,7 @@ index. Object frame, metres.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,13 +140,52 @@ def legs_free(
     Returns:
         (n,) True where both legs are free of every caster.
     """
-    alive = np.arange(len(row))
-    for position in (scanner.source, scanner.sensor):
-        origins = poses[:, :3, :3] @ position + poses[:, :3, 3]
-        for caster in casters:
-            if len(alive):
-                blocked = caster.blocked(origins[pose[alive]], targets.lifted[row[alive]])
-                alive = alive[~blocked]
-    free = np.zeros(len(row), dtype=np.bool_)
-    free[alive] = True
+    free = _unhidden(targets, poses, pose, row, scanner.source, casters)
+    alive = np.flatnonzero(free)
+    free[alive] = _unhidden(targets, poses, pose[alive], row[alive], scanner.sensor, casters)
+    return free
+
+
+def _unhidden(
+    targets: Targets, poses: Floats, pose: Indices, row: Indices, position: Floats, casters: Sequence[RayCaster]
+) -> NDArray[np.bool_]:
+    """Whether nothing stands between a position of the scanner (3,) [m] and the point, for each pair.
+
+    Neighbouring poses with the same position (rolls of one viewpoint share the source) share its legs: each is cast
+    once. That a leg is cast beside others changes nothing about it.
+    """
+    origins = poses[:, :3, :3] @ position + poses[:, :3, 3]
+    standing = np.cumsum(np.concatenate([[0], (origins[1:] != origins[:-1]).any(axis=1)]))
+    if standing[-1] + 1 == len(origins):  # every pose stands somewhere else
+        return _free(origins[pose], targets.lifted[row], casters)
+    place = standing[pose]
+    leg_of = np.empty(len(row), dtype=np.int64)
+    at: list[Indices] = []
+    towards: list[Indices] = []
+    count = 0
+    number = np.empty(len(targets), dtype=np.int64)
+    steps = np.flatnonzero(place[1:] != place[:-1]) + 1
+    bounds = [0, *steps.tolist(), len(place)] if len(place) else [0]
+    for start, stop in pairwise(bounds):
+        seen = np.zeros(len(targets), dtype=np.bool_)
+        seen[row[start:stop]] = True
+        distinct = np.flatnonzero(seen)
+        number[distinct] = np.arange(count, count + len(distinct))
+        leg_of[start:stop] = number[row[start:stop]]
+        at.append(np.full(len(distinct), pose[start]))
+        towards.append(distinct)
+        count += len(distinct)
+    if not at:
+        return np.ones(len(row), dtype=np.bool_)
+    free = _free(origins[np.concatenate(at)], targets.lifted[np.concatenate(towards)], casters)
+    return np.asarray(free[leg_of])
+
+
+def _free(origins: Floats, ends: Floats, casters: Sequence[RayCaster]) -> NDArray[np.bool_]:
+    """(n,) True where no caster finds anything between origin and end (n, 3) [m]."""
+    free = np.ones(len(origins), dtype=np.bool_)
+    for caster in casters:
+        alive = np.flatnonzero(free)
+        if len(alive):
+            free[alive] = ~caster.blocked(origins[alive], ends[alive])
     return free

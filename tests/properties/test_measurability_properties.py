@@ -228,3 +228,50 @@ def test_the_size_of_bundles_does_not_matter(seed, bundle):
         assert a.indices.tobytes() == b.indices.tobytes()
         assert a.indptr.tobytes() == b.indptr.tobytes()
     assert (predicted == _dense(usual[0]).any(axis=1)).all()
+
+
+@few
+@given(seeds)
+def test_rolls_share_the_source_s_legs_to_the_bit(seed):
+    """M of views that differ by roll equals asking for each on its own; neighbours cast the source's legs once."""
+    rng, _, caster, features, views = _scene(seed)
+    turns = np.tile(np.eye(4), (3, 1, 1))
+    turns[:, :3, :3] = Rotation.from_euler("z", [[0.0], [0.6], [1.9]]).as_matrix()
+    rolled = (views.T_object_scanner[:, :, None] @ turns).reshape(-1, 1, 4, 4)
+    scanner = _scanner(fov_deg=(60, 60))
+    counted = _Counting(caster)
+    for order in (np.arange(len(rolled)), rng.permutation(len(rolled))):
+        together = _dense(fill(_as_viewpoints(rolled[order]), features, scanner, counted))
+        shared, counted.legs = counted.legs, 0
+        alone = [_dense(fill(_as_viewpoints(rolled[[i]]), features, scanner, counted))[:, 0] for i in order]
+        assert (together == np.stack(alone, axis=1)).all()
+        assert shared < counted.legs or not together.any() or not np.array_equal(order, np.arange(len(order)))
+        counted.legs = 0
+
+
+class _Counting:
+    """A ray caster that counts legs."""
+
+    def __init__(self, caster):
+        self.caster, self.legs = caster, 0
+
+    def blocked(self, origins, targets):
+        self.legs += len(origins)
+        return self.caster.blocked(origins, targets)
+
+
+@few
+@given(seeds)
+def test_more_samples_never_change_the_truth_beyond_their_error(seed):
+    """Visible share from 300 and 3000 samples lies within 5 binomial standard errors of that from 30,000."""
+    rng, part, caster, _, views = _scene(seed)
+    scanner = _scanner()
+    shares = []
+    counts = (300, 3000, 30_000)
+    for count in counts:
+        samples = sample(part, part, count, rng)
+        shares.append(measured(views.T_object_scanner[:4], samples, scanner, [caster]).mean())
+    truth = shares[-1]
+    assert 0 < truth < 1
+    for share, count in zip(shares[:-1], counts[:-1], strict=True):
+        assert abs(share - truth) <= 5 * np.sqrt(truth * (1 - truth) / count) + 1 / count
