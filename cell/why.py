@@ -1,6 +1,6 @@
 """`cell why`: why parts of the surface stay open in a finished plan, and the smallest single change that measures them.
 
-`_answer` shows the whole on one screen: the held-out samples that the plan's views leave open get a reason each
+`answer_of` shows the whole on one screen: the held-out samples that the plan's views leave open get a reason each
 (`planner.why`), samples of one reason make a group and connected ones a patch, changes are tried on representatives
 (`cell.why_changes`), and those that are named are asked about every sample that they are named for. The plan is never
 touched; files go to `why/` in the run folder. Object frame, metres.
@@ -151,14 +151,14 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
     run = open_run(run_folder)
     if not run.finished:
         raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
-    answer = _answer(run, narrator, coverage.SAMPLES if samples is None else samples)
+    answer = answer_of(run, narrator, coverage.SAMPLES if samples is None else samples)
     with narrator.stage("write"):
         summary = why_files.summary(answer, run)
         folder = why_files.write(run, answer, summary)
     return WhyOutcome(folder, summary)
 
 
-def _answer(run: RunRecord, narrator: Narrator, count: int) -> Answer:
+def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
     """The whole on one screen."""
     with narrator.stage("read the run"):
         resolved = run_reader.resolved_scene(run)

@@ -1,0 +1,67 @@
+"""The reasons against the definition written down pair by pair, without classes, bundles or culling."""
+
+from collections.abc import Callable
+
+import numpy as np
+import trimesh
+
+from cell.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner import why
+from planner.legs import Targets
+from planner.ports import Rejection
+from planner.surface import TriangleMesh, decimate, sample
+from planner.viewpoints import optimal_scanning_zone
+from planner.why import Reason
+
+
+def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[int], trimesh.Trimesh]) -> None:
+    """Each sample with each candidate alone: conditions in order, one ray after the other; the farthest one decides."""
+    mesh = blob(3)
+    part = TriangleMesh(mesh.vertices / 1000, mesh.faces.astype(np.int32))
+    planning = decimate(part, 24)
+    samples = sample(part, planning, 150, np.random.default_rng(4))
+    views = optimal_scanning_zone(planning, [0.15], [0.0, 1.2])
+    # The range is short enough and the angles small enough that every condition is the last one of some sample.
+    scanner = LaserArea(range_mm=(120, 156), fov_deg=(24, 18), baseline_mm=60, grazing_max_deg=40)
+    caster = EmbreeRayCaster(part.vertices, part.faces)
+    screen = trimesh.creation.box((0.2, 0.012, 0.2), trimesh.transformations.translation_matrix((0.02, 0.06, 0.035)))
+    other = EmbreeRayCaster(screen.vertices, screen.faces)
+    rng = np.random.default_rng(2)
+    last = [Reason.OUT_OF_REACH, Reason.JOINT_LIMIT, Reason.COLLISION, Reason.NO_PATH, Reason.NOT_SELECTED]
+    fails = np.array(last, dtype=np.uint8)[rng.integers(0, len(last), len(views))]
+    targets = Targets.of(samples.points, samples.normals)
+    rows = np.flatnonzero(rng.random(len(samples)) < 0.9)
+    found = why.diagnose(targets, rows, views, scanner, caster, other, fails)
+
+    wanted, squarest = [], []
+    for row in rows:
+        best = (0, -np.inf)
+        for view, T in enumerate(views.T_object_scanner[:, 0]):
+            R, o = T[:3, :3], T[:3, 3]
+            point, normal = R.T @ (samples.points[row] - o), R.T @ samples.normals[row]
+            code = Rejection(scanner.reject(point[None], normal[None])[0])
+            end = targets.lifted[row][None]
+            source, sensor = o[None], (R @ scanner.sensor + o)[None]
+            if code is not Rejection.MEASURED:
+                level = Reason[code.name]
+            elif caster.blocked(source, end)[0]:
+                level = Reason.SOURCE_SHADED_BY_PART
+            elif caster.blocked(sensor, end)[0]:
+                level = Reason.SENSOR_SHADED_BY_PART
+            elif other.blocked(source, end)[0]:
+                level = Reason.SOURCE_SHADED
+            elif other.blocked(sensor, end)[0]:
+                level = Reason.SENSOR_SHADED
+            else:
+                level = Reason(fails[view])
+            cosine = float(normal @ -point / np.linalg.norm(point))
+            best = max(best, (int(level), cosine))
+        wanted.append(best[0])
+        squarest.append(best[1])
+    assert len(set(wanted)) >= 7, "the case must have most of the reasons"
+    np.testing.assert_array_equal(found.reason, wanted)
+    # Where a condition has no degree, the closest candidate is the squarest of those that come as far.
+    no_degree = found.reason >= Reason.SOURCE_SHADED_BY_PART
+    assert no_degree.any()
+    np.testing.assert_allclose(np.cos(found.grazing_source[no_degree]), np.array(squarest)[no_degree], atol=1e-9)

@@ -1,0 +1,200 @@
+"""Reasons and changes where both are known in closed form: a wall on a plate, a grazing plane, fields of view."""
+
+import numpy as np
+import pytest
+
+from cell.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner import what_if, why
+from planner.errors import PlannerError
+from planner.legs import Targets
+from planner.viewpoints import Viewpoints, looking_at
+from planner.what_if import Kind, WhatIf, choose
+from planner.why import Reason
+
+_FAR = EmbreeRayCaster(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
+"""Something that is never in the way."""
+
+
+def _rectangle(corner, first, second):
+    corner, first, second = (np.array(value, dtype=float) for value in (corner, first, second))
+    vertices = np.array([corner, corner + first, corner + first + second, corner + second])
+    return vertices, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def _caster(*pieces):
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    faces = np.concatenate([face + start for (_, face), start in zip(pieces, starts[:-1], strict=True)])
+    return EmbreeRayCaster(np.concatenate([vertices for vertices, _ in pieces]), faces)
+
+
+_PLATE = _rectangle([-0.05, -0.05, 0], [0.1, 0, 0], [0, 0.1, 0])
+_WALL = _rectangle([0, -0.05, 0], [0, 0.1, 0], [0, 0, 0.02])  # 20 mm high, in the plane x = 0
+
+
+def _down(x: float, height: float, roll: float = 0.0) -> Viewpoints:
+    """A scanner over the plate at (x, 0, height) that looks straight down; at roll 0 the sensor is towards +x."""
+    return looking_at(np.array([[x, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0]), [height], [roll])
+
+
+def _on_plate(x: np.ndarray) -> Targets:
+    points = np.stack([x, np.full(len(x), 0.003), np.zeros(len(x))], axis=1)
+    return Targets.of(points, np.tile([0.0, 0.0, 1.0], (len(x), 1)))
+
+
+def _reasons(targets: Targets, views: Viewpoints, scanner: LaserArea, part, other=_FAR, fails=Reason.NOT_SELECTED):
+    rows = np.arange(len(targets))
+    return why.diagnose(targets, rows, views, scanner, part, other, np.full(len(views), fails, np.uint8))
+
+
+def test_the_laser_shadow_of_a_wall_ends_where_similar_triangles_say() -> None:
+    """Behind a wall of 20 mm, from 40 mm before it and 200 mm up, the laser's shadow is 40 * 20 / 180 mm long."""
+    x = np.linspace(0.0005, 0.03, 400)
+    scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, grazing_max_deg=90)
+    found = _reasons(_on_plate(x), _down(-0.04, 0.2), scanner, _caster(_PLATE, _WALL))
+    shaded = x < 0.04 * 0.02 / 0.18
+    assert shaded.any()
+    assert not shaded.all()
+    np.testing.assert_array_equal(found.reason == Reason.SOURCE_SHADED_BY_PART, shaded)
+    np.testing.assert_array_equal(found.reason == Reason.NOT_SELECTED, ~shaded)
+
+
+def test_another_standoff_frees_exactly_the_difference_of_the_shadows() -> None:
+    """From twice as high the shadow is 40 * 20 / 380 mm long: the change gains what lies between both ends."""
+    x = np.linspace(0.0005, 0.03, 400)
+    targets, part = _on_plate(x), _caster(_PLATE, _WALL)
+    scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, grazing_max_deg=90)
+    higher = what_if.backed_off(_down(-0.04, 0.2), 0.4)
+    change = WhatIf(Kind.STANDOFF, 1.0, "", "", higher.T_object_scanner, scanner, (part, _FAR))
+    rows = np.flatnonzero(x < 0.04 * 0.02 / 0.18)
+    gained = change.measures(targets, rows)
+    np.testing.assert_array_equal(gained, x[rows] > 0.04 * 0.02 / 0.38)
+    assert gained.any()
+    assert not gained.all()
+
+
+def test_the_sensor_shadow_of_a_wall_and_the_baseline_that_ends_it() -> None:
+    """With the sensor beyond the wall the side of the source is in its shadow; half the baseline halves the shadow."""
+    x = -np.linspace(0.0005, 0.03, 400)
+    targets, part = _on_plate(x), _caster(_PLATE, _WALL)
+    limits = {"range_mm": (50, 900), "grazing_max_deg": 90}
+    views = _down(-0.03, 0.2)
+    wide, narrow = LaserArea(**limits, baseline_mm=100), LaserArea(**limits, baseline_mm=65)
+    found = _reasons(targets, views, wide, part)
+    shaded = -x < 0.07 * 0.02 / 0.18  # the sensor stands 70 mm beyond the wall
+    np.testing.assert_array_equal(found.reason == Reason.SENSOR_SHADED_BY_PART, shaded)
+    gained = WhatIf(Kind.BASELINE, 0.35, "", "", views.T_object_scanner, narrow, (part, _FAR)).measures(
+        targets, np.flatnonzero(shaded)
+    )
+    np.testing.assert_array_equal(gained, -x[shaded] > 0.035 * 0.02 / 0.18)
+    assert gained.any()
+    assert not gained.all()
+
+
+def test_a_roll_that_turns_the_baseline_along_the_wall_ends_the_sensor_shadow() -> None:
+    """Source and sensor on the same side of the wall: nothing on that side is shaded."""
+    x = -np.linspace(0.0005, 0.03, 100)
+    targets, part = _on_plate(x), _caster(_PLATE, _WALL)
+    scanner = LaserArea(range_mm=(50, 900), grazing_max_deg=90, baseline_mm=100)
+    assert (_reasons(targets, _down(-0.03, 0.2), scanner, part).reason == Reason.SENSOR_SHADED_BY_PART).any()
+    turned = what_if.rolled(_down(-0.03, 0.2), np.pi / 2)
+    np.testing.assert_allclose(turned.T_object_scanner, _down(-0.03, 0.2, np.pi / 2).T_object_scanner, atol=1e-12)
+    change = WhatIf(Kind.ROLL, 90.0, "", "", turned.T_object_scanner, scanner, (part, _FAR))
+    assert change.measures(targets, np.arange(len(x))).all()
+
+
+def test_what_stands_in_the_way_is_named() -> None:
+    """A plate of its own over the part is the clamp's shade, not the part's; without it the points are measured."""
+    x = np.linspace(-0.02, 0.02, 81)
+    targets, part = _on_plate(x), _caster(_PLATE)
+    clamp = _caster(_rectangle([-0.01, -0.02, 0.05], [0.02, 0, 0], [0, 0.04, 0]))
+    scanner, views = LaserArea(range_mm=(50, 900), baseline_mm=0), _down(0.0, 0.2)
+    found = _reasons(targets, views, scanner, part, clamp)
+    shaded = np.abs(x) < 0.01 * 0.2 / 0.15
+    np.testing.assert_array_equal(found.reason == Reason.SOURCE_SHADED, shaded)
+    casters = {"mast": _FAR, "clamp": clamp}
+    names = why.names_in_the_way(targets, np.arange(len(x)), found, views, scanner, casters)
+    assert {name for name, dark in zip(names, shaded, strict=True) if dark} == {"clamp"}
+    assert {name for name, dark in zip(names, shaded, strict=True) if not dark} == {""}
+    without = WhatIf(Kind.FIXTURE, 0.0, "", "", views.T_object_scanner, scanner, (part, _FAR))
+    assert without.measures(targets, np.flatnonzero(shaded)).all()
+
+
+@pytest.mark.parametrize("angle_deg", [76.0, 80.0, 88.0])
+def test_grazing_is_told_by_its_exact_angle_and_the_smallest_limit_that_helps_is_that_angle(angle_deg: float) -> None:
+    """One candidate at a known angle: its reason, its angle, and of all whole degrees the first that measures."""
+    targets = _on_plate(np.array([0.0, 0.01]))  # legs need an extent to end a hair above the plate
+    outward = np.array([[np.sin(np.radians(angle_deg)), 0, np.cos(np.radians(angle_deg))]])
+    views = looking_at(np.array([[0.0, 0.003, 0.0]]), outward, np.array([0]), [0.2], [0.0])
+    rows, part = np.array([0]), _caster(_PLATE)
+    found = why.diagnose(
+        targets, rows, views, LaserArea(baseline_mm=0), part, _FAR, np.array([Reason.NOT_SELECTED], np.uint8)
+    )
+    assert found.reason[0] == Reason.GRAZING_SOURCE
+    np.testing.assert_allclose(np.degrees(found.grazing_source[0]), angle_deg, atol=1e-9)
+    limits = np.arange(76, 90)
+    gains = [
+        WhatIf(
+            Kind.GRAZING, limit - 75, "", "", views.T_object_scanner,
+            LaserArea(baseline_mm=0, grazing_max_deg=float(limit)), (part, _FAR),
+        ).measures(targets, rows)[0]
+        for limit in limits
+    ]  # fmt: skip
+    assert limits[int(np.argmax(gains))] == angle_deg
+    named = choose(np.array(gains, float), [Kind.GRAZING] * len(limits), (limits - 75).tolist())
+    assert [int(limits[i]) for i in named] == [angle_deg]
+
+
+def test_the_robot_is_blamed_only_where_the_scanner_would_measure() -> None:
+    """A candidate that would measure a point gives its verdict; what it would not measure stays the scanner's."""
+    x = np.array([0.0, 0.04])
+    scanner = LaserArea(range_mm=(50, 900), fov_deg=(10, 10), baseline_mm=0)
+    for fails in (Reason.OUT_OF_REACH, Reason.JOINT_LIMIT, Reason.COLLISION, Reason.NO_PATH):
+        found = _reasons(_on_plate(x), _down(0.0, 0.2), scanner, _caster(_PLATE), fails=fails)
+        assert found.reason.tolist() == [fails, Reason.OUT_OF_FOV]
+
+
+def test_of_two_that_miss_the_range_the_nearer_one_is_the_closest() -> None:
+    """Range is missed by the logarithm of distance over standoff: 500 of 450 mm is nearer than 900."""
+    T = np.concatenate([_down(0.0, height).T_object_scanner for height in (0.9, 0.5)])
+    views = Viewpoints(T, np.zeros(2, np.int32), np.full(2, 0.3), np.zeros(2))
+    found = _reasons(_on_plate(np.array([0.0, 0.01])), views, LaserArea(baseline_mm=0), _caster(_PLATE))
+    assert found.reason.tolist() == [Reason.OUT_OF_RANGE] * 2
+    assert found.pose.tolist() == [1, 1]
+    np.testing.assert_allclose(found.distance[0], np.hypot(0.5, 0.003), atol=1e-12)
+
+
+def test_new_views_are_aimed_at_the_point_at_the_tilt_and_the_standoff() -> None:
+    """Every view's axis goes through its point; tilt, standoff and number of sides are those asked for."""
+    rng = np.random.default_rng(5)
+    points, normals = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    tilt, standoff = np.radians(35.0), 0.25
+    made = what_if.tilted_at(points, normals, tilt, 8, standoff, [0.0, np.pi / 2])
+    assert len(made) == 7 * 8 * 2
+    T = made.T_object_scanner[:, 0]
+    point, normal = np.repeat(points, 16, axis=0), np.repeat(normals, 16, axis=0)
+    np.testing.assert_allclose(T[:, :3, 3] + standoff * T[:, :3, 2], point, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("nj,nj->n", -T[:, :3, 2], normal), np.cos(tilt), atol=1e-12)
+    assert len(np.unique(T[:16, :3, 2].round(9), axis=0)) == 8
+
+
+def test_the_smaller_of_two_changes_that_gain_alike_is_named_first_and_none_that_gains_nothing() -> None:
+    """Nine tenths of the largest gain counts as much; then the kind decides, then the size; below 1 % is nothing."""
+    kinds = [Kind.GRAZING, Kind.STANDOFF, Kind.STANDOFF, Kind.FOV]
+    assert choose(np.array([1.0, 0.92, 0.95, 0.005]), kinds, [3, 0.1, 0.2, 10]) == [1, 0]
+    assert choose(np.array([1.0, 0.5, 0.6, 0.3]), kinds, [3, 0.1, 0.2, 10]) == [0, 2, 3]
+    assert choose(np.array([0.009, 0.0, 0.0, 0.0]), kinds, [3, 0.1, 0.2, 10]) == []
+
+
+def test_few_views_cover_greedily_until_nearly_all_is_measured() -> None:
+    """View 2 measures rows 0 to 5, view 0 the rest of ten: both are named, no third."""
+    pairs = np.array([[row, 2] for row in range(6)] + [[row, 0] for row in range(5, 10)] + [[0, 1], [9, 1]])
+    assert what_if.few_views(pairs, 10) == [2, 0]
+    assert what_if.few_views(np.empty((0, 2), np.int64), 4) == []
+
+
+def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
+    """A reason of the scanner's for a whole candidate is refused."""
+    with pytest.raises(PlannerError, match="OUT_OF_REACH or later"):
+        _reasons(_on_plate(np.array([0.0])), _down(0.0, 0.2), LaserArea(), _caster(_PLATE), fails=Reason.OUT_OF_FOV)
