@@ -111,7 +111,7 @@ def test_frames_cover_the_film(duration: float, start: float, fps: float, speed:
     frames = frame_times(duration, min(start, duration), fps, speed, every)
     numbers, times = zip(*frames, strict=True)
     assert times[0] == min(start, duration)
-    assert times[-1] == pytest.approx(duration)
+    assert times[-1] == pytest.approx(duration, abs=1e-6)  # nothing moves visibly in a microsecond
     assert (np.diff(numbers) > 0).all()
     assert numbers[0] == 1
     for number, t in frames[:-1]:

@@ -71,7 +71,7 @@ def written(
     world = compile_world(scene, part.reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
     folder = RunFolder.create(home / "run", [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC))
     plan_files.write_meshes(folder, part.reference, decimate(part.reference, 200))
-    plan_files.write_cell(folder, scene, settings, part, world, LaserArea(**settings.scanner).parameters())
+    plan_files.write_cell(folder, scene, settings, part, 200, world, LaserArea(**settings.scanner).parameters())
     return open_run(folder.finish(0)), world
 
 
