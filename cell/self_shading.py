@@ -2,15 +2,16 @@
 
 Where the arm is depends on the joint solution, so it cannot be part of the matrix; only the views of a finished plan
 are asked. What a view is needed for are the samples that no other view of the plan measures. A view that loses more of
-them to its own arm than `SHADED_SHARE` is not kept as it is: the caller takes another joint solution, or another view.
-The arm's shapes are those that are checked for collision; they enclose the arm, so that it hides no more in reality.
-Object frame, metres.
+them to its own arm than `SHADED_SHARE` is not kept as it is: other joint solutions are taken; where they all shade, the
+samples that the best of them hides are taken out of the view's column, and the cover has to be solved again. The arm's
+shapes are those that are checked for collision; they enclose the arm, so that it hides no more in reality. Object
+frame, metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,89 +20,119 @@ from cell.embree import EmbreeRayCaster
 from cell.occluders import Occluder, arm_triangles
 from cell.prediction import Prediction
 from cell.world import World
-from planner.legs import Indices, Targets, flat_poses, in_view, legs_free
+from planner.legs import Indices, Targets, legs_free
 from planner.measurability import Measurability, measured
 from planner.ports import Floats, RayCaster, Scanner
+from planner.reach import Reach
 from planner.viewpoints import Viewpoints
 
 SHADED_SHARE = 0.01
-"""Share of what a view alone is needed for that its own arm may hide; more, and the view is replaced."""
+"""Share of what a view alone is needed for that its own arm may hide; more, and it is not kept as it is."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OwnShade:
-    """A view that its own arm shades.
+class Look(Enum):
+    """What a look at the views of a plan changed."""
+
+    CLEAR = "no view is shaded"
+    OTHER_SOLUTIONS = "some views have fewer joint solutions now"
+    LESS_MEASURED = "some views measure less now: the cover has to be solved again"
+
+
+class OwnArm:
+    """The matrix and the joint solutions as the arm leaves them; they shrink with every look that finds shade.
 
     Attributes:
-        stop: its number in visiting order, from 0.
-        share: of the area that only this view measures, hidden by its arm.
-        by: the shapes of the arm that hide some of it.
-        needed: (n,) samples of the matrix that only this view measures.
+        M: the matrix without the samples that a view's own arm hides at every joint solution.
+        reasons: for each view that lost samples, one sentence.
     """
 
-    stop: int
-    share: float
-    by: tuple[str, ...]
-    needed: Indices
-    _legs: _Legs
+    def __init__(
+        self, M: Measurability, reached: Reach, candidates: Viewpoints, world: World, scanner: Scanner
+    ) -> None:
+        """Begin without any shade.
 
-    @property
-    def sentence(self) -> str:
-        """Why the view was not kept."""
-        return (
-            f"its own arm shades it: {', '.join(self.by)} {'hides' if len(self.by) == 1 else 'hide'} "
-            f"{100 * self.share:.1f} % of what only this view measures, at every joint solution more than "
-            f"{100 * SHADED_SHARE:g} %"
-        )
+        Args:
+            M: measurability with occluders applied; its views are at rest (K = 1).
+            reached: joint solutions of the candidates.
+            candidates: the columns of M.
+            world: arm and placement.
+            scanner: where source and sensor are.
+        """
+        self.M = M
+        self.reasons: dict[int, str] = {}
+        self._reached, self._candidates, self._world, self._scanner = reached, candidates, world, scanner
+        self._left: dict[int, Floats] = {}
+        self._targets = Targets.of(M.features.points, M.features.normals)
 
-    def free_of_shade(self, configurations: Floats) -> Floats:
-        """Those of (m, 6) joint solutions [rad] at which the arm hides at most `SHADED_SHARE` of what is needed."""
-        areas = self._legs.M.features.areas[self.needed]
-        kept = [
-            float(areas[~self._legs.free(q, self.needed)].sum()) <= SHADED_SHARE * float(areas.sum())
-            for q in configurations
-        ]
-        chosen: Floats = configurations[np.array(kept, dtype=np.bool_)]
-        return chosen
+    def configurations(self, view: int) -> Floats:
+        """(m, 6) joint solutions of a candidate that are left [rad]."""
+        return self._left.get(view, self._reached.q_of(view))
 
+    def look(self, views: NDArray[np.int64], q: Floats) -> Look:
+        """Look for views that their own arm shades, and take out what does it.
 
-def own_shade(
-    M: Measurability,
-    candidates: Viewpoints,
-    stops: NDArray[np.int64],
-    q: Floats,
-    world: World,
-    scanner: Scanner,
-) -> tuple[OwnShade, ...]:
-    """The views of a plan that their own arm shades.
+        Args:
+            views: (n,) candidates of a plan.
+            q: (n, 6) their joint angles [rad].
+        """
+        columns = self.M.matrix().tocsc()
+        areas = self.M.features.areas
+        seen = [columns.indices[columns.indptr[view] : columns.indptr[view + 1]].astype(np.int64) for view in views]
+        free = [self._free(int(view), at, rows) for view, at, rows in zip(views, q, seen, strict=True)]
+        if all(kept.all() for kept in free):
+            return Look.CLEAR
+        keepers = np.zeros(len(areas), dtype=np.int64)  # views that still measure a sample with their arm in the way
+        for rows, kept in zip(seen, free, strict=True):
+            keepers[rows[kept]] += 1
+        found = Look.CLEAR
+        for view, at, rows, kept in zip(views.tolist(), q, seen, free, strict=True):
+            needed = rows[keepers[rows] == kept]  # by no other view: 1 if the view keeps the sample itself, else 0
+            lost = rows[(keepers[rows] == 0) & ~kept]
+            share = float(areas[lost].sum() / areas[needed].sum()) if len(needed) else 0.0
+            if share <= SHADED_SHARE:
+                continue
+            found = Look.OTHER_SOLUTIONS if found is Look.CLEAR else found
+            if not self._other_solutions(view, needed):
+                by = self._hidden_by(view, at, lost)
+                self.reasons[view] = (
+                    f"its own arm shades it: {', '.join(by)} {'hides' if len(by) == 1 else 'hide'} {100 * share:.1f} % "
+                    f"of what only this view measured, and every joint solution more than {100 * SHADED_SHARE:g} %"
+                )
+                self._take_out(view, rows)
+                found = Look.LESS_MEASURED
+        return found
 
-    Args:
-        M: the matrix that the plan was made on.
-        candidates: its columns. A view of several poses is judged with the arm as it stands at the view's joint angles.
-        stops: (n,) chosen candidates, in visiting order.
-        q: (n, 6) their joint angles [rad].
-        world: arm and placement.
-        scanner: where source and sensor are.
-    """
-    columns = M.matrix().tocsc()
-    targets = Targets.of(M.features.points, M.features.normals)
-    legs = [_Legs(M, targets, candidates, int(view), world, scanner) for view in stops]
-    seen = [columns.indices[columns.indptr[view] : columns.indptr[view + 1]].astype(np.int64) for view in stops]
-    free = [leg.free(joints, rows) for leg, joints, rows in zip(legs, q, seen, strict=True)]
-    if all(view.all() for view in free):
-        return ()
-    keepers = np.zeros(M.shape[0], dtype=np.int64)  # views that still measure a sample with their arm in the way
-    for rows, kept in zip(seen, free, strict=True):
-        keepers[rows[kept]] += 1
-    found = []
-    for stop, (leg, rows, kept) in enumerate(zip(legs, seen, free, strict=True)):
-        needed = keepers[rows] == kept  # nobody else: 1 where the view keeps the sample itself, 0 where it loses it
-        total = float(M.features.areas[rows[needed]].sum())
-        lost = float(M.features.areas[rows[needed & ~kept]].sum())
-        if total > 0 and lost > SHADED_SHARE * total:
-            by = leg.hidden_by(q[stop], rows[needed & ~kept])
-            found.append(OwnShade(stop, lost / total, by, rows[needed], leg))
-    return tuple(found)
+    def _other_solutions(self, view: int, needed: Indices) -> bool:
+        """Keep the joint solutions that hide at most `SHADED_SHARE` of what is needed, if there are any."""
+        areas, configurations = self.M.features.areas[needed], self.configurations(view)
+        hidden = np.array([areas[~self._free(view, q, needed)].sum() for q in configurations])
+        good = hidden <= SHADED_SHARE * areas.sum()
+        if good.any():
+            self._left[view] = configurations[good]
+        return bool(good.any())
+
+    def _take_out(self, view: int, rows: Indices) -> None:
+        """Keep the joint solutions that hide least of a column, and take what they hide out of it."""
+        configurations = self.configurations(view)
+        free = [self._free(view, q, rows) for q in configurations]
+        best = free[int(np.argmin([self.M.features.areas[rows[~kept]].sum() for kept in free]))]
+        self._left[view] = configurations[[bool(kept[best].all()) for kept in free]]
+        self.M = _without(self.M, view, rows[~best])
+
+    def _hidden_by(self, view: int, q: Floats, rows: Indices) -> tuple[str, ...]:
+        """Names of the arm's shapes that hide any of the samples."""
+        pieces = arm_triangles(self._world, q, _ends(self._scanner))
+        hiding = [p.name for p in pieces if not self._past(view, _caster([p], self._world), rows).all()]
+        return tuple(dict.fromkeys(hiding))  # a link may have several shapes
+
+    def _free(self, view: int, q: Floats, rows: Indices) -> NDArray[np.bool_]:
+        """(n,) which samples the arm at (6,) joint angles [rad] does not hide from a view."""
+        return self._past(view, arm_caster(self._world, q, self._scanner), rows)
+
+    def _past(self, view: int, caster: RayCaster, rows: Indices) -> NDArray[np.bool_]:
+        pose = np.zeros(len(rows), dtype=np.int64)
+        poses = self._candidates.T_object_scanner[view, :1]
+        return legs_free(self._targets, poses, pose, rows, self._scanner, (caster,))
 
 
 def arm_caster(world: World, q: Floats, scanner: Scanner) -> EmbreeRayCaster:
@@ -116,36 +147,14 @@ def visible_with_arm(prediction: Prediction, T_object_scanner: Floats, arms: Seq
     return float(areas[covered].sum() / areas.sum())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Legs:
-    """The legs of one view."""
-
-    M: Measurability
-    targets: Targets
-    candidates: Viewpoints
-    view: int
-    world: World
-    scanner: Scanner
-
-    def free(self, q: Floats, rows: Indices) -> NDArray[np.bool_]:
-        """(n,) which of the samples that the view measures it still measures with its arm at (6,) angles [rad]."""
-        return self._past(arm_caster(self.world, q, self.scanner), rows)
-
-    def hidden_by(self, q: Floats, rows: Indices) -> tuple[str, ...]:
-        """Names of the arm's shapes that hide any of the samples."""
-        pieces = arm_triangles(self.world, q, _ends(self.scanner))
-        return tuple(piece.name for piece in pieces if not self._past(_caster([piece], self.world), rows).all())
-
-    def _past(self, arm: RayCaster, rows: Indices) -> NDArray[np.bool_]:
-        poses = flat_poses(self.candidates.T_object_scanner[self.view][None])
-        free = np.zeros(len(rows), dtype=np.bool_)
-        for number in range(len(poses)):
-            asked = np.flatnonzero(~free)
-            if len(poses) > 1:  # the matrix does not say which pose measures a sample
-                asked = asked[np.isin(rows[asked], in_view(self.targets, poses[number], self.scanner, rows[asked]))]
-            pose = np.full(len(asked), number)
-            free[asked] = legs_free(self.targets, poses, pose, rows[asked], self.scanner, (arm,))
-        return free
+def _without(M: Measurability, view: int, rows: Indices) -> Measurability:
+    """M without some entries of one column."""
+    hidden = np.zeros(M.shape[0], dtype=np.bool_)
+    hidden[rows] = True
+    kept = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
+    before = np.concatenate([[0], np.cumsum(kept)])
+    sigma = None if M.sigma is None else M.sigma[kept]
+    return Measurability(before[M.indptr], M.indices[kept], M.features, M.n_viewpoints, sigma)
 
 
 def _ends(scanner: Scanner) -> Floats:

@@ -1,7 +1,8 @@
 """Steps 6 to 8: choose views, order them, connect them; a view that cannot be connected is replaced or given up.
 
 Arm, bracket and housing hide as well, differently at every configuration: a view that its own arm shades (cell/
-self_shading.py) is taken with other joint solutions, or banned where all of them do it.
+self_shading.py) is taken with other joint solutions; where all of them do it, the cover is solved again with what they
+leave of the view.
 
 Less than full coverage is a promise about the surface, so it is kept on samples that the optimiser has not seen: where
 the cover falls short of it there, its target on the matrix is raised. The views are ordered and connected; a view to
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from cell.errors import SceneError, UnreachableError
 from cell.narrator import ProgressCallback
 from cell.prediction import Prediction
-from cell.self_shading import arm_caster, own_shade, visible_with_arm
+from cell.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from cell.world import World
 from planner import cover, sweeps, tour
 from planner.cover import Cover
@@ -30,7 +31,7 @@ from planner.viewpoints import Viewpoints
 
 @dataclass(frozen=True, slots=True)
 class DroppedView:
-    """A candidate that was chosen, could not be connected or is shaded by its own arm, and was banned.
+    """A candidate that was chosen and is not in the plan: it could not be connected, or its own arm shades it.
 
     Attributes:
         candidate: row of the viewpoints.
@@ -122,12 +123,13 @@ def select_and_connect(
         UnreachableError: if no view that measures anything can be connected.
     """
     banned: dict[int, str] = {}
-    unshaded: dict[int, Floats] = {}  # the joint solutions that are left of a view that its arm shaded
-    covered = -1
+    arm = OwnArm(M, reached, candidates, world, prediction.scanner)
+    at_rest = candidates.T_object_scanner.shape[1] == 1
+    stale = True
     while True:
-        if len(banned) != covered:
+        if stale:
             chosen, target = _covering(
-                M,
+                arm.M,
                 reached,
                 candidates,
                 prediction,
@@ -136,17 +138,23 @@ def select_and_connect(
                 banned=tuple(banned),
                 rng=selection_rng,
             )
-            covered = len(banned)
+            stale = False
         if not len(chosen.views):
-            told = [f"candidate {view}: {reason}" for view, reason in banned.items()]
+            told = [f"candidate {view}: {reason}" for view, reason in (banned | arm.reasons).items()]
             why = "; ".join(told[:_TOLD] + ([f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []))
             raise UnreachableError(
                 "no view is left that measures the part and can be reached by a free motion"
                 + (f" ({why})" if why else "")
                 + "; change the placement, the standoff or the fixtures"
             )
+        configurations = [arm.configurations(int(view)) for view in chosen.views]
+        if at_rest:  # a first look, before a motion is planned for nothing
+            stale = arm.look(chosen.views, np.stack([q[0] for q in configurations])) is Look.LESS_MEASURED
+            if stale:
+                continue
+            configurations = [arm.configurations(int(view)) for view in chosen.views]
         motion = tour.plan_motion(
-            [unshaded.get(int(view), reached.q_of(int(view))) for view in chosen.views],
+            configurations,
             world.home,
             checker,
             limits,
@@ -164,19 +172,13 @@ def select_and_connect(
             blocker = f" ({lost.blocker})" if lost.blocker else ""
             banned[int(chosen.views[lost.view])] = lost.reason.sentence + blocker
         if motion.dropped:
+            stale = True
             continue
         stops = chosen.views[motion.order]
-        at_rest = candidates.T_object_scanner.shape[1] == 1
-        shaded = own_shade(M, candidates, stops, motion.q, world, prediction.scanner) if at_rest else ()
-        for shade in shaded:
-            view = int(stops[shade.stop])
-            left = shade.free_of_shade(unshaded.get(view, reached.q_of(view)))
-            if len(left):
-                unshaded[view] = left
-            else:
-                banned[view] = shade.sentence
-        if not shaded:
+        shade = arm.look(stops, motion.q) if at_rest else Look.CLEAR
+        if shade is Look.CLEAR:
             break
+        stale = shade is Look.LESS_MEASURED
     T_base_flange = kinematics.forward(motion.q)
     T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
     return ConnectedPlan(
@@ -187,7 +189,11 @@ def select_and_connect(
         T_object_scanner=T_object_scanner,
         T_base_scanner=T_base_flange @ world.T_flange_scanner,
         T_base_flange=T_base_flange,
-        dropped=tuple(DroppedView(view, reason) for view, reason in banned.items()),
+        dropped=tuple(
+            DroppedView(view, reason)
+            for view, reason in (banned | arm.reasons).items()
+            if view not in chosen.views  # a view that its arm shades in part may be in the plan with what is left of it
+        ),
         T_object_poses=T_object_scanner[:, None]
         if at_rest
         else sweeps.begun_at(T_object_scanner, candidates.T_object_scanner[stops]),
