@@ -1,0 +1,44 @@
+"""`cell why` as a user meets it: table, JSON, exit codes."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+Cell = Callable[..., "object"]
+
+
+def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """The title says how much stays open, the files are named, nothing is said on stderr."""
+    shutil.copytree(planned, tmp_path / "run")
+    done = run_cell("why", "run", "--samples", "2000", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "stay open" in done.stdout
+    assert "files: run/why" in done.stdout
+    assert sorted(path.name for path in (tmp_path / "run" / "why").iterdir()) == ["why.json", "why.ply", "why.png"]
+
+
+def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """Stdout is the content of why.json; visible and open make the whole, and so do the groups of what is open."""
+    shutil.copytree(planned, tmp_path / "run")
+    done = run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    kept = json.loads((tmp_path / "run" / "why" / "why.json").read_text())
+    assert {key: value for key, value in kept.items() if key != "schema"} == said
+    assert abs(said["visible"] + said["open"] - 1) < 1e-9
+    assert abs(sum(group["share"] for group in said["groups"]) - said["open"]) < 1e-9
+
+
+def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """No such folder 6, a run that did not finish 6, no samples 2; one sentence each."""
+    assert run_cell("why", "nowhere", cwd=tmp_path).returncode == 6
+    none = run_cell("why", str(planned), "--samples", "0", cwd=tmp_path)
+    assert (none.returncode, none.stderr.count("\n")) == (2, 1)
+    shutil.copytree(planned, tmp_path / "run.part")
+    manifest = json.loads((tmp_path / "run.part" / "manifest.json").read_text()) | {"status": "failed"}
+    (tmp_path / "run.part" / "manifest.json").write_text(json.dumps(manifest))
+    failed = run_cell("why", "run.part", cwd=tmp_path)
+    assert failed.returncode == 6
+    assert "no finished plan" in failed.stderr

@@ -1,0 +1,222 @@
+"""What `cell why` claims holds when the change is made: a plate with a void, a clamp and sides out of reach."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell import run_reader, why, why_files
+from cell.collision import MujocoCollisionChecker
+from cell.embree import EmbreeRayCaster
+from cell.kinematics import Kr16Kinematics
+from cell.narrator import Narrator
+from cell.occluders import occluder_triangles
+from cell.run_record import RunRecord, artefact, open_run
+from cell.scanners.laser_area import LaserArea
+from cell.scene import Scene, load_scene
+from cell.world import World
+from cell.world import compile as compile_world
+from planner import coverage, reach
+from planner.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.what_if import Kind
+from planner.why import Reason
+
+_SCENE = """
+[[fixtures]]
+name = "clamp"
+shape = "box"
+size_mm = [50, 40, 6]
+position_mm = [20, 0, 36]
+attached_to = "object"
+"""
+_PLACE = "1350,0,0"
+_SAMPLES = 6000
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory, run_cell: Callable) -> Path:
+    """A plan of 60 % of the coverable area of a plate (100 x 80 x 40 mm) with a closed void (40 x 30 x 12 mm)."""
+    home = tmp_path_factory.mktemp("why")
+    outer = trimesh.creation.box((100, 80, 40)).subdivide().subdivide()
+    void = trimesh.creation.box((40, 30, 12)).subdivide()
+    void.invert()
+    trimesh.util.concatenate([outer, void]).export(home / "plate.stl")
+    (home / "scene.toml").write_text(_SCENE)
+    options = ["--faces", "200", "--samples", "2", "--standoff", "250", "--coverage", "0.6", "--out", "run"]
+    done = run_cell(
+        "plan", "plate.stl", "--units", "mm", "--scene", "scene.toml", "--place", _PLACE, *options, cwd=home
+    )
+    assert done.returncode == 0, done.stderr
+    return home / "run"
+
+
+@pytest.fixture(scope="module")
+def run(run_folder: Path) -> RunRecord:
+    """The opened run."""
+    return open_run(run_folder)
+
+
+@pytest.fixture(scope="module")
+def answer(run: RunRecord) -> why.Answer:
+    """What is said about it."""
+    return why.answer_of(run, Narrator(quiet_stdout=True), _SAMPLES)
+
+
+def _group(answer: why.Answer, reason: Reason, what: str) -> why.Group:
+    found = [group for group in answer.groups if (group.reason, group.what) == (reason, what)]
+    assert len(found) == 1, [(group.reason.name, group.what) for group in answer.groups]
+    return found[0]
+
+
+def test_a_closed_void_is_shaded_by_the_part_and_nothing_helps(answer: why.Answer) -> None:
+    """All samples of the void and no others, with the void's area; no change is named."""
+    group = _group(answer, Reason.SOURCE_SHADED_BY_PART, "part")
+    inside = (np.abs(answer.samples.points) < np.array([0.0201, 0.0151, 0.0061])).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(inside), group.rows)
+    area = 2 * (0.04 * 0.03 + 0.04 * 0.012 + 0.03 * 0.012)
+    np.testing.assert_allclose(answer.samples.areas[group.rows].sum(), area, rtol=0.01)
+    assert group.named == ()
+    assert [row[3] for row in why_files.table_rows(why_files.summary(answer, _NO_RUN)) if "part" in row[0]] == [
+        why_files.NOTHING
+    ]
+
+
+class _NoRun:
+    manifest: dict[str, object] = {}  # noqa: RUF012 - never changed
+
+
+_NO_RUN = _NoRun()
+
+
+def test_what_the_clamp_shades_is_its_own_and_gone_without_it(answer: why.Answer) -> None:
+    """The shade lies under the clamp, on the top; "without fixture clamp" is among the changes and gains all of it."""
+    for group in answer.groups:
+        if group.what != "clamp":
+            continue
+        points = answer.samples.points[group.rows]
+        assert (points[:, 2] > 0.0199).all()
+        assert (np.abs(points[:, :2] - [0.02, 0]) < [0.03, 0.025]).all()
+        without = [named for named in group.named if named.change.kind is Kind.FIXTURE]
+        assert [named.change.sentence for named in without] == ["without fixture clamp"]
+        assert without[0].gained[group.rows].all()
+        return
+    pytest.fail("nothing is shaded by the clamp")
+
+
+def test_sides_out_of_reach_and_views_that_were_not_needed_are_told_apart(answer: why.Answer) -> None:
+    """The far side is out of reach; below full coverage there is surface that only waits for a view more."""
+    assert (answer.samples.points[_group(answer, Reason.OUT_OF_REACH, "").rows, 0] > -0.0499).any()
+    waiting = _group(answer, Reason.NOT_SELECTED, "")
+    assert {named.change.kind for named in waiting.named} == {Kind.VIEW}
+    assert answer.share(waiting.rows) > 0.02
+
+
+def test_reasons_complete_the_plan_to_the_whole_surface(answer: why.Answer, run: RunRecord) -> None:
+    """Every sample is measured or in exactly one group and patch; the plan's own figure is met to sampling error."""
+    count = answer.covered.astype(int)
+    for group in answer.groups:
+        count[group.rows] += 1
+        np.testing.assert_array_equal(np.sort(np.concatenate([p.rows for p in group.patches])), group.rows)
+    assert (count == 1).all()
+    planned = run_reader.plan_json(run)["coverage"]["visible"]
+    assert abs(answer.covered.mean() - planned) < 4 * np.sqrt(planned * (1 - planned) / _SAMPLES)
+
+
+class _Cell:
+    """The scene made anew by the public functions, with a change in it."""
+
+    def __init__(self, run: RunRecord, scene: Scene) -> None:
+        self.reference, self.planning = run_reader.mesh(run, "reference.ply"), run_reader.mesh(run, "planning.ply")
+        self.world: World = compile_world(scene, self.reference.vertices, baseline_mm=62.5)
+        part = EmbreeRayCaster(self.reference.vertices, self.reference.faces)
+        self.casters = [part, *(EmbreeRayCaster(o.vertices, o.faces) for o in occluder_triangles(self.world))]
+
+    def measured(self, views: Viewpoints, scanner: LaserArea, answer: why.Answer) -> np.ndarray:
+        reached = reach.solve(
+            views, self.world.T_base_object, self.world.T_flange_scanner,
+            Kr16Kinematics.from_model(self.world.model), MujocoCollisionChecker(self.world),
+        ).reachable  # fmt: skip
+        return coverage.visible(views.T_object_scanner[reached], answer.samples, scanner, self.casters).covered
+
+
+def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
+    answer: why.Answer, run: RunRecord, run_folder: Path
+) -> None:
+    """Settings are taken from the words that are printed, the scene is built from its file, the arm asked again."""
+    path = run_folder.parent / "scene.toml"
+    place = [float(value) for value in _PLACE.split(",")]
+    views = run_reader.candidates(run)
+    limits = {k: v for k, v in run_reader.resolved_scene(run)["scanner"].items() if k != "type"}
+    seen = set()
+    for group in answer.groups:
+        changes = [*((named, group.rows) for named in group.named)]
+        changes += [(patch.named, patch.rows) for patch in group.patches if patch.named is not None]
+        for named, rows in changes:
+            change = named.change
+            options = {"position_mm": place}
+            scene = load_scene(path, {"placement": options})
+            candidates, parameters = views, dict(limits)
+            match change.kind:
+                case Kind.FIXTURE if "clamp" in change.sentence:
+                    scene = load_scene(None, {"placement": options})
+                case Kind.FIXTURE:
+                    scene = scene.model_copy(update={"post": scene.post.model_copy(update={"enabled": False})})
+                case Kind.TURN:
+                    numbers = [float(value) for value in change.setting.removeprefix("--place ").split(",")]
+                    scene = load_scene(path, {"placement": {"position_mm": numbers[:3], "abc_deg": numbers[3:]}})
+                case Kind.STANDOFF | Kind.ROLL:
+                    numbers = [float(value) for value in change.setting.split()[1].split(",")]
+                    standoffs = [n / 1000 for n in numbers] if change.kind is Kind.STANDOFF else [0.25]
+                    rolls = np.radians(numbers if change.kind is Kind.ROLL else [0, 90]).tolist()
+                    candidates = optimal_scanning_zone(run_reader.mesh(run, "planning.ply"), standoffs, rolls)
+                case Kind.VIEW:
+                    chosen = [int(n) for n in re.findall(r"\d+", change.sentence.split("candidate")[1])]
+                    candidates = Viewpoints(*(getattr(views, name)[chosen] for name in _FIELDS))
+                case Kind.AIMED:
+                    T = change.T_object_scanner
+                    candidates = Viewpoints(T, np.full(len(T), -1), np.full(len(T), 0.25), np.zeros(len(T)))
+                case _:
+                    name, value = change.setting.removeprefix("scanner.").split(" = ")
+                    parameters[name] = json.loads(value)
+            now = _Cell(run, scene).measured(candidates, LaserArea(**parameters), answer)
+            np.testing.assert_array_equal(now[rows] | ~named.gained[rows], True, err_msg=change.sentence)
+            assert named.gained[rows].any()
+            seen.add(change.kind)
+    assert {Kind.VIEW, Kind.AIMED, Kind.FIXTURE, Kind.TURN} <= seen
+
+
+_FIELDS = ("T_object_scanner", "face", "standoff", "roll")
+
+
+def test_the_files_repeat_and_the_plan_stays_as_it_is(run_folder: Path, run: RunRecord) -> None:
+    """Asked twice: the same bytes in why/; every artefact of the plan still has the manifest's sha256."""
+    contents = []
+    for _ in range(2):
+        folder = why.explain(run_folder, Narrator(quiet_stdout=True), samples=1500).folder
+        contents.append({path.name: path.read_bytes() for path in sorted(folder.iterdir())})
+    assert contents[0] == contents[1]
+    assert set(contents[0]) == {"why.json", "why.ply", "why.png"}
+    for name in run.manifest["artefacts"]:
+        artefact(run, name)
+
+
+def test_points_carry_reason_group_and_gain(run_folder: Path) -> None:
+    """why.ply is read by another program: every sample in mm, and the counts of why.json."""
+    outcome = why.explain(run_folder, Narrator(quiet_stdout=True), samples=1500)
+    cloud = trimesh.load(outcome.folder / "why.ply", process=False)
+    assert len(cloud.vertices) == 1500
+    np.testing.assert_allclose(np.ptp(cloud.vertices, axis=0), [100, 80, 40], atol=0.5)
+    content = (outcome.folder / "why.ply").read_bytes().split(b"end_header\n", 1)[1]
+    kinds = [(n, "<f8") for n in "xyz"] + [(n, "u1") for n in ("r", "g", "b", "reason")]
+    points = np.frombuffer(content, dtype=[*kinds, ("group", "<u2"), ("gained", "u1")])
+    for group in outcome.summary["groups"]:
+        here = points["group"] == group["group"]
+        assert (points["reason"][here] == group["code"]).all()
+        np.testing.assert_allclose(here.mean(), group["share"], atol=1e-9)
+        gained = group["changes"][0]["gains"] if group["changes"] else 0.0
+        np.testing.assert_allclose(points["gained"][here].mean(), gained, atol=1e-9)
+    assert (points["reason"][points["group"] == 0] == 0).all()
