@@ -108,8 +108,8 @@ def _of_sweeps(settings: Mapping[str, Any]) -> list[str]:
         return []
     return [
         f"Each view is a sweep of {settings['sweep_poses']} poses, all of them reachable. **The sweep itself is not in "
-        "this motion yet**: it stops at the first pose of each view, and neither the way from pose to pose nor its time "
-        "is planned. Coverage counts all poses of the sweep; the arm's own shadow along it is not judged.",
+        "this motion yet**: it stops at the first pose of each view; neither the way from pose to pose nor its time is "
+        "planned. Coverage counts all poses of the sweep; the arm's own shadow along it is not judged.",
         "",
     ]
 

@@ -1,0 +1,128 @@
+"""A scanner of another distribution: installed by pip, found by its entry point, planned with; and broken ones."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cell.scanners
+from cell.errors import SceneError
+
+PACKAGE = Path(__file__).parents[1] / "third_party_scanner"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example package in a folder of its own, installed by pip without a network."""
+    target = tmp_path_factory.mktemp("site")
+    source = tmp_path_factory.mktemp("source") / "package"
+    source.mkdir()
+    for name in ("pyproject.toml", "cone_scanner.py"):  # building leaves files behind: not in the tests' own folder
+        (source / name).write_bytes((PACKAGE / name).read_bytes())
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation"]
+    done = subprocess.run(
+        [*pip, "--disable-pip-version-check", "--target", str(target), str(source)],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+@pytest.fixture
+def run_with(installed: Path, cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """`python -m cell` that sees the installed package."""
+
+    def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "PYTHONPATH": str(installed), "XDG_CACHE_HOME": str(cache), "COLUMNS": "120"}
+        return subprocess.run(
+            [sys.executable, "-m", "cell", *arguments],
+            cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+
+    return run
+
+
+def test_a_plan_is_made_with_a_scanner_of_another_distribution(
+    run_with: Callable[..., subprocess.CompletedProcess[str]], part_file: Path, tmp_path: Path
+) -> None:
+    """Its key stands in the scene, its law decides what is measured, its parameters are recorded."""
+    scene = tmp_path / "cell.toml"
+    scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
+    arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
+    done = run_with("plan", str(part_file), *arguments, "--scene", str(scene), "--out", "run", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["settings"]["scanner"] == "cone"
+    assert summary["coverage"]["visible"] > 0.5
+    resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())
+    assert resolved["scanner"] == {"type": "cone", "half_angle_deg": 20.0, "range_mm": [125.0, 375.0]}
+    # Every entry of the matrix is inside the cone that was asked for, and the cone matters.
+    views = np.load(tmp_path / "run" / "viewpoints.npz")["T_object_scanner"][:, 0]
+    M = np.load(tmp_path / "run" / "measurability.npz")
+    row = np.repeat(np.arange(len(M["points"])), np.diff(M["indptr"]))
+    T = views[M["indices"]]
+    local = np.einsum("nji,nj->ni", T[:, :3, :3], M["points"][row] - T[:, :3, 3])
+    angle = np.degrees(np.arccos(local[:, 2] / np.linalg.norm(local, axis=1)))
+    assert 8 < angle.max() <= 20 + 1e-9
+
+
+def test_its_unknown_key_is_refused_with_a_hint(
+    run_with: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    """The valid keys are the arguments of its class."""
+    (tmp_path / "cell.toml").write_text('[scanner]\ntype = "cone"\nhalf_angel_deg = 20.0\n', encoding="utf-8")
+    done = run_with("check", "cell.toml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "scanner.half_angel_deg is an unknown key of cone; did you mean 'half_angle_deg'?" in done.stderr
+
+
+BROKEN = {
+    "an import that fails": ("import no_such_module_anywhere\n", "cannot be imported .*No module named"),
+    "a syntax error": ("class Broken(\n", "cannot be imported .*SyntaxError"),
+    "an exception at import": ("raise RuntimeError('no licence')\n", "cannot be imported .*RuntimeError: no licence"),
+    "no such class": ("class Other: pass\n", "cannot be imported .*AttributeError.*Broken"),
+    "an instance in place of a class": ("Broken = object()\n", "which is no class"),
+    "a class without the methods": (
+        "class Broken:\n    source = sensor = (0, 0, 0)\n    grid_shape = (1, 1)\n",
+        "lacks ray_directions, reject, parameters",
+    ),
+    "a constructor that fails": (
+        "class Broken:\n    def __init__(self): raise KeyError('calibration')\n",
+        "cannot be made of no keys: KeyError: 'calibration'",
+    ),
+    "parameters that JSON cannot hold": (
+        "class Broken:\n    source = sensor = grid_shape = ray_directions = reject = None\n"
+        "    def parameters(self): return {'gain': float('nan')}\n",
+        r"parameters\(\) that cannot be written down",
+    ),
+    "parameters that are no dict": (
+        "class Broken:\n    source = sensor = grid_shape = ray_directions = reject = None\n"
+        "    def parameters(self): return [1]\n",
+        "it is a list",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_plug_in_gets_an_error_that_names_its_distribution(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever is wrong with it, the user learns which distribution to repair; names and keys of others still work."""
+    code, words = BROKEN[case]
+    module = f"broken_{sorted(BROKEN).index(case)}"
+    (tmp_path / f"{module}.py").write_text(code, encoding="utf-8")
+    info = tmp_path / "acme_scanners-2.1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-scanners\nVersion: 2.1\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[cell.scanners]\nbroken = {module}:Broken\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert {"broken", "laser-area", "laser-line"} <= set(cell.scanners.names())
+    with pytest.raises(SceneError, match=words) as caught:
+        cell.scanners.make("broken", {})
+    assert "distribution acme-scanners 2.1" in str(caught.value)
+    assert "fov_deg" in (cell.scanners.keys("laser-area") or ())

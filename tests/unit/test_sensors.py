@@ -1,0 +1,148 @@
+"""The library of real sensors, and the keys of the scene's scanner table."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell import sensors
+from cell.errors import FileError, SceneError
+from cell.resolve import resolve
+from cell.scanner_table import keys_of
+from cell.scene import Scene, load_scene
+from cell.workpiece import load as load_part
+
+
+def _problems(**scanner) -> list[str]:
+    with pytest.raises(SceneError) as caught:
+        load_scene(None, {"scanner": scanner})
+    return [line.strip() for line in str(caught.value).splitlines()[1:]]
+
+
+def test_the_library_holds_the_five_sensors() -> None:
+    """Names are the files' names."""
+    assert sensors.names() == (
+        *("gocator-2330", "gocator-2340", "gocator-2350", "keyence-lj-v7200", "keyence-lj-x8400"),
+    )
+
+
+@pytest.mark.parametrize("name", sensors.names())
+def test_every_figure_has_its_source_and_nothing_is_taken_from_elsewhere(name: str) -> None:
+    """The file's figures are the sources' keys; what is not stated is asked for; no baseline is invented."""
+    sensor = sensors.load(name)
+    assert set(sensor.source) == set(sensor.figures)
+    assert all(sensor.source.values())
+    assert set(sensor.keys) | set(sensor.not_stated) == {"fan_deg", "range_mm", "baseline_mm"}
+    assert not set(sensor.keys) & set(sensor.not_stated)
+    assert "baseline_mm" in sensor.not_stated
+    assert keys_of(sensor.type) is not None
+    assert set(sensor.keys) <= set(keys_of(sensor.type) or ())
+
+
+@pytest.mark.parametrize(
+    ("name", "near", "far", "from_housing"),
+    [
+        ("gocator-2330", 47, 85, (90, 170)),
+        ("gocator-2340", 96, 194, (190, 400)),
+        ("gocator-2350", 158, 365, (300, 700)),
+        ("keyence-lj-x8400", 180, 240, (320, 440)),
+    ],
+)
+def test_fan_and_range_give_back_the_data_sheet_s_line(name: str, near: float, far: float, from_housing: tuple) -> None:
+    """The line is as long at both ends of the range as the data sheet says; fans are 26 to 30 degrees."""
+    sensor = sensors.load(name)
+    fan, (low, high) = sensor.keys["fan_deg"], sensor.keys["range_mm"]
+    assert 26 < fan < 30
+    lengths = 2 * np.array([low, high]) * np.tan(np.radians(fan / 2))
+    np.testing.assert_allclose(lengths, [near, far], rtol=1e-12)
+    behind = sensor.apex_behind_window_mm
+    assert behind is not None
+    np.testing.assert_allclose(np.array([low, high]) - behind, from_housing, rtol=1e-12)
+
+
+def test_a_sensor_fills_the_scanner_table_and_the_scene_goes_before_it() -> None:
+    """Type, fan and range from the library; a key of the scene wins; the standoff is the middle of the range."""
+    scene = load_scene(None, {"scanner": {"sensor": "gocator-2350", "baseline_mm": 160.0, "fan_deg": 27.0}})
+    assert scene.scanner.type == "laser-line"
+    assert scene.scanner.fan_deg == 27.0
+    assert scene.scanner.range_mm == pytest.approx((305.314, 705.314), abs=1e-3)
+    settings = resolve(scene, load_part("mseke", None))
+    assert settings.standoffs == pytest.approx((0.505314,), abs=1e-6)
+    assert settings.scanner["baseline_mm"] == 160.0
+    assert "fov_deg" not in settings.scanner
+    assert "resolution_deg" not in settings.planning_scanner
+
+
+@pytest.mark.parametrize(
+    ("scanner", "lines"),
+    [
+        (
+            {"sensor": "gocator-2350"},
+            ["scanner.sensor gocator-2350 does not state its baseline; set scanner.baseline_mm"],
+        ),
+        (
+            {"sensor": "keyence-lj-v7200", "baseline_mm": 90.0},
+            [
+                "scanner.sensor keyence-lj-v7200 does not state its fan; set scanner.fan_deg",
+                "scanner.sensor keyence-lj-v7200 does not state its range; set scanner.range_mm",
+            ],
+        ),
+        ({"sensor": "gocator2350"}, ["scanner.sensor is 'gocator2350'; did you mean 'gocator-2350'? valid are: "]),
+        (
+            {"sensor": "gocator-2350", "baseline_mm": 90.0, "type": "laser-area"},
+            ["scanner.type is 'laser-area', and gocator-2350 is a laser-line; leave type out"],
+        ),
+        ({"sensor": 2350}, ["scanner.sensor is 2350; it must be text in quotes"]),
+        ({"fan_deg": 30.0}, ["scanner.fan_deg is an unknown key of laser-area; did you mean 'fov_deg'? valid are: "]),
+        (
+            {"type": "laser-line", "fov_deg": [60.0, 60.0], "sweep_mn": 3.0, "fan_deg": 200.0},
+            [
+                "scanner.fov_deg is an unknown key of laser-line; did you mean 'fan_deg'? valid are: type, sensor,",
+                "scanner.sweep_mn is an unknown key of laser-line; did you mean 'sweep_mm'?",
+                "scanner.fan_deg is 200.0; it must be below 180",
+            ],
+        ),
+        ({"type": "laser-line", "planning_resolution_deg": 1.0}, ["scanner.planning_resolution_deg is an unknown key"]),
+        ({"type": "laser-line", "sweep_steps": 2.5}, ["scanner.sweep_steps is 2.5; it must be a whole number"]),
+    ],
+)
+def test_all_problems_of_the_scanner_table_come_at_once(scanner: dict, lines: list[str]) -> None:
+    """One line a problem: a key of another type, a figure that is not stated, a value that is out of its range."""
+    problems = _problems(**scanner)
+    assert len(problems) == len(lines), problems
+    for problem, start in zip(problems, lines, strict=True):
+        assert problem.startswith(start), problem
+
+
+def test_laser_area_without_more_keys_stays_what_it_was() -> None:
+    """The default table holds no key of the line sensor that would reach the plug-in."""
+    settings = resolve(Scene(), load_part("mseke", None))
+    assert "fan_deg" not in settings.scanner
+    assert "sweep_steps" not in settings.scanner
+    assert settings.planning_scanner["resolution_deg"] == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("depth_mm = 400.0", "depth_mm = -400.0", "depth_mm = -400.0; it must be a length above 0"),
+        ("depth_mm = 400.0", "depth_mm = true", "depth_mm = True"),
+        ("depth_mm = 400.0", 'depth_mm = "400"', "it must be a length"),
+        ("depth_mm = 400.0", "detph_mm = 400.0", "unknown key 'detph_mm'"),
+        ("depth_mm = 400.0", "baseline_mm = 3.0", "a source for each figure"),
+        ("width_near_mm = 158.0", "width_near_mm = 365.0", "does not grow with the distance"),
+        ('maker = "LMI Technologies"', "", "lacks 'maker'"),
+        ("[figures]", "[figure]", r"lacks its tables \[figures\]"),
+        ("[figures]", "[figures", "cannot be read"),
+    ],
+)
+def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    """With the file, the key and what is wrong with it."""
+    from cell.robot import model_file
+
+    text = model_file("sensors/gocator-2350.toml").read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "gocator-2350.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(FileError, match=words):
+        sensors.read(path)

@@ -1,0 +1,73 @@
+"""Sweeps: where the poses stand, and what is refused."""
+
+import numpy as np
+import pytest
+
+from planner.errors import PlannerError
+from planner.sweeps import begun_at, straight_poses, straight_sweep, swept, turned_poses, turned_sweep
+from planner.viewpoints import Viewpoints, view_sphere
+
+
+def _views() -> Viewpoints:
+    return view_sphere(np.array([0.1, 0.2, 0.3]), 0.5, np.pi / 4, np.pi / 3, (0.0, 0.7))
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_a_straight_sweep_stands_in_the_middles_of_equal_cells_along_its_direction(count: int) -> None:
+    """Distances between poses are length / K, the mean is the viewpoint, nothing turns."""
+    views = _views()
+    swept_views = straight_sweep(views, 0.14, count, (0.0, 3.0, 4.0))
+    T = swept_views.T_object_scanner
+    assert T.shape == (len(views), count, 4, 4)
+    np.testing.assert_allclose(
+        T[:, :, :3, :3], np.repeat(views.T_object_scanner[:, :, :3, :3], count, axis=1), atol=1e-15
+    )
+    np.testing.assert_allclose(T[..., :3, 3].mean(axis=1), views.T_object_scanner[:, 0, :3, 3], atol=1e-15)
+    along = np.einsum("vij,j->vi", views.T_object_scanner[:, 0, :3, :3], [0.0, 0.6, 0.8]) * 0.14 / count
+    np.testing.assert_allclose(np.diff(T[..., :3, 3], axis=1), np.repeat(along[:, None], count - 1, axis=1), atol=1e-15)
+    for name in ("face", "standoff", "roll"):
+        assert (getattr(swept_views, name) == getattr(views, name)).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_a_turned_sweep_turns_about_the_line_through_the_source(count: int) -> None:
+    """Sources and the y axis stay; the viewing axes lie at the middles of equal angles from -x to +x."""
+    poses = turned_poses(1.2, count)
+    assert (poses[:, :3, 3] == 0).all()
+    np.testing.assert_allclose(poses[:, :3, 1], np.tile([0.0, 1.0, 0.0], (count, 1)), atol=1e-15)
+    np.testing.assert_allclose(
+        np.arctan2(poses[:, 0, 2], poses[:, 2, 2]), 1.2 * ((np.arange(count) + 0.5) / count - 0.5), atol=1e-15
+    )
+    np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1.0)
+    T = turned_sweep(_views(), 1.2, count).T_object_scanner
+    np.testing.assert_allclose(T, _views().T_object_scanner @ poses, atol=1e-15)
+
+
+def test_a_sweep_that_begins_elsewhere_keeps_its_inner_motion() -> None:
+    """The first poses are those given, to the last bit; each next pose relative to the first is as planned."""
+    planned = turned_sweep(_views(), 0.6, 5).T_object_scanner
+    moved_first = planned[:, 0] @ np.linalg.inv(planned[3, 0]) @ planned[5, 0]
+    moved = begun_at(moved_first, planned)
+    assert (moved[:, 0] == moved_first).all()
+    np.testing.assert_allclose(np.linalg.inv(moved[:, :1]) @ moved, np.linalg.inv(planned[:, :1]) @ planned, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: straight_poses(0.0, 3), "length must be above 0"),
+        (lambda: straight_poses(np.inf, 3), "length must be above 0"),
+        (lambda: straight_poses(0.1, 0), "at least one"),
+        (lambda: straight_poses(0.1, 3, (0, 0, 0)), "no direction"),
+        (lambda: turned_poses(np.pi, 3), "below pi"),
+        (lambda: turned_poses(float("nan"), 3), "above 0"),
+        (lambda: turned_poses(0.5, -1), "at least one"),
+        (lambda: swept(straight_sweep(_views(), 0.1, 2), straight_poses(0.1, 2)), "2 poses each"),
+        (lambda: swept(_views(), np.empty((0, 4, 4))), "no pose"),
+        (lambda: begun_at(np.eye(4)[None], np.tile(np.eye(4), (2, 3, 1, 1))), "T_object_first has shape"),
+    ],
+)
+def test_impossible_sweeps_are_refused(make, words: str) -> None:
+    """One sentence with what would be valid."""
+    with pytest.raises(PlannerError, match=words):
+        make()
