@@ -45,11 +45,12 @@ def test_widening_any_limit_never_loses_a_point(limits, share, seed):
     """Each of FOV, range, grazing, sensor's FOV and depth of field alone, or given up where it may be."""
     cloud = _cloud(seed)
     before = _measured(limits, cloud)
+    front, back = limits["depth_of_field_mm"]
     wider = {
         "fov_deg": tuple(a + share * (179 - a) for a in limits["fov_deg"]),
         "sensor_fov_deg": tuple(a + share * (179 - a) for a in limits["sensor_fov_deg"]),
         "range_mm": (limits["range_mm"][0] * (1 - share), limits["range_mm"][1] * (1 + share)),
-        "depth_of_field_mm": (limits["depth_of_field_mm"][0] * (1 - share), limits["depth_of_field_mm"][1] * (1 + share)),
+        "depth_of_field_mm": (front * (1 - share), back * (1 + share)),
         "grazing_max_deg": limits["grazing_max_deg"] + share * (90 - limits["grazing_max_deg"]),
         "sensor_grazing_max_deg": limits["sensor_grazing_max_deg"] + share * (90 - limits["sensor_grazing_max_deg"]),
     }  # fmt: skip

@@ -14,7 +14,6 @@ from planner.quality import Limited, best_sigma, sigma_layer, within
 from planner.surface import TriangleMesh
 from planner.viewpoints import Viewpoints, optimal_scanning_zone
 
-
 SCANNER = LaserArea(range_mm=(50, 400), baseline_mm=40)
 
 
@@ -126,14 +125,14 @@ def test_what_cannot_be_is_refused(part, caster):
     views = _views(part, 1)
     features = surface.sample(part, part, 10, np.random.default_rng(0))
     M = fill(views, features, SCANNER, caster)
+    few = Viewpoints(views.T_object_scanner[:3], views.face[:3], views.standoff[:3], views.roll[:3])
     for work, words in [
         (lambda: within(M, 1e-3), "sigma_layer"),
         (lambda: best_sigma(M, np.array([0])), "sigma_layer"),
         (lambda: within(sigma_layer(M, views, SCANNER), 0.0), "above 0"),
         (lambda: Limited(SCANNER, 0.0), "above 0"),
         (lambda: Limited(Bare(), 1.0), "does not know its sigma"),
-        (lambda: sigma_layer(M, Viewpoints(
-            views.T_object_scanner[:3], views.face[:3], views.standoff[:3], views.roll[:3]), SCANNER), "must be the same"),
+        (lambda: sigma_layer(M, few, SCANNER), "must be the same"),
         (lambda: sigma_layer(M, _views(part, 2), SCANNER), "casters"),
         (lambda: Measurability(M.indptr, M.indices, features, len(views), np.zeros(3)), "sigma has shape"),
     ]:  # fmt: skip
