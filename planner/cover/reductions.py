@@ -154,7 +154,7 @@ def _dominated(
 ) -> NDArray[np.bool_]:
     """Which sets are dominated: contained in another (`larger_wins`), or containing another.
 
-    Of equal sets the first is not dominated by the later ones.
+    Of equal sets the first is not dominated by the later ones. An empty column (its rows were dominated) is dominated.
 
     Args:
         start: (N + 1,) where the members of each set begin.
@@ -171,12 +171,15 @@ def _dominated(
         return dominated
     # The rarest member of each set: only the sets that share it can contain the set.
     key = frequency[members] * n_members + members
-    rarest = np.minimum.reduceat(key, start[:-1]) % n_members
+    filled = sizes > 0
+    rarest = np.zeros(n_sets, dtype=members.dtype)
+    rarest[filled] = np.minimum.reduceat(key, start[:-1][filled]) % n_members
     words = (n_members + 63) // 64
     if int(frequency[rarest].sum()) * words > SUBSET_WORK:
         return dominated
     bits = _packed(start, members, n_members)
-    for small in range(n_sets):
+    dominated[~filled] = larger_wins
+    for small in np.flatnonzero(filled):
         member = rarest[small]
         others = member_sets[member_start[member] : member_start[member + 1]]
         size = sizes[small]

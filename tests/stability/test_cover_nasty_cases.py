@@ -208,3 +208,22 @@ def test_steiner_triples(solver, points, fewest):
         assert (len(result.views), result.status) == (fewest, CoverStatus.PROVEN)
     if solver == "local-search":
         assert len(result.views) == fewest
+
+
+def test_a_last_column_that_loses_all_its_rows(solver):
+    """Rows that contain others are dropped, and with them all rows of the last column; the cover is still the best."""
+    M = np.array(
+        [
+            [0, 1, 0, 1, 1, 0],
+            [1, 0, 0, 1, 1, 1],
+            [0, 1, 0, 1, 0, 0],
+            [1, 1, 1, 0, 0, 1],
+            [0, 0, 0, 1, 0, 1],
+            [1, 1, 0, 0, 1, 1],
+        ],
+        dtype=bool,
+    )
+    result = run(sp.csr_array(M), np.ones(6), solver)
+    assert M[:, result.views].any(axis=1).all()
+    fewest = next(n for n in range(1, 7) if any(M[:, list(c)].any(axis=1).all() for c in combinations(range(6), n)))
+    assert result.lower_bound <= fewest <= len(result.views)
