@@ -138,8 +138,7 @@ class Narrator:
             table.add_column(name)
         for row in why_files.table_rows(summary):
             table.add_row(*(escape(cell) for cell in row))
-        self._results.print(table)
-        self._results.print(f"all together: {why_files.overall_line(summary)}", markup=False, soft_wrap=True)
+        self._results.print(table if summary["groups"] else "nothing stays open")
         self._results.print(f"files: {outcome.folder}", markup=False, soft_wrap=True)
 
     def check_table(self, result: "CheckResult") -> None:

@@ -384,7 +384,9 @@ _OF_ANGLE: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {
 
 
 def _detail(reason: Reason, diagnosis: Diagnosis, inside: NDArray[np.bool_], limits: Mapping[str, Any]) -> str:
-    """A figure about the closest candidates of some open samples."""
+    """What there is to add about the closest candidates of some open samples."""
+    if reason is Reason.NOT_SELECTED:
+        return "the plan's target did not need it"
     if reason in _OF_ANGLE:
         angles, limit = _OF_ANGLE[reason]
         low, high = np.degrees(np.quantile(angles(diagnosis)[inside], (0.1, 0.9)))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run_folder import SCHEMA, json_text
+from planner.surface import face_normals
 from planner.why import Reason
 
 if TYPE_CHECKING:
@@ -29,8 +30,9 @@ _COLOURS = (
     (192, 57, 43), (36, 113, 163), (202, 111, 30), (125, 60, 152), (35, 155, 86), (241, 196, 15),
     (23, 165, 137), (127, 140, 141), (100, 30, 22), (21, 67, 96), (183, 149, 11), (74, 35, 90),
 )  # fmt: skip
-_SIDES = ((-60, 24, "front right"), (120, 24, "back left"), (30, -35, "right, from below"), (-150, -35, "left, below"))
-_LIGHT = np.array([0.35, -0.45, 0.82])
+_SIDES = ((0.5, -0.8, 0.4), (-0.5, 0.8, 0.4), (0.7, 0.5, -0.6), (-0.7, -0.5, -0.6))  # looked from where nothing is open
+_PICTURED = 0.03  # share of the open samples above which a patch is looked at
+_APART = 0.6  # cosine of the angle between two sides that are drawn
 
 
 def title(reason: Reason, what: str) -> str:
@@ -130,25 +132,19 @@ def table_rows(content: dict[str, Any]) -> list[tuple[str, str, str, str]]:
         reason = group["title"] + (f"\n({group['detail']})" if group["detail"] else "")
         largest = group["patches"][0]
         x, y, z = (round(value) for value in largest["centre_mm"])
-        where = f"round ({x}, {y}, {z})" + (f"\n{group['n_patches']} places" * (group["n_patches"] > 1))
+        where = f"near ({x}, {y}, {z})" + (f"\n{group['n_patches']} places" * (group["n_patches"] > 1))
         helps = "\n".join(_line(change) for change in group["changes"][:_CHANGES]) or NOTHING
         rows.append((reason, f"{100 * group['share']:.2f} %\n{group['area_mm2']:,.0f} mm²", where, helps))
     rest = content["groups"][_ROWS:]
     if rest:
         share, area = sum(group["share"] for group in rest), sum(group["area_mm2"] for group in rest)
         rows.append((f"{len(rest)} smaller groups", f"{100 * share:.2f} %\n{area:,.0f} mm²", "", "see why.json"))
+    if content["not_measurable"] and len(content["groups"]) > 1:
+        share = content["not_measurable"]
+        area = share * content["area_mm2"]
+        helps = "\n".join(_line(change) for change in content["overall"]) or NOTHING
+        rows.append(("all that no reachable candidate measures", f"{100 * share:.2f} %\n{area:,.0f} mm²", "", helps))
     return rows
-
-
-def overall_line(content: dict[str, Any]) -> str:
-    """One sentence about all that no reachable candidate measures."""
-    if not content["groups"]:
-        return "nothing stays open"
-    if not content["not_measurable"]:
-        return "reachable candidates measure all of it; the plan's target does not need them"
-    if not content["overall"]:
-        return NOTHING
-    return "; ".join(_line(change) for change in content["overall"])
 
 
 def _line(change: dict[str, Any]) -> str:
@@ -211,59 +207,77 @@ def _area_mm2(answer: Answer, rows: NDArray[np.int64]) -> float:
 
 
 def _draw(path: Path, answer: Answer) -> None:
-    """The part from four sides, each planning face in the colour of what most of its open samples fail at."""
+    """The part from the sides on which most is open, each planning face in the colours of its samples' reasons."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch as Swatch
+    from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    from planner.surface import face_normals
-
-    planning, samples = answer.planning, answer.samples
-    colours = np.array([_MEASURED, *_COLOURS]) / 255.0
-    group_of = np.zeros(len(samples), dtype=np.int64)
-    for code, group in enumerate(answer.groups, 1):
-        group_of[group.rows] = min(code, len(_COLOURS))
-    count = np.zeros((len(planning.faces), len(colours)))
-    np.add.at(count, (samples.planning_face, group_of), 1.0)
-    total = np.maximum(count.sum(axis=1, keepdims=True), 1.0)
-    share = count / total
-    shade = share @ colours  # a face that is half open is half coloured
-    shade[count.sum(axis=1) == 0] = colours[0]
-    light = 0.62 + 0.38 * np.clip(face_normals(planning) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
-    shade = np.clip(shade * light[:, None], 0, 1)
+    planning = answer.planning
+    colours = np.column_stack([np.array([_MEASURED, *_COLOURS]) / 255.0, np.ones(1 + len(_COLOURS))])
+    shade, normals = _shade(answer, colours), face_normals(planning)
     triangles = planning.vertices[planning.faces] * 1000.0
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     middle, half = (low + high) / 2, (high - low).max() / 2
     figure = Figure(figsize=(11.0, 10.5), dpi=100, layout="constrained")
-    sides = (
-        (-60, 24, "front right"),
-        (120, 24, "back left"),
-        (30, -35, "right, from below"),
-        (-150, -35, "left, from below"),
-    )
-    for index, (azimuth, elevation, name) in enumerate(sides):
+    for index, (side, name) in enumerate(_sides(answer)):
         axes: Any = figure.add_subplot(2, 2, index + 1, projection="3d")
-        axes.add_collection3d(Poly3DCollection(triangles, facecolors=shade, edgecolors="none", antialiased=False))
+        lit = shade.copy()
+        lit[:, :3] *= (0.45 + 0.55 * np.clip(normals @ side, 0, 1))[:, None]
+        axes.add_collection3d(Poly3DCollection(triangles, facecolors=lit, edgecolors="none", antialiased=False))
         for axis, value in zip("xyz", middle, strict=True):
             getattr(axes, f"set_{axis}lim")(value - half, value + half)
             getattr(axes, f"set_{axis}label")(f"{axis} [mm]", fontsize=8)
+            getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(4))
         axes.tick_params(labelsize=7)
         axes.set_box_aspect((1, 1, 1))
-        axes.view_init(elev=elevation, azim=azimuth)
+        axes.view_init(elev=np.degrees(np.arcsin(side[2])), azim=np.degrees(np.arctan2(side[1], side[0])))
         axes.set_title(name, fontsize=10)
-    swatches = [
-        Swatch(color=colours[0], label=f"measured ({100 * answer.share(np.flatnonzero(answer.covered)):.1f} %)")
-    ]
+    measured = 100 * answer.share(np.flatnonzero(answer.covered))
+    swatches = [Swatch(color=colours[0], label=f"measured ({measured:.1f} %)")]
     listed = answer.groups[: len(_COLOURS) - 1]
     for code, group in enumerate(listed, 1):
         label = f"{title(group.reason, group.what)} ({100 * answer.share(group.rows):.2f} %)"
         swatches.append(Swatch(color=colours[code], label=label))
     rest = answer.groups[len(listed) :]
     if rest:
-        open_rest = sum(answer.share(group.rows) for group in rest)
-        swatches.append(Swatch(color=colours[-1], label=f"{len(rest)} smaller groups ({100 * open_rest:.2f} %)"))
+        open_rest = 100 * sum(answer.share(group.rows) for group in rest)
+        swatches.append(Swatch(color=colours[-1], label=f"{len(rest)} smaller groups ({open_rest:.2f} %)"))
     figure.legend(handles=swatches, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     figure.suptitle(f"Why {answer.part_name} stays open", fontsize=12)
     FigureCanvasAgg(figure)
     figure.savefig(path, format="png", metadata={"Software": "scan-cell"})
+
+
+def _shade(answer: Answer, colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(F, 4) colour of each planning face: the mean of its samples', so a face that is half open is half coloured."""
+    group_of = np.zeros(len(answer.samples), dtype=np.int64)
+    for code, group in enumerate(answer.groups, 1):
+        group_of[group.rows] = min(code, len(_COLOURS))
+    count = np.zeros((len(answer.planning.faces), len(colours)))
+    np.add.at(count, (answer.samples.planning_face, group_of), 1.0)
+    count[count.sum(axis=1) == 0, 0] = 1.0
+    shade: NDArray[np.float64] = (count / count.sum(axis=1, keepdims=True)) @ colours
+    return np.clip(shade, 0, 1)
+
+
+def _sides(answer: Answer) -> list[tuple[NDArray[np.float64], str]]:
+    """Four directions to look from, with their titles: at the largest open patches, as far as these look outward."""
+    chosen: list[tuple[NDArray[np.float64], str]] = []
+    patches = [
+        (patch.rows, title(group.reason, group.what))
+        for group in answer.groups
+        for patch in group.patches
+        if len(patch.rows) > _PICTURED * len(answer.open_rows)
+    ]
+    for rows, name in sorted(patches, key=lambda patch: -len(patch[0])):
+        mean = answer.samples.normals[rows].mean(axis=0)
+        length = float(np.linalg.norm(mean))
+        if len(chosen) < len(_SIDES) and length > 0.3 and all(mean @ side < _APART * length for side, _ in chosen):
+            chosen.append((mean / length, f"towards: {name}"))
+    for direction in _SIDES:
+        side = np.array(direction) / np.linalg.norm(direction)
+        if len(chosen) < len(_SIDES) and all(side @ other < _APART for other, _ in chosen):
+            chosen.append((side, ""))
+    return chosen
