@@ -235,7 +235,7 @@ class LaserArea:
         across = y * y + z * z
         distance, sensor_distance = np.sqrt(x * x + across), np.sqrt((x - baseline) ** 2 + across)
         towards_source = -(n_x * x + n_y * y + n_z * z)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             cos_source = towards_source / distance
             cos_sensor = (towards_source + baseline * n_x) / sensor_distance
             sine = baseline * np.sqrt(across) / (distance * sensor_distance)  # of the angle between the legs
