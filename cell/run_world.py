@@ -42,7 +42,7 @@ def scene_of(run: RunRecord, resolved: Mapping[str, Any], *, without: Collection
         content = {
             "clearance_mm": float(resolved["clearance_mm"]),
             "robot": robot,
-            "scanner": {"baseline_mm": float(resolved["scanner"]["baseline_mm"])},
+            "scanner": {"baseline_mm": float(resolved["scanner"].get("baseline_mm", 0.0))},
             "mount": _pose(T_flange_scanner),
             "housing": _pose(T_scanner_housing)
             | {

@@ -15,7 +15,7 @@ import numpy as np
 
 from cell import cloud_files, execute, execution_report, run_reader, scan_driver, scan_scene
 from cell.deviation import deviation
-from cell.errors import DriverFailureError, FileError
+from cell.errors import DriverFailureError, FileError, UsageError
 from cell.execution_folder import EXECUTING, ExecutionFolder
 from cell.execution_reader import read_execution
 from cell.execution_results import ExecutedScan, achieved, merged, usable
@@ -76,6 +76,11 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
     """
     run = _finished(run_folder)
+    if any("sweep" in view for view in run_reader.plan_json(run)["views"]):
+        raise UsageError(
+            f"the views of {run_folder} are sweeps, and their motion is not planned yet: they cannot be executed; plan "
+            "with a scanner that measures at rest, such as laser-area"
+        )
     motion = run_reader.motion(run)
     legs = execute.legs_of(motion, options.view)
     scene = scan_scene.load(run, options.resolution_deg)

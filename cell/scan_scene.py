@@ -99,11 +99,6 @@ def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
         if resolution_deg is None:
             raise
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
-    if hasattr(scanner, "T_view_scanner"):
-        raise UsageError(
-            f"the views of this plan are sweeps ({parameters['type']}), and their motion is not planned yet: they "
-            "cannot be executed; plan with a scanner that measures at rest, such as laser-area"
-        )
     if max_sigma_mm is not None:
         scanner = Limited(scanner, float(max_sigma_mm) / 1000)  # what the plan does not count, the scan does not take
     return ScanScene(

@@ -147,20 +147,18 @@ def read(path: Path) -> Sensor:
 
 def table_rows() -> list[tuple[str, ...]]:
     """Heading and one row per sensor, for the terminal; "-" where nothing is stated."""
-    heading = ("sensor", "model", "type", "distance mm", "line mm", "fan deg", "range mm", "body mm", "you give")
+    heading = ("sensor", "type", "distance mm", "line mm", "fan deg", "range mm", "you give")
     rows: list[tuple[str, ...]] = [heading]
     for sensor in map(load, names()):
         known, keys = sensor.figures, sensor.keys
         rows.append(
             (
                 sensor.name,
-                f"{sensor.maker} {sensor.model}",
                 sensor.type,
                 _distance(known),
-                f"{known['width_near_mm']:g} to {known['width_far_mm']:g}" if "width_near_mm" in known else "-",
+                f"{known['width_near_mm']:g}..{known['width_far_mm']:g}" if "width_near_mm" in known else "-",
                 f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
-                "{:.1f} to {:.1f}".format(*keys["range_mm"]) if "range_mm" in keys else "-",
-                " x ".join(f"{side:g}" for side in known["body_mm"]) if "body_mm" in known else "-",
+                "{:.1f}..{:.1f}".format(*keys["range_mm"]) if "range_mm" in keys else "-",
                 ", ".join(sensor.not_stated),
             )
         )
@@ -169,20 +167,21 @@ def table_rows() -> list[tuple[str, ...]]:
 
 def print_table() -> None:
     """The library on stdout, and what its columns mean."""
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
     heading, *rows = table_rows()
-    table = Table(title="Sensors", title_justify="left")
+    table = Table(title="Sensors", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for name in heading:
-        table.add_column(name, overflow="fold")
+        table.add_column(name, overflow="fold", no_wrap=name == "sensor")
     for row in rows:
         table.add_row(*row)
     console = Console()
     console.print(table)
     console.print(
         "distance: from the housing; line: its length at the near and the far end; range: depth from the laser source "
-        "(the fan's apex); you give: keys of [scanner] that no source states. cell sensors --json has the sources.",
+        "(the fan's apex); you give: keys of [scanner] that no source states. cell sensors --json has bodies and sources.",
         markup=False,
         soft_wrap=True,
     )
@@ -191,8 +190,8 @@ def print_table() -> None:
 def _distance(known: Mapping[str, Any]) -> str:
     """From housing to measuring range, as the source puts it."""
     if "clearance_mm" in known:
-        return f"{known['clearance_mm']:g} to {known['clearance_mm'] + known['depth_mm']:g}"
-    half = f" +- {known['depth_mm'] / 2:g}" if "depth_mm" in known else ""
+        return f"{known['clearance_mm']:g}..{known['clearance_mm'] + known['depth_mm']:g}"
+    half = f"+-{known['depth_mm'] / 2:g}" if "depth_mm" in known else ""
     return f"{known['reference_mm']:g}{half}" if "reference_mm" in known else "-"
 
 
