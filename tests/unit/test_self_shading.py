@@ -1,0 +1,191 @@
+"""Views that their own arm shades: judged by brute force, given other joint solutions, else cut to what is left."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell import self_shading
+from cell.embree import EmbreeRayCaster
+from cell.kinematics import Kr16Kinematics
+from cell.occluders import Occluder, arm_triangles, box
+from cell.scanners.laser_area import LaserArea
+from cell.scene import Scene
+from cell.self_shading import SHADED_SHARE, Look, OwnArm, visible_with_arm
+from cell.world import World
+from cell.world import compile as compile_world
+from planner import surface
+from planner.measurability import Measurability, fill
+from planner.reach import Reach, Verdict
+from planner.surface import TriangleMesh
+from planner.viewpoints import Viewpoints, optimal_scanning_zone
+
+BALL = trimesh.creation.icosphere(2, 0.05)
+PART = TriangleMesh(BALL.vertices, BALL.faces)
+SCANNER = LaserArea(baseline_mm=40, range_mm=(200, 700))
+ENDS = np.stack([SCANNER.source, SCANNER.sensor])
+SIDEWAYS = {"position_mm": [250.0, 0.0, 50.0], "abc_deg": [0.0, -98.5, 0.0]}  # looks over the wrist at the part
+
+
+def _world(**tables: object) -> World:
+    tables = {"placement": {"position_mm": [900, 300, 500]}, "scanner": {"baseline_mm": 40}, **tables}
+    return compile_world(Scene.model_validate(tables), PART.vertices, baseline_mm=40)
+
+
+def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
+    """Candidates all around the ball with every joint solution of the closed form, and what they measure."""
+    views = optimal_scanning_zone(TriangleMesh(PART.vertices, PART.faces[::20]), (0.48,), (0.0, np.pi / 2))
+    kinematics = Kr16Kinematics.from_model(world.model)
+    flange = world.T_base_object @ views.T_object_scanner[:, 0] @ np.linalg.inv(world.T_flange_scanner)
+    branches = [q[np.isfinite(q).all(axis=1)] for q in kinematics.inverse(flange)]
+    kept = [k for k, q in enumerate(branches) if len(q)]
+    views = Viewpoints(*(getattr(views, name)[kept] for name in ("T_object_scanner", "face", "standoff", "roll")))
+    solutions = [branches[k] for k in kept]
+    offsets = np.concatenate([[0], np.cumsum([len(q) for q in solutions])])
+    verdict = np.full(len(views), Verdict.REACHABLE, dtype=np.uint8)
+    reached = Reach(verdict, np.concatenate(solutions), offsets, ("",) * len(views))
+    features = surface.sample(PART, PART, 800, np.random.default_rng(0))
+    return fill(views, features, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces)), reached, views
+
+
+def _column(M: Measurability, view: int) -> np.ndarray:
+    return np.flatnonzero(M.matrix()[:, [view]].toarray().ravel())
+
+
+def _hidden(world: World, T: np.ndarray, q: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Float64 ray-triangle tests of both legs against the arm, all pairs, in the base frame."""
+    to_base = world.T_base_object
+    targets = points @ to_base[:3, :3].T + to_base[:3, 3]
+    hidden = np.zeros(len(points), dtype=bool)
+    for piece in arm_triangles(world, q, ENDS):
+        a, b, c = (piece.vertices[piece.faces[:, k]] for k in range(3))
+        for end in ENDS:
+            origin = to_base[:3, :3] @ (T[:3, :3] @ end + T[:3, 3]) + to_base[:3, 3]
+            way = (targets - origin)[:, None]
+            normal = np.cross(b - a, c - a)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = ((a - origin) * normal).sum(-1) / (way * normal).sum(-1)
+            at = origin + np.where(np.isfinite(t), t, -1)[..., None] * way
+            inside = np.ones(t.shape, dtype=bool)
+            for p, r in ((a, b), (b, c), (c, a)):
+                inside &= (np.cross(r - p, at - p) * normal).sum(-1) >= 0
+            hidden |= (inside & (t > 0) & (t < 1)).any(axis=1)
+    return hidden
+
+
+def test_a_scanner_at_the_end_of_the_arm_is_never_shaded():
+    """The built-in mount: one look, nothing is found, and the matrix is the very same object."""
+    world = _world()
+    M, reached, views = _cell(world)
+    arm = OwnArm(M, reached, views, world, SCANNER)
+    chosen = np.arange(len(views))
+    assert len(chosen) > 10
+    assert arm.look(chosen, np.stack([reached.q_of(v)[0] for v in chosen])) is Look.CLEAR
+    assert arm.M is M
+    assert not arm.reasons
+
+
+def test_what_is_left_is_exactly_what_the_arm_does_not_hide():
+    """A mount that looks over the wrist: a view loses what brute force finds hidden, and nothing else."""
+    world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
+    M, reached, views = _cell(world)
+    arm = OwnArm(M, reached, views, world, SCANNER)
+    chosen = np.arange(0, len(views), 6)
+    looks = []
+    for _ in range(20):
+        looks.append(arm.look(chosen, np.stack([arm.configurations(v)[0] for v in chosen])))
+        if looks[-1] is Look.CLEAR:
+            break
+    assert looks[0] is Look.LESS_MEASURED
+    assert looks[-1] is Look.CLEAR
+    assert arm.reasons
+    points = M.features.points
+    for view in chosen:
+        before, after = _column(M, view), _column(arm.M, view)
+        assert set(after) <= set(before)
+        q = arm.configurations(view)[0]
+        hidden = _hidden(world, views.T_object_scanner[view, 0], q, points[before])
+        lost = np.isin(before, after, invert=True)
+        if view in arm.reasons:
+            assert "link_" in arm.reasons[view]
+            np.testing.assert_array_equal(lost, hidden)
+        else:
+            assert not lost.any()
+    untouched = np.setdiff1d(np.arange(len(views)), list(arm.reasons))
+    assert (arm.M.matrix()[:, untouched] != M.matrix()[:, untouched]).nnz == 0
+
+
+def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch: pytest.MonkeyPatch):
+    """An arm that hides only where A4 is positive: those solutions go, the matrix stays, the next look is clear."""
+    world = _world()
+    M, reached, views = _cell(world)
+    block, faces = box(np.array([0.2, 0.2, 0.01]))
+    view = int(np.argmax([len(_column(M, v)) for v in range(len(views))]))
+    T = world.T_base_object @ views.T_object_scanner[view, 0]
+    wall = (block + np.array([0, 0, 0.2])) @ T[:3, :3].T + T[:3, 3]
+
+    def fake(_world: World, q: np.ndarray, _ends: object = None) -> list[Occluder]:
+        return [Occluder("link_4", wall if q[3] > 0 else wall + 50.0, faces, "base")]
+
+    monkeypatch.setattr(self_shading, "arm_triangles", fake)
+    solutions = reached.q_of(view)
+    good = solutions[:, 3] <= 0
+    assert 0 < good.sum() < len(solutions)
+    arm = OwnArm(M, reached, views, world, SCANNER)
+    assert arm.look(np.array([view]), solutions[~good][:1]) is Look.OTHER_SOLUTIONS
+    np.testing.assert_array_equal(arm.configurations(view), solutions[good])
+    assert arm.M is M
+    assert arm.look(np.array([view]), solutions[good][:1]) is Look.CLEAR
+
+
+def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.MonkeyPatch):
+    """Two views of the same samples: the arm before one of them costs the plan nothing, before both it does."""
+    world = _world()
+    M, reached, views = _cell(world)
+    twice = Viewpoints(*(
+        np.repeat(getattr(views, name)[:1], 2, axis=0) for name in ("T_object_scanner", "face", "standoff", "roll")
+    ))  # fmt: skip
+    M = fill(twice, M.features, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces))
+    q = np.stack([reached.q_of(0)[0], reached.q_of(0)[-1]])
+    both = Reach(np.zeros(2, dtype=np.uint8), q, np.array([0, 1, 2]), ("", ""))
+    T = world.T_base_object @ twice.T_object_scanner[0, 0]
+    block, faces = box(np.array([0.2, 0.2, 0.01]))
+    wall = (block + np.array([0, 0, 0.2])) @ T[:3, :3].T + T[:3, 3]
+    shaded = {q[0].tobytes()}
+    monkeypatch.setattr(
+        self_shading, "arm_triangles",
+        lambda _w, at, _e=None: [Occluder("link_5", wall + (0.0 if at.tobytes() in shaded else 50.0), faces, "base")],
+    )  # fmt: skip
+    arm = OwnArm(M, both, twice, world, SCANNER)
+    # The second view keeps everything, so nothing that the first measures is lost to the plan.
+    assert arm.look(np.array([0, 1]), q) is Look.CLEAR
+    shaded.add(q[1].tobytes())
+    assert arm.look(np.array([0, 1]), q) is Look.LESS_MEASURED
+    assert set(arm.reasons) == {0, 1}
+    assert len(arm.M.indices) == 0
+    assert f"{100 * SHADED_SHARE:g} %" in arm.reasons[0]
+
+
+def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
+    """And equal where the arm is away."""
+    from cell.prediction import Prediction
+
+    world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
+    M, reached, views = _cell(world)
+    caster = EmbreeRayCaster(PART.vertices, PART.faces)
+    prediction = Prediction.of(M.features, SCANNER, [caster], views.T_object_scanner[:6])
+    arms = [self_shading.arm_caster(world, reached.q_of(v)[0], SCANNER) for v in range(6)]
+    with_arm = visible_with_arm(prediction, views.T_object_scanner[:6], arms)
+    assert with_arm < prediction.coverable.fraction
+    far = EmbreeRayCaster(BALL.vertices + 50.0, BALL.faces)
+    assert visible_with_arm(prediction, views.T_object_scanner[:6], [far] * 6) == prediction.coverable.fraction
+
+
+def test_the_housing_hides_only_where_it_stands_apart_from_source_and_sensor():
+    """Front face in the plane of the source: a window. Moved aside: a shape like the others."""
+    q = np.deg2rad([10, -80, 90, 5, 20, 30])
+    names = {piece.name for piece in arm_triangles(_world(), q, ENDS)}
+    assert "housing" not in names
+    assert {"bracket", "link_4", "link_5"} <= names
+    aside = _world(housing={"position_mm": [200.0, 0.0, 10.0]})
+    assert "housing" in {piece.name for piece in arm_triangles(aside, q, ENDS)}
+    assert "housing" not in {piece.name for piece in arm_triangles(aside, q)}
