@@ -147,14 +147,13 @@ def read(path: Path) -> Sensor:
 
 def table_rows() -> list[tuple[str, ...]]:
     """Heading and one row per sensor, for the terminal; "-" where nothing is stated."""
-    heading = ("sensor", "type", "distance mm", "line mm", "fan deg", "range mm", "you give")
+    heading = ("sensor", "distance mm", "line mm", "fan deg", "range mm", "you give")
     rows: list[tuple[str, ...]] = [heading]
     for sensor in map(load, names()):
         known, keys = sensor.figures, sensor.keys
         rows.append(
             (
                 sensor.name,
-                sensor.type,
                 _distance(known),
                 f"{known['width_near_mm']:g}..{known['width_far_mm']:g}" if "width_near_mm" in known else "-",
                 f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
@@ -172,16 +171,18 @@ def print_table() -> None:
     from rich.table import Table
 
     heading, *rows = table_rows()
-    table = Table(title="Sensors", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(
+        title="Sensors", title_justify="left", box=SIMPLE_HEAD, padding=0, collapse_padding=True, pad_edge=False
+    )
     for name in heading:
-        table.add_column(name, overflow="fold", no_wrap=name == "sensor")
+        table.add_column(name, overflow="fold", no_wrap=name != "you give")
     for row in rows:
         table.add_row(*row)
     console = Console()
     console.print(table)
     console.print(
         "distance: from the housing; line: its length at the near and the far end; range: depth from the laser source "
-        "(the fan's apex); you give: keys of [scanner] that no source states. cell sensors --json has bodies and sources.",
+        "(the fan's apex); you give: keys of scanner that no source states. cell sensors --json has the sources.",
         markup=False,
         soft_wrap=True,
     )
