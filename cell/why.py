@@ -193,7 +193,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         changes = Changes(
             world, lambda name: world_of(run, resolved, scene.reference.vertices, without=(name,)), removable,
             candidates, np.flatnonzero(fails == Reason.NOT_SELECTED), scanner, scene.scanner_parameters, max_sigma,
-            part_caster, occluder_caster,
+            resolved["plan"]["candidates"] == "targeted", part_caster, occluder_caster,
         )  # fmt: skip
         grouped = _grouped(samples, rows, diagnosis, what, scene.planning)
         groups, overall, tried = _changed(changes, targets, samples, grouped, diagnosis, rows, progress)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from cell.errors import SceneError
 from cell.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.kinematics import Kr16Kinematics
 from cell.occluders import Occluder, occluder_triangles
-from cell.scene import Plan
 from cell.world import World
 from planner import reach, what_if
 from planner.legs import Indices, Targets
@@ -53,6 +52,7 @@ class Changes:
         scanner: the plan's law, with its limit on sigma where it has one.
         parameters: what defines the scanner.
         max_sigma: limit on sigma [m], or None.
+        targeted: whether the plan's candidates were aimed at what stayed open already.
         part_caster: casts on the part.
         occluder_caster: casts on everything else.
     """
@@ -65,6 +65,7 @@ class Changes:
     scanner: Scanner
     parameters: Mapping[str, Any]
     max_sigma: float | None
+    targeted: bool
     part_caster: RayCaster
     occluder_caster: RayCaster
 
@@ -135,7 +136,7 @@ class Changes:
         limit = float(self.parameters.get("grazing_max_deg", 90.0))
         middle = view.T_object_scanner[0, view.T_object_scanner.shape[1] // 2]
         sweep = np.linalg.inv(middle) @ view.T_object_scanner[0]
-        setting = "--candidates targeted" if "targeted" in get_args(Plan.model_fields["candidates"].annotation) else ""
+        setting = "" if self.targeted else "--candidates targeted"
         rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
         yield [
             self._reached(
