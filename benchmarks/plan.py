@@ -1,8 +1,7 @@
 """The main job as whole processes: seconds, memory and the error of the predicted coverage, on every part.
 
-The built-in parts, and every mesh that `manifest.json` in the folder `$SCAN_CELL_MESHES` lists (`file`, and `scale_len`
-that brings its numbers to millimetres; without one the longest side becomes 150 mm). The first row is the cold
-process: no cache of parts or matrices. Set SCAN_CELL_PLACE to plan somewhere else.
+The parts of benchmarks/parts.py. The first row is the cold process: no cache of parts or matrices. Set SCAN_CELL_PLACE
+to plan somewhere else.
 """
 
 import json
@@ -11,53 +10,31 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-import trimesh
-
 from benchmarks.checks import independent_visible
-from cell.stand_ins import NAMES
-
-_SIDE_MM = 150.0
+from benchmarks.parts import parts, place
 
 
 def run() -> list[dict[str, Any]]:
     """One row per part."""
-    place = os.environ.get("SCAN_CELL_PLACE", "1200,500,0")
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        rows.append(_row("mseke (cold)", ("mseke",), place, folder / "cold", folder / "cold_cache"))
-        for name in NAMES:
-            rows.append(_row(name, (name,), place, folder / name, folder / "cache"))
-        for name, arguments in _meshes(folder):
-            rows.append(_row(name, arguments, place, folder / name, folder / "cache"))
+        rows.append(_row("mseke (cold)", ("mseke",), folder / "cold", folder / "cold_cache"))
+        for name, arguments in parts(folder):
+            rows.append(_row(name, arguments, folder / name, folder / "cache"))
     return rows
 
 
-def _meshes(folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    source = os.environ.get("SCAN_CELL_MESHES")
-    if source is None:
-        return
-    listed = json.loads((Path(source) / "manifest.json").read_text())["meshes"]
-    for name, entry in listed.items():
-        mesh = trimesh.load(Path(source) / entry["file"], process=False)
-        mesh.apply_scale(entry["scale_len"] or _SIDE_MM / float(np.max(mesh.extents)))
-        path = folder / f"{name}.ply"
-        mesh.export(path)
-        yield f"{name} (file)", (str(path), "--units", "mm")
-
-
-def _row(name: str, arguments: tuple[str, ...], place: str, out: Path, cache: Path) -> dict[str, Any]:
+def _row(name: str, arguments: tuple[str, ...], out: Path, cache: Path) -> dict[str, Any]:
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "cell", "plan", *arguments, "--place", place, "--out", str(out), "--json"],
+        [sys.executable, "-m", "cell", "plan", *arguments, "--place", place(), "--out", str(out), "--json"],
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     seconds = perf_counter() - start

@@ -1,0 +1,183 @@
+"""Where candidates come from: optimal scanning zone, view sphere and targeted, in the cell, on every part.
+
+For each part at its default settings and the place of the README (SCAN_CELL_PLACE sets another): seconds for reach,
+matrix and selection (no cache, best of two runs that alternate between the generators), the views of the plan at full
+coverage, what reachable candidates can measure and what the plan measures of 10^5 samples that no matrix has seen, and
+the views that the plan's generator needs for the area that the optimal scanning zone's plan measures.
+
+The meshes of `$SCAN_CELL_MESHES` count like the built-in parts (see benchmarks/parts.py).
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from benchmarks.parts import meshes
+from cell import candidates as generators
+from cell import workpiece
+from cell.collision import MujocoCollisionChecker
+from cell.embree import EmbreeRayCaster
+from cell.kinematics import Kr16Kinematics
+from cell.matrix import surface_features
+from cell.occluders import occluder_triangles
+from cell.resolve import resolve
+from cell.scanners.laser_area import LaserArea
+from cell.scene import load_scene
+from cell.stand_ins import NAMES
+from cell.world import compile as compile_world
+from planner import cover, coverage, measurability, reach, surface
+from planner.cover import Cover
+from planner.measurability import Measurability
+from planner.reach import Reach
+from planner.viewpoints import Viewpoints
+
+GENERATORS = ("optimal-scanning-zone", "view-sphere", "targeted")
+_RUNS = 2
+_COLOURS = {"optimal-scanning-zone": "#2a6f97", "view-sphere": "#7a9e3a", "targeted": "#c4622d"}
+
+
+def run() -> list[dict[str, Any]]:
+    """Three rows per part."""
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, options in _parts(Path(scratch)):
+            rows += _part(name, options)
+    return rows
+
+
+def chart(rows: list[dict[str, Any]], folder: Path) -> None:
+    """Draw `candidates.png`: one panel per part, visible coverage over the number of views, for each generator."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    parts = list(dict.fromkeys(row["part"] for row in rows))
+    across = 4 if len(parts) > 6 else 3
+    down = -(-len(parts) // across)
+    figure = Figure(figsize=(3.4 * across, 2.6 * down + 0.8), dpi=110, layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False).flat
+    for axis, part in zip(panels, parts, strict=False):
+        for row in (row for row in rows if row["part"] == part):
+            colour = _COLOURS[row["candidates"]]
+            curve = row["curve"]
+            axis.plot(range(1, len(curve) + 1), curve, color=colour, linewidth=1.5, label=row["candidates"])
+            axis.plot(len(curve), curve[-1], "o", color=colour, markersize=4)
+            axis.axhline(row["coverable %"], color=colour, linewidth=0.8, linestyle=(0, (4, 3)))
+        text = "\n".join(f"{row['views']} views, {row['s']:.2f} s" for row in rows if row["part"] == part)
+        axis.text(
+            0.97, 0.05, text, transform=axis.transAxes, ha="right", va="bottom", fontsize=7.5, color="0.25",
+            linespacing=1.3,
+        )  # fmt: skip
+        axis.set_title(part, fontsize=9.5, loc="left")
+        axis.set_ylim(0, 102)
+        axis.set_xlim(left=0)
+        axis.grid(color="0.92", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.tick_params(labelsize=8)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    for axis in list(figure.axes)[len(parts) :]:
+        axis.set_visible(False)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9.5)
+    figure.supxlabel("views of the plan, the most useful first", fontsize=9.5)
+    figure.supylabel("visible coverage [%]; dashed: coverable", fontsize=9.5)
+    FigureCanvasAgg(figure)
+    figure.savefig(folder / "candidates.png", format="png", metadata={"Software": "scan-cell"})
+
+
+def _parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    for name in NAMES:
+        yield name, {"name": name}
+    for name, (path, *_) in meshes(scratch):
+        yield name, {"path": str(path), "units": "mm"}
+
+
+class _Bench:
+    """One part in its cell."""
+
+    def __init__(self, options: dict[str, Any]) -> None:
+        place = [float(value) for value in os.environ.get("SCAN_CELL_PLACE", "1200,500,0").split(",")]
+        self.tables = {"part": options, "placement": {"position_mm": place}}
+        scene = load_scene(None, self.tables)
+        self.part = workpiece.load(scene.part.source, scene.part.units)
+        self.settings = resolve(scene, self.part)
+        reference = self.part.reference
+        self.planning = surface.decimate(reference, self.settings.faces)
+        self.features = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))
+        self.held_out = surface.sample(reference, self.planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
+        self.scanner = LaserArea(**self.settings.scanner)
+        self.world = compile_world(scene, reference.vertices, baseline_mm=self.settings.scanner["baseline_mm"])
+        self.checker = MujocoCollisionChecker(self.world)
+        self.kinematics = Kr16Kinematics.from_model(self.world.model)
+        others = trimesh.util.concatenate(
+            [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in occluder_triangles(self.world)]
+        )
+        self.casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (reference, others)]
+
+    def reach_of(self, views: Viewpoints) -> Reach:
+        world = self.world
+        return reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
+
+    def measure(self, views: Viewpoints) -> Measurability:
+        M = measurability.fill(views, self.features, self.scanner, self.casters[0])
+        return measurability.occlude(M, views, self.scanner, self.casters[1])
+
+    def plan(self, generator: str) -> tuple[Viewpoints, Reach, Measurability, Cover, float]:
+        """Candidates, reach, M, selection, and the seconds that they took."""
+        scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
+        start = perf_counter()
+        views = generators.first(scene, self.settings, self.part, self.planning)
+        reached, M = self.reach_of(views), self.measure(views)
+        if generator == "targeted":
+            views, reached, M = generators.grow(
+                views, reached, M, standoff=self.settings.standoffs[0], scanner=self.scanner, casters=self.casters,
+                reach_of=self.reach_of, measure=self.measure,
+            ).all()  # fmt: skip
+        chosen = self.choose(M, reached, 1.0)
+        return views, reached, M, chosen, perf_counter() - start
+
+    def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
+        areas = M.features.areas
+        return cover.solve(M.matrix(), areas, reached.reachable, rng=np.random.default_rng(0), coverage=share)
+
+
+def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:
+    bench = _Bench(options)
+    seconds = {generator: np.inf for generator in GENERATORS}
+    found = {}
+    for _ in range(_RUNS):
+        for generator in GENERATORS:
+            found[generator] = bench.plan(generator)
+            seconds[generator] = min(seconds[generator], found[generator][-1])
+    zone_area = found["optimal-scanning-zone"][3].covered_area
+    rows = []
+    for generator, (views, reached, M, chosen, _) in found.items():
+        seen = measurability.measured(
+            views.T_object_scanner[chosen.views], bench.held_out, bench.scanner, bench.casters, each=True
+        )
+        curve = 100 * np.logical_or.accumulate(seen, axis=1).mean(axis=0)
+        reachable = views.T_object_scanner[reached.reachable]
+        coverable = coverage.visible(reachable, bench.held_out, bench.scanner, bench.casters).fraction
+        same = bench.choose(M, reached, min(1.0, zone_area / chosen.covered_area))
+        rows.append(
+            {
+                "part": name,
+                "candidates": generator,
+                "number": len(views),
+                "reachable": int(reached.reachable.sum()),
+                "s": round(seconds[generator], 3),
+                "views": len(chosen.views),
+                "bound": chosen.lower_bound,
+                "coverable %": round(100 * coverable, 2),
+                "visible %": round(float(curve[-1]), 2),
+                "views for the zone's area": len(same.views) if chosen.covered_area >= zone_area * (1 - 1e-9) else None,
+                "curve": [round(float(value), 2) for value in curve],
+            }
+        )
+    return rows
