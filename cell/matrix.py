@@ -79,7 +79,7 @@ def part_matrix(
     """
     method = scene.plan.fill
     scanner = scanners.make(scene.scanner.type, settings.planning_scanner)
-    parameters = dict(scanner.parameters())
+    parameters = scanners.identity(scene.scanner.type, scanner)
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
     row_of_face = None
     if method == "rays":

@@ -133,6 +133,13 @@ def described(name: str, scanner: ScannerPlugin) -> dict[str, Any]:
     return {"type": name, **{key: value for key, value in scanner.parameters().items() if key != "type"}}
 
 
+def identity(name: str, scanner: ScannerPlugin) -> dict[str, Any]:
+    """What a matrix depends on: `described`, and of another distribution's scanner also which version it is of."""
+    point = _offered(name)
+    own = point.dist is not None and point.dist.name == "scan-cell"  # its matrices have a format number of their own
+    return described(name, scanner) | ({} if own else {"distribution": _distribution(point), "law": point.value})
+
+
 def settled(values: Mapping[str, Any], scanner: ScannerPlugin) -> dict[str, Any]:
     """The keys that a scanner was made of, and those that it has settled itself, such as the length of its sweep."""
     own = scanner.parameters()

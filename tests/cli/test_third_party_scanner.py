@@ -81,6 +81,29 @@ def test_its_unknown_key_is_refused_with_a_hint(
     assert "scanner.half_angel_deg is an unknown key of cone; did you mean 'half_angle_deg'?" in done.stderr
 
 
+def test_equal_parameters_of_other_types_and_versions_are_other_scanners(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The matrix cache must not give one plug-in's matrix to another, nor to the next version of the same."""
+    code = (PACKAGE / "cone_scanner.py").read_text()
+    seen = []
+    for number, (distribution, version, name) in enumerate(
+        [("acme", "1.0", "one"), ("acme", "1.1", "one"), ("acme", "1.0", "two"), ("other", "1.0", "one")]
+    ):
+        folder = tmp_path / str(number)
+        info = folder / f"{distribution}-{version}.dist-info"
+        info.mkdir(parents=True)
+        (folder / "cone_of_two.py").write_text(code, encoding="utf-8")
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: {version}\n")
+        (info / "entry_points.txt").write_text(f"[cell.scanners]\n{name} = cone_of_two:Cone\n")
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(str(folder))
+            seen.append(json.dumps(cell.scanners.identity(name, cell.scanners.make(name, {})), sort_keys=True))
+    assert len(set(seen)) == len(seen)
+    own = cell.scanners.make("laser-line", {})
+    assert cell.scanners.identity("laser-line", own) == own.parameters()
+
+
 BROKEN = {
     "an import that fails": ("import no_such_module_anywhere\n", "cannot be imported .*No module named"),
     "a syntax error": ("class Broken(\n", "cannot be imported .*SyntaxError"),
