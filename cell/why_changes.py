@@ -134,8 +134,7 @@ class Changes:
         ]  # fmt: skip
 
         limit = float(self.parameters.get("grazing_max_deg", 90.0))
-        middle = view.T_object_scanner[0, view.T_object_scanner.shape[1] // 2]
-        sweep = np.linalg.inv(middle) @ view.T_object_scanner[0]
+        sweep = np.linalg.inv(what_if.middle(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
         setting = "" if self.targeted else "--candidates targeted"
         rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
         yield [
@@ -211,6 +210,12 @@ class Changes:
                     )
                     for more in _FOV_DEG if max(now_h, now_v) + more < 180
                 ]  # fmt: skip
+        if "fan_deg" in limits:
+            now = float(limits["fan_deg"])
+            yield [
+                self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", {"fan_deg": now + more})
+                for more in _FOV_DEG if now + more < 180
+            ]  # fmt: skip
         if self.max_sigma is not None:
             now = self.max_sigma * 1000
             yield [

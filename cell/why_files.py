@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run_folder import SCHEMA, json_text
+from planner.reasons import Reason
 from planner.surface import face_normals
-from planner.why import Reason
 
 if TYPE_CHECKING:
     from cell.run_record import RunRecord
-    from cell.why import Answer, Group, Named, Patch
+    from cell.why import Answer, Group, Patch
+    from cell.why_search import Named
 
 FOLDER = "why"
 NOTHING = "nothing that was tried helps"

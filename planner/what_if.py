@@ -179,25 +179,35 @@ def few_views(pairs: Indices, rows: int, *, share: float = NEARLY, most: int = 1
 
 
 def backed_off(viewpoints: Viewpoints, standoff: float) -> Viewpoints:
-    """The same views at another standoff [m]: each is moved along its viewing direction."""
+    """The same views at another standoff [m]: each is moved along the viewing direction of its middle."""
     T = np.array(viewpoints.T_object_scanner)
     back = viewpoints.standoff - standoff
-    T[..., :3, 3] += back[:, None, None] * T[..., :3, 2]
+    T[..., :3, 3] += (back[:, None] * middle(T)[:, :3, 2])[:, None]
     return Viewpoints(T, viewpoints.face, np.full(len(T), standoff), viewpoints.roll)
 
 
 def rolled(viewpoints: Viewpoints, roll: float) -> Viewpoints:
-    """The same views at another roll [rad]: each is turned about the viewing axis of its middle pose."""
+    """The same views at another roll [rad]: each is turned about the viewing axis of its middle."""
     T = viewpoints.T_object_scanner
-    middle = T[:, T.shape[1] // 2]
+    between = middle(T)
     by = roll - viewpoints.roll
     turn = np.zeros((len(T), 4, 4))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(by)
     turn[:, 1, 0] = np.sin(by)
     turn[:, 0, 1] = -turn[:, 1, 0]
     turn[:, 2, 2] = turn[:, 3, 3] = 1.0
-    move = middle @ turn @ np.linalg.inv(middle)
+    move = between @ turn @ np.linalg.inv(between)
     return Viewpoints(move[:, None] @ T, viewpoints.face, viewpoints.standoff, np.full(len(T), roll))
+
+
+def middle(T_object_scanner: Floats) -> Floats:
+    """(V, 4, 4) the pose halfway between the first and the last of each view's K poses, about which a sweep is made."""
+    first, last = T_object_scanner[:, 0], T_object_scanner[:, -1]
+    between = (first + last) / 2
+    if T_object_scanner.shape[1] > 1:  # the rotation nearest to the mean of two is the one halfway between them
+        u, _, v = np.linalg.svd(between[:, :3, :3])
+        between[:, :3, :3] = u @ v
+    return between
 
 
 def tilted_at(
@@ -213,7 +223,7 @@ def tilted_at(
         azimuths: number of sides; one where the tilt is 0.
         standoff: [m].
         rolls: [rad].
-        sweep: (K, 4, 4) poses of a sweep in the frame of its middle pose; None for K = 1.
+        sweep: (K, 4, 4) poses of a sweep in the frame of its middle; None for K = 1.
     """
     from planner.viewpoints import looking_at
 

@@ -10,9 +10,9 @@ from cell.scanners.laser_area import LaserArea
 from planner import why
 from planner.legs import Targets
 from planner.ports import Rejection
+from planner.reasons import Reason
 from planner.surface import TriangleMesh, decimate, sample
 from planner.viewpoints import optimal_scanning_zone
-from planner.why import Reason
 
 
 def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[int], trimesh.Trimesh]) -> None:

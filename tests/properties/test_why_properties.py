@@ -21,9 +21,9 @@ from cell.scene import Scene, load_scene
 from cell.world import World
 from cell.world import compile as compile_world
 from planner import coverage, reach
+from planner.reasons import Reason
 from planner.viewpoints import Viewpoints, optimal_scanning_zone
 from planner.what_if import Kind
-from planner.why import Reason
 
 _SCENE = """
 [[fixtures]]

@@ -8,9 +8,9 @@ from cell.scanners.laser_area import LaserArea
 from planner import what_if, why
 from planner.errors import PlannerError
 from planner.legs import Targets
+from planner.reasons import Reason
 from planner.viewpoints import Viewpoints, looking_at
 from planner.what_if import Kind, WhatIf, choose
-from planner.why import Reason
 
 _FAR = EmbreeRayCaster(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
 """Something that is never in the way."""
@@ -198,3 +198,18 @@ def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
     """A reason of the scanner's for a whole candidate is refused."""
     with pytest.raises(PlannerError, match="OUT_OF_REACH or later"):
         _reasons(_on_plate(np.array([0.0])), _down(0.0, 0.2), LaserArea(), _caster(_PLATE), fails=Reason.OUT_OF_FOV)
+
+
+def test_the_middle_of_a_sweep_stays_when_it_backs_off_and_rolls() -> None:
+    """A sweep of eight poses, turned or straight, moved as a whole: what is made is the sweep of the moved view."""
+    from planner.sweeps import straight_sweep, turned_sweep
+
+    start = np.concatenate([_down(0.01, 0.2).T_object_scanner, _down(-0.02, 0.2, 0.3).T_object_scanner])
+    views = Viewpoints(start, np.zeros(2, np.int32), np.full(2, 0.2), np.array([0.0, 0.3]))
+    for sweep in (lambda v: straight_sweep(v, 0.1, 8), lambda v: turned_sweep(v, 0.5, 8)):
+        swept = sweep(views)
+        np.testing.assert_allclose(what_if.middle(swept.T_object_scanner), start[:, 0], atol=1e-12)
+        for change in (lambda v: what_if.backed_off(v, 0.26), lambda v: what_if.rolled(v, 1.1)):
+            np.testing.assert_allclose(
+                change(swept).T_object_scanner, sweep(change(views)).T_object_scanner, atol=1e-12
+            )

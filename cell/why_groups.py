@@ -1,0 +1,93 @@
+"""Groups and patches of open samples: what stays open for one reason, and the connected pieces of it. Object frame."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.legs import Indices
+from planner.ports import Floats
+from planner.reasons import Reason
+from planner.surface import SurfaceSamples, TriangleMesh
+from planner.why import Diagnosis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenGroup:
+    """Samples that stay open for one reason.
+
+    Attributes:
+        reason: at which the closest candidate fails.
+        what: in the way, or in collision with what; "" where the reason has none.
+        rows: samples.
+        patches: the same, connected over planning faces, the largest first.
+    """
+
+    reason: Reason
+    what: str
+    rows: Indices
+    patches: tuple[Indices, ...]
+
+
+def grouped(
+    samples: SurfaceSamples, rows: Indices, diagnosis: Diagnosis, what: Sequence[str], planning: TriangleMesh
+) -> list[OpenGroup]:
+    """The groups, the largest first."""
+    keys: dict[tuple[int, str], list[int]] = {}
+    for i, key in enumerate(zip(diagnosis.reason.tolist(), what, strict=True)):
+        keys.setdefault(key, []).append(i)
+    adjacency = _adjacent_faces(planning)
+    found = []
+    for (reason, thing), members in keys.items():
+        inside = rows[np.array(members)]
+        pieces = _patches(inside, samples, adjacency, len(planning.faces))
+        found.append(OpenGroup(Reason(reason), thing, inside, tuple(pieces)))
+    return sorted(found, key=lambda group: (-float(samples.areas[group.rows].sum()), group.reason, group.what))
+
+
+def _adjacent_faces(mesh: TriangleMesh) -> Indices:
+    """(E, 2) pairs of faces that share an edge."""
+    edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    face = np.repeat(np.arange(len(mesh.faces)), 3)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
+    return np.stack([face[order][:-1][same], face[order][1:][same]], axis=1)
+
+
+def _patches(rows: Indices, samples: SurfaceSamples, adjacent: Indices, faces: int) -> list[Indices]:
+    """The samples in pieces that are connected over planning faces, the largest first."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    here = np.zeros(faces, dtype=np.bool_)
+    face = samples.planning_face[rows]
+    here[face] = True
+    both = adjacent[here[adjacent].all(axis=1)]
+    graph = coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(faces, faces))
+    label = connected_components(graph, directed=False)[1][face]
+    pieces = [rows[label == one] for one in np.unique(label)]
+    return sorted(pieces, key=lambda piece: (-float(samples.areas[piece].sum()), int(piece[0])))
+
+
+_OF_ANGLE: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {
+    Reason.GRAZING_SOURCE: (lambda found: found.grazing_source, "grazing_max_deg"),
+    Reason.GRAZING_SENSOR: (lambda found: found.grazing_sensor, "sensor_grazing_max_deg"),
+}
+
+
+def detail(reason: Reason, diagnosis: Diagnosis, inside: NDArray[np.bool_], limits: Mapping[str, Any]) -> str:
+    """What there is to add about the closest candidates of some open samples."""
+    if reason is Reason.NOT_SELECTED:
+        return "the plan's target did not need it"
+    if reason in _OF_ANGLE:
+        angles, limit = _OF_ANGLE[reason]
+        low, high = np.degrees(np.quantile(angles(diagnosis)[inside], (0.1, 0.9)))
+        given = f", limit {limits[limit]:g}" if limit in limits else ""
+        return f"{low:.0f} to {high:.0f} deg from the normal{given}"
+    if reason is Reason.OUT_OF_RANGE:
+        low, high = 1000 * np.quantile(diagnosis.distance[inside], (0.1, 0.9))
+        given = f", range {limits['range_mm'][0]:g} to {limits['range_mm'][1]:g}" if "range_mm" in limits else ""
+        return f"{low:.0f} to {high:.0f} mm away{given}"
+    return ""
