@@ -168,7 +168,9 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             )  # fmt: skip
             M = measurability.occlude(M, views, scanner, casters[1], ray_caster=casters[0], progress=progress)
             most = scene.plan.max_sigma_mm
-            return (M, scanner) if most is None else limit_sigma(M, views, scanner, most, casters)
+            if most is None:
+                return M, scanner
+            return limit_sigma(M, views, scanner, most, casters, may_be_empty=scene.plan.candidates == "targeted")
 
         M, judge = measure(candidates)
         if scene.plan.candidates == "targeted":

@@ -1,0 +1,111 @@
+"""`--max-sigma` and `--noise model` as a user meets them."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell import run_reader, scan_scene
+from cell.run_record import open_run
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def limited(
+    tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: Run
+) -> dict[str, Any]:
+    """The small plan with a limit that its unlimited matrix does not keep."""
+    folder = tmp_path_factory.mktemp("sigma")
+    command = ("plan", str(part_file), "--units", "mm", *small_plan, "--max-sigma", "0.04", "--json", "--out", "run")
+    done = run_cell(*command, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return {"folder": folder / "run", "summary": json.loads(done.stdout)}
+
+
+def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, Any], planned: Path) -> None:
+    """No entry above it, its layer in the file, less coverable than without, median and 95 % below it."""
+    with np.load(limited["folder"] / "measurability.npz") as stored, np.load(planned / "measurability.npz") as plain:
+        assert stored["sigma"].shape == stored["indices"].shape
+        assert 0 < stored["sigma"].max() <= 0.04e-3
+        assert 0 < len(stored["indices"]) < len(plain["indices"])
+        assert "sigma" not in plain
+    summary, without = limited["summary"], json.loads((planned / "report.json").read_text())
+    sigma = summary["sigma"]
+    assert 0 < sigma["median_mm"] <= sigma["quantile_95_mm"] <= sigma["limit_mm"] == 0.04
+    assert "sigma" not in without
+    assert 0 < summary["coverage"]["coverable"] < without["coverage"]["coverable"]
+    assert json.loads((limited["folder"] / "scene.resolved.json").read_text())["plan"]["max_sigma_mm"] == 0.04
+
+
+def test_the_scan_of_a_limited_plan_takes_nothing_above_the_limit(limited: dict[str, Any], run_cell: Run) -> None:
+    """Achieved visible coverage is the predicted one, and every ray's code agrees with the limit."""
+    folder = limited["folder"]
+    done = run_cell("scan", "run", "--resolution", "2", "--json", cwd=folder.parent)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["coverage"]["visible"] == pytest.approx(limited["summary"]["coverage"]["visible"], abs=1e-4)
+    assert sum(view["rays"]["too_uncertain"] for view in report["views"]) > 0
+    run = open_run(folder)
+    scene = scan_scene.load(run, 2.0)
+    for stop, view in enumerate(run_reader.views(run), start=1):
+        with np.load(folder / "executions" / "0001" / "scans" / f"{stop:04d}.npz") as scan:
+            T, points, face = scan["T_object_scanner_true"], scan["points"], scan["face"]
+        corners = scene.reference.vertices[scene.reference.faces[face]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        sigma = scene.scanner.sigma((points - T[:3, 3]) @ T[:3, :3], normals @ T[:3, :3])
+        assert (sigma <= 0.04e-3 * (1 + 1e-9)).all(), view.id
+
+
+def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: Path, tmp_path: Path, run_cell: Run):
+    """Equal seeds give equal scans; divided by sigma the noise is standard normal, along the ray."""
+    import shutil
+
+    shutil.copytree(planned, tmp_path / "run")
+    scans = []
+    for extra in ((), ("--noise", "model"), ("--noise", "model")):
+        done = run_cell("scan", "run", "--resolution", "1", "--view", "1", *extra, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        newest = sorted((tmp_path / "run" / "executions").iterdir())[-1]
+        with np.load(newest / "scans" / "0001.npz") as stored:
+            scans.append({name: stored[name] for name in ("points", "face", "T_object_scanner_true")})
+    clean, first, again = scans
+    np.testing.assert_array_equal(first["points"], again["points"])
+    scene = scan_scene.load(open_run(tmp_path / "run"), 1.0)
+    T = clean["T_object_scanner_true"]
+    local = (clean["points"] - T[:3, 3]) @ T[:3, :3]
+    corners = scene.reference.vertices[scene.reference.faces[clean["face"]]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    sigma = scene.scanner.sigma(local, normals @ T[:3, :3])
+    rays = local / np.linalg.norm(local, axis=1, keepdims=True)
+    off = (first["points"] - clean["points"]) @ T[:3, :3]
+    along = (off * rays).sum(axis=1)
+    assert len(along) > 200
+    assert np.abs(off - along[:, None] * rays).max() < 1e-12
+    assert np.std(along / sigma) == pytest.approx(1, abs=4 / np.sqrt(2 * len(along)))
+    assert np.mean(along / sigma) == pytest.approx(0, abs=4 / np.sqrt(len(along)))
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("scan", "run", "--noise", "loud"), "must be none or model"),
+        (("plan", "mug", "--max-sigma", "0"), "max_sigma_mm"),
+        (("plan", "mug", "--faces", "40", "--place", "1200,500,0", "--max-sigma", "1e-6"), "the best point has an"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_sentence(command, words, planned: Path, tmp_path: Path, run_cell: Run) -> None:
+    """Exit code 2 and the sentence."""
+    import shutil
+
+    shutil.copytree(planned, tmp_path / "run")
+    done = run_cell(*command, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr.replace("\n", " ")
+    assert "Traceback" not in done.stderr
