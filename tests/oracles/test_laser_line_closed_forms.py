@@ -80,7 +80,7 @@ def test_a_turned_sweep_measures_a_bow_tie_cut_by_the_range(steps: int) -> None:
 
 
 def test_a_wall_along_the_line_casts_its_shadow_away_from_the_sensor_only() -> None:
-    """The sheet falls straight down, so nothing hides the laser; the sensor misses baseline x wall / height of plate."""
+    """The sheet falls straight down, so the laser is free; behind it the sensor misses baseline x wall / height."""
     wall, baseline, steps, length = 0.04, 0.12, 60, 0.24
     scanner = LaserLine(
         fan_deg=30, sweep_mm=length * 1000, sweep_steps=steps, baseline_mm=baseline * 1000, range_mm=(150, 400)
