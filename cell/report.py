@@ -35,6 +35,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         f"gap {_percent(summary['gap'])} |",
         f"| motion | {motion['duration_s']:.2f} s home to home, {motion['via_points']} points, speed "
         f"{_percent(motion['speed_fraction'])} |",
+        *_arm_and_sigma(summary),
         f"| seed | {settings['seed']} |",
         "",
     ]
@@ -112,6 +113,20 @@ def _of_sweeps(settings: Mapping[str, Any]) -> list[str]:
         "planned. Coverage counts all poses of the sweep; the arm's own shadow along it is not judged.",
         "",
     ]
+
+
+def _arm_and_sigma(summary: Mapping[str, Any]) -> list[str]:
+    """Rows for what the arm hides and for the precision of the points, where there is something to say."""
+    rows, visible, with_arm = [], summary["coverage"]["visible"], summary["coverage"].get("visible_with_arm")
+    if with_arm is not None and with_arm < visible:
+        rows.append(f"| visible coverage with each view's own arm in the way | {_percent(with_arm)} |")
+    if "sigma" in summary:
+        sigma = summary["sigma"]
+        rows.append(
+            f"| expected standard deviation of a point | median {sigma['median_mm']:.4f} mm, 95 % below "
+            f"{sigma['quantile_95_mm']:.4f} mm, limit {sigma['limit_mm']:g} mm |"
+        )
+    return rows
 
 
 def _percent(share: float) -> str:
