@@ -198,21 +198,30 @@ class _Search:
 
     def _miss(self, points: Floats, normals: Floats, level: NDArray[np.uint8], standoff: float) -> Floats:
         """By how much a condition is missed, (n,); see the module. Points and normals (3, n), scanner frame."""
-        miss = _angle(normals, self.scanner.source[:, None] - points)
-        distance = np.sqrt((points**2).sum(axis=0))
-        in_range = (level == Reason.OUT_OF_RANGE) | (level == Reason.OUT_OF_DEPTH)
-        with np.errstate(divide="ignore"):
-            miss = np.where(in_range, np.abs(np.log(distance / standoff)), miss)
+        miss = np.empty(len(level))
         in_fov = (level == Reason.OUT_OF_FOV) | (level == Reason.OUT_OF_SENSOR_FOV)
-        miss = np.where(in_fov, np.arctan2(np.hypot(points[0], points[1]), points[2]), miss)
-        sensor = level == Reason.GRAZING_SENSOR
-        return np.where(sensor, _angle(normals, self.scanner.sensor[:, None] - points), miss)
+        in_range = (level == Reason.OUT_OF_RANGE) | (level == Reason.OUT_OF_DEPTH)
+        at_sensor = level == Reason.GRAZING_SENSOR
+        at_source = ~(in_fov | in_range | at_sensor)
+        x, y, z = points[:, in_fov]
+        miss[in_fov] = np.arctan2(np.hypot(x, y), z)
+        with np.errstate(divide="ignore"):
+            miss[in_range] = np.abs(np.log(np.sqrt(_dot(points[:, in_range], points[:, in_range])) / standoff))
+        for here, end in ((at_sensor, self.scanner.sensor), (at_source, self.scanner.source)):
+            miss[here] = _angle(normals[:, here], end[:, None] - points[:, here])
+        return miss
+
+
+def _dot(first: Floats, second: Floats) -> Floats:
+    """(n,) scalar products of vectors (3, n)."""
+    product: Floats = np.einsum("in,in->n", first, second)
+    return product
 
 
 def _angle(first: Floats, second: Floats) -> Floats:
     """(n,) angles between vectors (3, n) [rad]; pi / 2 where one has no length."""
-    length = np.sqrt((first**2).sum(axis=0) * (second**2).sum(axis=0))
-    cosine = np.divide((first * second).sum(axis=0), length, out=np.zeros_like(length), where=length > 0)
+    length = np.sqrt(_dot(first, first) * _dot(second, second))
+    cosine = np.divide(_dot(first, second), length, out=np.zeros_like(length), where=length > 0)
     angle: Floats = np.arccos(np.clip(cosine, -1.0, 1.0))
     return angle
 
@@ -228,7 +237,7 @@ def _with_angles(
         (poses[pose, :3, :3] @ position + poses[pose, :3, 3]).T - points
         for position in (scanner.source, scanner.sensor)
     )
-    distance = np.sqrt((source**2).sum(axis=0))
+    distance = np.sqrt(_dot(source, source))
     return Diagnosis(reason, pose, _angle(normals, source), _angle(normals, sensor), distance)
 
 
