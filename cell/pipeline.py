@@ -196,7 +196,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         plan_files.write_motion(run.folder, motion, chosen.tour)
 
     with run.step("report"):
-        visible = prediction.visible(chosen.T_object_poses)
+        visible = chosen.visible
         summary = plan_summary(
             scene,
             settings,

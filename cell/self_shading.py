@@ -30,6 +30,9 @@ SHADED_SHARE = 0.01
 """Share of what a view alone is needed for that its own arm may hide; more, and it is not kept as it is."""
 
 
+_MARGIN = 0.001  # m, around the box of legs: rounding, and the lift of the points
+
+
 class Look(Enum):
     """What a look at the views of a plan changed."""
 
@@ -127,7 +130,8 @@ class OwnArm:
 
     def _free(self, view: int, q: Floats, rows: Indices) -> NDArray[np.bool_]:
         """(n,) which samples the arm at (6,) joint angles [rad] does not hide from a view."""
-        return self._past(view, arm_caster(self._world, q, self._scanner), rows)
+        arm = arm_caster(self._world, q, self._candidates.T_object_scanner[view, 0], self._scanner)
+        return np.ones(len(rows), dtype=np.bool_) if arm is None else self._past(view, arm, rows)
 
     def _past(self, view: int, caster: RayCaster, rows: Indices) -> NDArray[np.bool_]:
         pose = np.zeros(len(rows), dtype=np.int64)
@@ -135,12 +139,32 @@ class OwnArm:
         return legs_free(self._targets, poses, pose, rows, self._scanner, (caster,))
 
 
-def arm_caster(world: World, q: Floats, scanner: Scanner) -> EmbreeRayCaster:
-    """Casts on the arm at (6,) joint angles [rad], object frame."""
-    return _caster(arm_triangles(world, q, _ends(scanner)), world)
+def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scanner) -> EmbreeRayCaster | None:
+    """Casts on the arm, object frame; None where no leg of the view comes near any of it.
+
+    Every leg lies in the box, along the scanner's axes, around source, sensor and part: where no triangle of the arm
+    reaches into it, nothing has to be cast.
+
+    Args:
+        world: arm, part and placement.
+        q: (6,) joint angles [rad].
+        T_object_scanner: (4, 4) pose of the view [m].
+        scanner: where source and sensor are.
+    """
+    ends = _ends(scanner)
+    R, t = T_object_scanner[:3, :3], T_object_scanner[:3, 3]
+    legs = np.concatenate([ends, (world.part_hull.vertices - t) @ R])
+    low, high = legs.min(axis=0) - _MARGIN, legs.max(axis=0) + _MARGIN
+    to_scanner = np.linalg.inv(world.T_base_object @ T_object_scanner)
+    near = []
+    for piece in arm_triangles(world, q, ends):
+        corners = (piece.vertices @ to_scanner[:3, :3].T + to_scanner[:3, 3])[piece.faces]
+        if ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1).any():
+            near.append(piece)
+    return _caster(near, world) if near else None
 
 
-def visible_with_arm(prediction: Prediction, T_object_scanner: Floats, arms: Sequence[RayCaster]) -> float:
+def visible_with_arm(prediction: Prediction, T_object_scanner: Floats, arms: Sequence[RayCaster | None]) -> float:
     """Visible coverage of views (n, K, 4, 4) [m], each with its own arm as one more occluder; a fraction."""
     covered = measured(T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own=arms)
     areas = prediction.samples.areas

@@ -21,6 +21,7 @@ from cell.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from cell.world import World
 from planner import cover, sweeps, tour
 from planner.cover import Cover
+from planner.coverage import Coverage
 from planner.measurability import Measurability
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.reach import Reach
@@ -56,6 +57,7 @@ class ConnectedPlan:
         T_base_flange: (n, 4, 4) the same of the flange [m].
         T_object_poses: (n, K, 4, 4) all poses of each view: `T_object_scanner`, and the rest of its sweep.
         dropped: candidates that could not be connected, or that the arm shades.
+        visible: visible coverage of the views on the held-out samples.
         visible_with_arm: visible coverage where each view's own arm hides as well, fraction of the surface; None for
             views that sweep: where the arm stands during a sweep is not planned.
     """
@@ -69,6 +71,7 @@ class ConnectedPlan:
     T_base_flange: Floats
     T_object_poses: Floats
     dropped: tuple[DroppedView, ...]
+    visible: Coverage
     visible_with_arm: float | None
 
     def __post_init__(self) -> None:
@@ -181,6 +184,16 @@ def select_and_connect(
         stale = shade is Look.LESS_MEASURED
     T_base_flange = kinematics.forward(motion.q)
     T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
+    T_object_poses = (
+        T_object_scanner[:, None] if at_rest else sweeps.begun_at(T_object_scanner, candidates.T_object_scanner[stops])
+    )
+    visible = prediction.visible(T_object_poses)
+    with_arm = None
+    if at_rest:
+        poses = zip(motion.q, T_object_scanner, strict=True)
+        arms = [arm_caster(world, q, T, prediction.scanner) for q, T in poses]
+        near = any(caster is not None for caster in arms)
+        with_arm = visible_with_arm(prediction, T_object_poses, arms) if near else visible.fraction
     return ConnectedPlan(
         cover=chosen,
         target=target,
@@ -194,14 +207,9 @@ def select_and_connect(
             for view, reason in (banned | arm.reasons).items()
             if view not in chosen.views  # a view that its arm shades in part may be in the plan with what is left of it
         ),
-        T_object_poses=T_object_scanner[:, None]
-        if at_rest
-        else sweeps.begun_at(T_object_scanner, candidates.T_object_scanner[stops]),
-        visible_with_arm=visible_with_arm(
-            prediction, T_object_scanner[:, None], [arm_caster(world, q, prediction.scanner) for q in motion.q]
-        )
-        if at_rest
-        else None,
+        T_object_poses=T_object_poses,
+        visible=visible,
+        visible_with_arm=with_arm,
     )
 
 

@@ -173,7 +173,8 @@ def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
     M, reached, views = _cell(world)
     caster = EmbreeRayCaster(PART.vertices, PART.faces)
     prediction = Prediction.of(M.features, SCANNER, [caster], views.T_object_scanner[:6])
-    arms = [self_shading.arm_caster(world, reached.q_of(v)[0], SCANNER) for v in range(6)]
+    arms = [self_shading.arm_caster(world, reached.q_of(v)[0], views.T_object_scanner[v, 0], SCANNER) for v in range(6)]
+    assert any(arm is not None for arm in arms)
     with_arm = visible_with_arm(prediction, views.T_object_scanner[:6], arms)
     assert with_arm < prediction.coverable.fraction
     far = EmbreeRayCaster(BALL.vertices + 50.0, BALL.faces)
