@@ -7,8 +7,8 @@
     |-- DriverFailureError  5       the robot controller, or the wire to it
     `-- FileError           6       a mesh, a run folder or the disk
 
-Every message is one clear sentence: the fact, what would be valid, and where. Coverage below the requirement (exit code 3)
-is a result, not an error. A bug has code 70, Ctrl-C 130.
+Every message is one clear sentence: the fact, what would be valid, and where. Coverage below the requirement (exit
+code 3) is a result, not an error. A bug has code 70, Ctrl-C 130.
 """
 
 

@@ -9,9 +9,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from planner.errors import PlannerError
 
 
-def readonly(
-    name: str, values: ArrayLike, shape: Sequence[int | None], dtype: DTypeLike = np.float64
-) -> NDArray[Any]:
+def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Copy, cast and shape-check an array and make it read-only.
 
     Args:
