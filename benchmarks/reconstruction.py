@@ -36,6 +36,8 @@ DIRECTIONS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1
 GRIDS = (1.25, 2.0, 3.0)
 NOISES_UM = (0.0, 30.0, 100.0)
 POSE_ERRORS = ((0.1, 0.02), (0.25, 0.05), (0.5, 0.1), (1.0, 0.2), (2.0, 0.4), (5.0, 1.0), (10.0, 2.0), (20.0, 4.0))
+_COLOURS = ("#2a6f97", "#7a9e3a", "#c4622d")
+
 DEPTH = 8
 """Of Open3D's octree: 256 cells along the longest side of the cloud's box."""
 
@@ -52,26 +54,56 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.0, 3.8), dpi=120, layout="constrained")
+    figure = Figure(figsize=(13.0, 4.2), dpi=110, layout="constrained")
     error, seconds, registered = figure.subplots(1, 3)
     meshes = [row for row in rows if row["what"] == "mesh"]
-    for noise in dict.fromkeys(row["noise um"] for row in meshes):
+    poisson = [row for row in rows if row["what"] == "poisson"]
+    for noise, colour in zip(dict.fromkeys(row["noise um"] for row in meshes), _COLOURS, strict=False):
         line = [row for row in meshes if row["noise um"] == noise]
-        label = f"noise {noise:g} um"
-        error.plot([row["grid mm"] for row in line], [row["rms um"] for row in line], marker="o", label=label)
-        seconds.plot([row["grid mm"] for row in line], [row["seconds"] for row in line], marker="o", label=label)
-    error.set(xlabel="grid [mm]", ylabel="rms deviation of the mesh [um]", ylim=(0, None))
-    seconds.set(xlabel="grid [mm]", ylabel="cloud to mesh [s]", ylim=(0, None))
-    line = [row for row in rows if row["what"] == "registration"]
-    sigma = [row["pose mm"] for row in line]
-    registered.loglog(sigma, [row["before um"] for row in line], marker="o", label="reported poses")
-    registered.loglog(sigma, [row["after um"] for row in line], marker="o", label="registered")
-    registered.set(xlabel="pose error, one sigma [mm], with 0.2 deg/mm", ylabel="rms of the merged cloud [um]")
+        label = f"noise {noise:g} \N{MICRO SIGN}m"
+        for axis, value in ((error, "rms um"), (seconds, "processor s")):
+            axis.plot([row["grid mm"] for row in line], [row[value] for row in line], "o-", color=colour, label=label)
+            for row in (row for row in poisson if row["noise um"] == noise):
+                axis.plot(row["grid mm"], row[value], "X", color=colour, markersize=9, markeredgecolor="white")
+    for axis in (error, seconds) if poisson else ():
+        axis.plot([], [], "X", color="0.4", markersize=9, label=f"Open3D Poisson, depth {DEPTH}")
+    points, spacing = (meshes[0][name] for name in ("points", "spacing mm"))
+    error.set_title(f"Mesh of {points:,} points {spacing:.2f} mm apart", fontsize=10, loc="left")
+    error.set(xlabel="edge of a grid cell [mm]", ylabel="rms deviation from the part [\N{MICRO SIGN}m]", ylim=(0, None))
+    seconds.set_title("Its time", fontsize=10, loc="left")
+    seconds.set(xlabel="edge of a grid cell [mm]", ylabel="cloud to mesh, both cores [processor s]", ylim=(0, 7))
+    _draw_registration(registered, [row for row in rows if row["what"] == "registration"])
     for axis in (error, seconds, registered):
         axis.grid(color="0.92", linewidth=0.6)
         axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
         axis.legend(frameon=False, fontsize=8)
     FigureCanvasAgg(figure).print_png(str(folder / "reconstruction.png"))
+
+
+def _draw_registration(axis: Any, line: list[dict[str, Any]]) -> None:
+    """Error before and after over the pose error, and where not all scans converge any more."""
+    sigma = [row["pose mm"] for row in line]
+    axis.loglog(sigma, [row["before um"] for row in line], "o-", color="0.55", label="reported poses")
+    axis.loglog(sigma, [row["after um"] for row in line], "o-", color=_COLOURS[0], label="registered")
+    for row in line:
+        good = row["converged"].split()[0]
+        axis.annotate(
+            good, (row["pose mm"], row["after um"]), xytext=(0, 6), textcoords="offset points", ha="center",
+            fontsize=7.5, color="0.35",
+        )  # fmt: skip
+    lost = [row["pose mm"] for row in line if len(set(row["converged"].split(" of "))) > 1]
+    if lost:
+        before = [value for value in sigma if value < min(lost)]
+        start = np.sqrt(max(before) * min(lost)) if before else min(lost)
+        axis.axvspan(start, 1.3 * max(sigma), color="#c4622d", alpha=0.12, linewidth=0, label="scans are lost")
+        axis.set_xlim(right=1.3 * max(sigma))
+    axis.set_ylim(bottom=10)
+    axis.set_title("Registration (number of 8 scans that converge)", fontsize=10, loc="left")
+    axis.set(
+        xlabel="pose error, one sigma [mm], and 0.2 deg for each mm",
+        ylabel="rms of the merged cloud [\N{MICRO SIGN}m]",
+    )
 
 
 def _mesh_rows(part: Workpiece, nearest: NearestSurface) -> list[dict[str, Any]]:

@@ -34,7 +34,7 @@ _FEWEST_POINTS = 12
 _LONELY = 3.0  # a point whose fourth neighbour is farther than so many spacings is an outlier
 _OFF_SURFACE = 5.0  # a point so many robust standard deviations off its neighbours' surface is an outlier
 _LEAST = 1e-3  # of a cell: nearer than this to a node or a wall counts as on it
-_BETWEEN = np.array([[i, j, 4 - i - j] for i in range(5) for j in range(5 - i) if max(i, j, 4 - i - j) < 4]) / 4.0
+_SIXTEENTHS = np.array([[i, j, 4 - i - j] for i in range(5) for j in range(5 - i)]) / 4.0  # barycentric
 _CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
@@ -231,7 +231,7 @@ def _settle(
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     agrees = np.einsum("fj,fcj->f", cross, field.normal[faces].astype(np.float64)) > 0
     faces = faces[near[faces].all(axis=1) & agrees]
-    faces = faces[_is_near_throughout(surface, vertices, faces, field.nearest, cut)]
+    faces = faces[_is_near_throughout(surface, vertices, faces, field.nearest + np.abs(shift), cut)]
     is_used = np.zeros(len(vertices), dtype=np.bool_)
     is_used[faces] = True
     return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
@@ -240,15 +240,20 @@ def _settle(
 def _is_near_throughout(
     surface: ImplicitSurface, vertices: Floats, faces: NDArray[np.int32], nearest: NDArray[np.float32], cut: float
 ) -> NDArray[np.bool_]:
-    """Which faces stay within the cut between their corners too: a face may span a gap that its corners border."""
+    """Which faces are within the cut as a whole: a face may span a gap that its corners border.
+
+    A face is asked at the corners of its 16 equal parts; no point is farther from one of them than the longest edge of
+    a part over the root of three, so that much is kept off the cut (not where a grid far coarser than the points would
+    leave nothing).
+    """
     corners = vertices[faces]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    farthest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1) / np.sqrt(3)
     is_near = np.ones(len(faces), dtype=np.bool_)
-    # No point of a face is farther from its nearest corner than the longest edge over the root of three.
-    doubtful = np.flatnonzero(nearest[faces].min(axis=1) + longest / np.sqrt(3) > cut)
-    inner = np.einsum("pc,fcj->fpj", _BETWEEN, corners[doubtful])
-    distance = surface.evaluate(inner.reshape(-1, 3)).nearest.reshape(inner.shape[:2])
-    is_near[doubtful] = (distance <= cut).all(axis=1)
+    doubtful = np.flatnonzero(nearest[faces].max(axis=1) + farthest > cut)
+    asked = np.einsum("pc,fcj->fpj", _SIXTEENTHS, corners[doubtful])
+    distance = surface.evaluate(asked.reshape(-1, 3)).nearest.reshape(asked.shape[:2])
+    kept_off = np.minimum(farthest[doubtful] / 4, cut / 4)
+    is_near[doubtful] = (distance <= (cut - kept_off)[:, None]).all(axis=1)
     return is_near
 
 

@@ -59,15 +59,13 @@ def test_noise_is_averaged() -> None:
 
 @pytest.mark.parametrize("views", [1, 2, 6])
 def test_nothing_is_invented_beyond_two_spacings(views: int) -> None:
-    """Corners lie within two spacings of a datum, and points spread over all faces too, to a fiftieth of one."""
+    """Corners, and points spread over all faces, lie within two spacings of a datum."""
     cloud = merge([_ball_scan(view) for view in VIEWS[:views]])
     result = reconstruct(cloud)
     mesh = _mesh_of(result)
     tree = cKDTree(cloud.points)
-    # The cut is made before a vertex is put on the surface for good, which moves it by less than a thousandth.
-    assert tree.query(mesh.vertices)[0].max() <= 2.001 * result.spacing
     spread = area_samples(mesh, 50_000, np.random.default_rng(0))
-    assert tree.query(spread)[0].max() <= 2.02 * result.spacing
+    assert tree.query(np.concatenate([mesh.vertices, spread]))[0].max() <= 2 * result.spacing
     longest = np.linalg.norm(np.diff(mesh.vertices[mesh.faces[:, [0, 1, 2, 0]]], axis=1), axis=2).max()
     assert longest < np.sqrt(3) * 2 * result.grid
 
