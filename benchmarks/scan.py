@@ -132,7 +132,8 @@ def _coverage(folder: Path, name: str, arguments: tuple[str, ...]) -> dict[str, 
         return row | {"said": str(error)[:100]}
     coverage = summary["coverage"]
     return row | {
-        **took,
+        "s": took["s"],
+        "cpu s": took["cpu s"],
         "views": summary["n_views"],
         "predicted %": 100 * coverage["predicted_all_views"],
         "achieved %": 100 * coverage["visible"],
