@@ -129,9 +129,26 @@ def _columns(M: Measurability, place: NDArray[np.int64]) -> Measurability:
 def _keep(path: Path, M: Measurability, key: str, columns: Hashes, narrator: "Narrator | None") -> None:
     try:
         measurability_cache.save(path, M, key, columns)
+        forget_oldest(path.parent, CACHE_LIMIT_BYTES)
     except FileError as error:
         if narrator is not None:
             narrator.note(f"the matrix is not kept for the next run: {error}")
+
+
+def forget_oldest(folder: Path, limit: int) -> None:
+    """Keep a folder of matrices below a number of bytes: those written longest ago go first, the newest stays.
+
+    Args:
+        folder: where the `.npz` files are.
+        limit: bytes that they may take in all.
+    """
+    files = sorted(((entry.stat(), entry) for entry in folder.glob("*.npz")), key=lambda pair: pair[0].st_mtime)
+    size = sum(stat.st_size for stat, _ in files)
+    for stat, entry in files[:-1]:
+        if size <= limit:
+            return
+        entry.unlink(missing_ok=True)  # another run may have been faster
+        size -= stat.st_size
 
 
 def limit_sigma(

@@ -1,5 +1,8 @@
 """Step 5 with its cache: what a run calculates, what it takes from the file, and that both give the same matrix."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -79,3 +82,17 @@ def test_without_the_cache_nothing_is_left(asked):
     """use_cache=False neither reads nor writes."""
     asked(asked.views, use_cache=False)
     assert not cache_folder().exists()
+
+
+def test_the_cache_forgets_what_was_written_longest_ago(tmp_path: Path) -> None:
+    """Above its limit the oldest files go, one by one; the newest stays even where it alone is too large."""
+    for age, name in enumerate(("new", "middle", "old")):
+        path = tmp_path / f"{name}.npz"
+        path.write_bytes(b"x" * 100)
+        os.utime(path, (1e9 - age, 1e9 - age))
+    matrix.forget_oldest(tmp_path, 300)
+    assert len(list(tmp_path.iterdir())) == 3
+    matrix.forget_oldest(tmp_path, 250)
+    assert {path.stem for path in tmp_path.iterdir()} == {"new", "middle"}
+    matrix.forget_oldest(tmp_path, 10)
+    assert {path.stem for path in tmp_path.iterdir()} == {"new"}
