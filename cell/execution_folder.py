@@ -87,7 +87,7 @@ class ExecutionFolder(RunFolder):
     def reopen(cls, path: Path, manifest: Mapping[str, Any]) -> "ExecutionFolder":
         """An execution that was made before, to make its report anew."""
         seconds = {name: took for name, took in manifest.get("seconds", {}).items() if name == EXECUTING}
-        return cls(path, path, {**manifest, "seconds": seconds}, "start", dict(manifest.get("artefacts", {})))
+        return cls(path, path, {"schema": SCHEMA, **manifest, "seconds": seconds}, "start", dict(manifest.get("artefacts", {})))
 
     def note(self, **entries: Any) -> None:
         """Put entries into the manifest."""

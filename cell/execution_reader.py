@@ -58,7 +58,7 @@ class RecordedExecution:
 
     Attributes:
         folder: executions/<id>.
-        manifest: its manifest.json; empty where it has none yet.
+        manifest: its manifest.json; empty where it has none yet, or a damaged one.
         scans: the scans that can be read, in the order in which they were taken.
         motion: the motion that the execution recorded itself; None where it kept none.
         unreadable: one sentence for each file that cannot be read.
@@ -72,9 +72,11 @@ class RecordedExecution:
 
 
 def execution_ids(run: RunRecord) -> list[str]:
-    """Names of the executions of a run, in order of their names."""
+    """Names of the executions of a run, in order of their numbers; a folder whose name is no number is none."""
     root = run.folder / FOLDER
-    return sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+    if not root.is_dir():
+        return []
+    return sorted((path.name for path in root.iterdir() if path.is_dir() and path.name.isdecimal()), key=int)
 
 
 def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
@@ -85,7 +87,7 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
         execution: its id, or "latest".
 
     Raises:
-        FileError: if the run has no execution of that name, or its manifest is damaged.
+        FileError: if the run has no execution of that name.
     """
     known = execution_ids(run)
     if not known:
@@ -95,9 +97,14 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
     if execution not in known:
         raise FileError(f"{run.folder} has no execution {execution}; it has {', '.join(known)}")
     folder = run.folder / FOLDER / execution
-    manifest = read_json(folder / "manifest.json") if (folder / "manifest.json").is_file() else {}
+    manifest: Mapping[str, Any] = {}
     scans: list[RecordedScan] = []
     unreadable: list[str] = []
+    if (folder / "manifest.json").is_file():
+        try:
+            manifest = _manifest(folder / "manifest.json")
+        except FileError as error:
+            unreadable.append(f"{error}; the report is made without it")
     for path in sorted((folder / "scans").glob("*.npz")):
         try:
             scans.append(read_scan(path))
@@ -112,6 +119,23 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
         except FileError as error:
             unreadable.append(str(error))
     return RecordedExecution(folder, manifest, tuple(scans), recorded, tuple(unreadable))
+
+
+def _manifest(path: Path) -> Mapping[str, Any]:
+    """The manifest of an execution, its entries of the kinds that a report relies on.
+
+    Raises:
+        FileError: if it is not JSON, or an entry is of another kind.
+    """
+    manifest = read_json(path)
+    kinds: dict[str, tuple[type, ...]] = {
+        "status": (str,), "seed": (int,), "options": (dict,), "artefacts": (dict,), "seconds": (dict,), "pid": (int,),
+        "moving_s": (int, float), "exit_code": (int, type(None)),
+    }  # fmt: skip
+    for name, kind in kinds.items():
+        if name in manifest and not isinstance(manifest[name], kind):
+            raise FileError(f"{path} is damaged: its {name} is {manifest[name]!r}")
+    return manifest
 
 
 def read_scan(path: Path) -> RecordedScan:

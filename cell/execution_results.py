@@ -67,15 +67,22 @@ class ExecutedScan:
         return ScanCloud(self.points, self.T_reported[:3, 3])
 
 
-def usable(recorded: RecordedExecution) -> tuple[tuple[ExecutedScan, ...], tuple[str, ...]]:
-    """The scans that can be used, in driving order, and a sentence about each file that cannot."""
+def usable(
+    recorded: RecordedExecution, planned: Sequence[RecordedView]
+) -> tuple[tuple[ExecutedScan, ...], tuple[str, ...]]:
+    """The scans that can be used, in driving order, and a sentence about each file that cannot.
+
+    Args:
+        recorded: what the execution left.
+        planned: the plan's views in visiting order.
+    """
     left_out = list(recorded.unreadable)
     scans: list[ExecutedScan] = []
     known = recorded.manifest.get("artefacts", {})
     for scan in recorded.scans:
         try:
             _require_unchanged(recorded, scan, known.get(f"scans/{scan.name}"))
-            scans.append(_executed(recorded, scan))
+            scans.append(_of_the_plan(recorded, _executed(recorded, scan), scan.name, planned))
         except FileError as error:
             left_out.append(str(error))
     here = f"{recorded.folder}/"
@@ -89,6 +96,28 @@ def _executed(recorded: RecordedExecution, scan: RecordedScan) -> ExecutedScan:
             int(stored["stop"]), scan.view, scan.q_commanded, scan.q_reported, stored["T_object_scanner"],
             stored["T_object_scanner_true"], scan.points, tuple(int(count) for count in stored["counts"]),
         )  # fmt: skip
+
+
+def _of_the_plan(
+    recorded: RecordedExecution, scan: ExecutedScan, name: str, planned: Sequence[RecordedView]
+) -> ExecutedScan:
+    """The scan, if it is that of the view that its file is named after; a stop has one file name, so none repeats."""
+    path = recorded.folder / "scans" / name
+    if not 1 <= scan.stop <= len(planned):
+        raise FileError(f"{path} is of view {scan.stop}, and the plan has the views 1 to {len(planned)}")
+    if name != scan_name(scan.stop):
+        raise FileError(f"{path} is of view {scan.stop}, whose file is {scan_name(scan.stop)}")
+    if scan.view != planned[scan.stop - 1].id:
+        raise FileError(
+            f"{path} is of candidate {scan.view}, and view {scan.stop} of the plan is candidate "
+            f"{planned[scan.stop - 1].id}"
+        )
+    return scan
+
+
+def scan_name(stop: int) -> str:
+    """Name of the file of a view, by its number from 1 in visiting order."""
+    return f"{stop:04d}.npz"
 
 
 def _require_unchanged(recorded: RecordedExecution, scan: RecordedScan, expected: str | None) -> None:

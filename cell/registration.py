@@ -31,6 +31,7 @@ SAMPLES = 2000
 TOLERANCE = 2e-6
 """Finished when no point of any scan moves by more than this in a step [m]; a tenth of a good scanner's noise."""
 
+_STILL = 10 * TOLERANCE  # a scan whose matches change to and fro moves within the noise, and has converged [m]
 _ITERATIONS = 40
 _REACH = 0.03  # of the diagonal: matches farther apart are no matches
 
@@ -40,14 +41,15 @@ class RegistrationStatus(Enum):
 
     CONVERGED = "registered in all six directions"
     PARTLY_FREE = "registered, except for motions that its surface does not show: those were not corrected"
-    NOT_CONVERGED = "still moving after the last iteration: the correction is kept, and to be doubted"
+    NOT_CONVERGED = "still moving after the last iteration: the reported pose was kept"
+    TOO_FAR = "the correction went farther than matches reach: the reported pose was kept"
     REJECTED = "the correction made the match worse: the reported pose was kept"
     NO_OVERLAP = "too little of it lies near the model or another scan: the reported pose was kept"
     TOO_FEW_POINTS = f"fewer than {FEWEST} points: the reported pose was kept"
     EMPTY = "the scan is empty"
 
 
-_MOVED = (RegistrationStatus.CONVERGED, RegistrationStatus.PARTLY_FREE, RegistrationStatus.NOT_CONVERGED)
+_MOVED = (RegistrationStatus.CONVERGED, RegistrationStatus.PARTLY_FREE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +78,11 @@ class ScanRegistration:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_correction", readonly("T_correction", self.T_correction, (4, 4)))
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether the pose was corrected; otherwise it is the reported one."""
+        return self.status in _MOVED
 
     @property
     def sentence(self) -> str:
@@ -136,9 +143,8 @@ def register(
     extent = nearest.mesh.vertices if nearest else np.concatenate(clouds) if clouds else np.zeros((1, 3))
     diagonal = float(np.linalg.norm(np.ptp(extent, axis=0)))
     moving = [MovingScan(scan, samples) for scan in scans]
-    problem = JointProblem(
-        moving, nearest, _REACH * diagonal if reach is None else reach, overlap=overlap or nearest is None
-    )
+    reach = _REACH * diagonal if reach is None else reach
+    problem = JointProblem(moving, nearest, reach, overlap=overlap or nearest is None)
     before = problem.match()
     steps, moved = 0, np.full(len(moving), np.inf)
     while steps < iterations and moved.max(initial=0.0) >= TOLERANCE:
@@ -151,9 +157,9 @@ def register(
         own = slice(6 * i, 6 * i + 6)
         _, free = split(matrix[own, own], weight[i] if used[i] >= FEWEST else 0.0, scan.length)
         pair = _residuals(i, before, after, nearest is not None)
-        result = _judge(scan, pair, free, used[i] >= FEWEST, bool(moved[i] < TOLERANCE))
+        result = _judge(scan, pair, free, used[i] >= FEWEST, bool(moved[i] < _STILL), reach)
         results.append(result)
-        squares.append(np.stack(pair[:2] if result.status in _MOVED else (pair[0], pair[0])) ** 2)
+        squares.append(np.stack(pair[:2] if result.is_corrected else (pair[0], pair[0])) ** 2)
     pooled = np.concatenate(squares, axis=1) if squares else np.empty((2, 0))
     rms_before, rms_after = np.sqrt(pooled.mean(axis=1)) if pooled.shape[1] else (float("nan"), float("nan"))
     overlaps = tuple(sorted({(min(pair), max(pair)) for pair in problem.pairs}))
@@ -177,9 +183,18 @@ def _residuals(
 
 
 def _judge(
-    scan: MovingScan, residuals: tuple[Floats, Floats, float], free: Floats, is_matched: bool, is_still: bool
+    scan: MovingScan,
+    residuals: tuple[Floats, Floats, float],
+    free: Floats,
+    is_matched: bool,
+    is_still: bool,
+    reach: float,
 ) -> ScanRegistration:
-    """The result of one scan."""
+    """The result of one scan.
+
+    Small residuals alone prove nothing: a scan that slid along the part fits as well. A correction that moves a point
+    farther than `reach` [m] left what it was matched to at first.
+    """
     first, last, used = residuals
     rms_before, rms_after = (float(np.sqrt(np.mean(r**2))) if len(r) else float("nan") for r in (first, last))
     if len(scan) == 0:
@@ -189,11 +204,20 @@ def _judge(
     elif not is_matched:
         status = RegistrationStatus.NO_OVERLAP
     elif rms_after > rms_before + TOLERANCE:
-        status, rms_after = RegistrationStatus.REJECTED, rms_before
+        status = RegistrationStatus.REJECTED
     elif not is_still:
         status = RegistrationStatus.NOT_CONVERGED
+    elif _farthest_move(scan) > reach:
+        status = RegistrationStatus.TOO_FAR
     else:
         status = RegistrationStatus.PARTLY_FREE if free.shape[1] else RegistrationStatus.CONVERGED
     T = scan.T if status in _MOVED else np.eye(4)
+    rms_after = rms_after if status in _MOVED else rms_before
     motions = name(free, scan.centre, scan.length) if is_matched else ()
     return ScanRegistration(status, T, rms_before, rms_after, used, 6 - free.shape[1], motions)
+
+
+def _farthest_move(scan: MovingScan) -> float:
+    """How far the correction moves the sampled point that it moves farthest [m]."""
+    back = (scan.points - scan.T[:3, 3]) @ scan.T[:3, :3]
+    return float(np.linalg.norm(scan.points - back, axis=1).max(initial=0.0))

@@ -152,10 +152,15 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
 def _start(timeline: Timeline, view: int | None) -> float:
     if view is None:
         return 0.0
-    if not 1 <= view <= len(timeline.stops):
-        valid = f"1 to {len(timeline.stops)}, in visiting order" if timeline.stops else "none, it has no views to show"
+    numbers = [stop.number for stop in timeline.stops]
+    if view not in numbers:
+        listed = ", ".join(str(number) for number in numbers)
+        in_a_row = numbers == list(range(1, len(numbers) + 1))
+        valid = f"1 to {len(numbers)}, in visiting order" if in_a_row else f"{listed}, as scanned"
+        if not numbers:
+            valid = "none, it has no views to show"
         raise UsageError(f"--view {view} is no view of this run; valid are {valid}")
-    return timeline.stops[view - 1].begin
+    return timeline.stops[numbers.index(view)].begin
 
 
 def _check(options: ReplayOptions) -> None:

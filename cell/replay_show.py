@@ -93,12 +93,12 @@ class Show:
 
     def draw_moment(self, scene: mujoco.MjvScene, t: float, touching: tuple[marks.Touch, ...] = ()) -> None:
         """Frustum where the scanner is looking, points taken by then, contacts."""
-        stop = self.timeline.stop_at(t)
+        row = self._row_at(t)
         taken = self.timeline.reached(t)
         if self.theatre.cloud_mesh:
-            marks.add_clouds(scene, self.theatre, range(taken), stop.number - 1 if stop else None)
-        if stop is not None:
-            marks.add_frustum(scene, self.theatre, self.T_base_scanner[stop.number - 1])
+            marks.add_clouds(scene, self.theatre, range(taken), row)
+        if row is not None:
+            marks.add_frustum(scene, self.theatre, self.T_base_scanner[row])
         elif self.timeline.stops:
             marks.add_glyph(scene, self.theatre, self._scanner_now())
         marks.add_touches(scene, touching)
@@ -106,13 +106,18 @@ class Show:
     def draw_tour(self, scene: mujoco.MjvScene, t: float) -> None:
         """All at once: path, every view, all points, and the frustum of the present stop."""
         self.draw_still(scene)
-        stop = self.timeline.stop_at(t)
-        for number, T in enumerate(self.T_base_scanner):
-            if stop is None or number != stop.number - 1:
+        present = self._row_at(t)
+        for row, T in enumerate(self.T_base_scanner):
+            if row != present:
                 marks.add_glyph(scene, self.theatre, T)
         marks.add_clouds(scene, self.theatre, range(len(self.theatre.cloud_mesh)), None)
-        if stop is not None:
-            marks.add_frustum(scene, self.theatre, self.T_base_scanner[stop.number - 1])
+        if present is not None:
+            marks.add_frustum(scene, self.theatre, self.T_base_scanner[present])
+
+    def _row_at(self, t: float) -> int | None:
+        """Row of the stop at which the show rests; its number may be another one where views are missing."""
+        stop = self.timeline.stop_at(t)
+        return None if stop is None else self.timeline.stops.index(stop)
 
     def caption(self, t: float, touching: tuple[marks.Touch, ...] = ()) -> str:
         """Where the show is, in a line."""
@@ -121,9 +126,9 @@ class Show:
             return "home"
         stop, taken = self.timeline.stop_at(t), self.timeline.reached(t)
         if stop is not None:
-            where = f"view {stop.number} of {len(stops)} (candidate {stop.candidate})"
+            where = f"view {stop.number} of {self.timeline.n_views} (candidate {stop.candidate})"
         elif taken < len(stops):
-            where = f"to view {taken + 1} of {len(stops)}"
+            where = f"to view {stops[taken].number} of {self.timeline.n_views}"
         else:
             where = "home" if t >= self.timeline.duration else "to home"
         text = f"{where}   {self.timeline.moved(t):.1f} s"

@@ -27,7 +27,7 @@ class Stop:
     """A place where the scanner looks.
 
     Attributes:
-        number: from 1, in visiting order.
+        number: from 1, in visiting order of the plan.
         candidate: row of viewpoints.npz.
         begin: when the show arrives [s].
         end: when it leaves [s].
@@ -50,12 +50,14 @@ class Timeline:
         q: (M, 6) [rad]; straight between samples.
         stops: in visiting order.
         notes: sentences about what is not as recorded.
+        n_views: of the plan, as far as it is known: the largest number that a stop can have.
     """
 
     t: Floats
     q: Floats
     stops: tuple[Stop, ...]
     notes: tuple[str, ...] = ()
+    n_views: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", readonly("t", self.t, (None,)))
@@ -128,7 +130,7 @@ def of_execution(execution: RecordedExecution, planned: Motion | None, home: Flo
             share = (t / t[-1])[:, None]
             film.move(t, q + (1 - share) * off_before + share * off_here)
             film.go_straight(scan.q_reported)  # what the commanded set-point differs from the end of the leg
-        film.stop(scan.view)
+        film.stop(scan.view, int(scan.stored["stop"]) if "stop" in scan.stored else None)
         before = scan
     if before is not None and source is not None:
         leg = _leg(source, before.view, -1)
@@ -141,7 +143,7 @@ def of_execution(execution: RecordedExecution, planned: Motion | None, home: Flo
             f"the motion to {'view' if len(straight) == 1 else 'views'} {', '.join(straight)} is neither recorded nor "
             "planned in this order; straight joint moves stand for it and were not checked for collisions"
         )
-    return film.timeline(notes)
+    return film.timeline(notes, 0 if planned is None else int((planned.view >= 0).sum()))
 
 
 def of_home(home: Floats) -> Timeline:
@@ -182,16 +184,18 @@ class _Film:
         if turn > 1e-9:
             self.move(np.array([turn / _STRAIGHT_SPEED]), np.asarray(q)[None])
 
-    def stop(self, candidate: int) -> None:
-        """Rest here."""
+    def stop(self, candidate: int, number: int | None = None) -> None:
+        """Rest here; without a number it is the next one."""
         begin = self._now
         moved = begin - self._rest * len(self._stops)
-        self._stops.append(Stop(len(self._stops) + 1, candidate, begin, begin + self._rest, moved))
+        number = len(self._stops) + 1 if number is None else number
+        self._stops.append(Stop(number, candidate, begin, begin + self._rest, moved))
         self.move(np.array([self._rest]), self._q[-1][-1:])
 
-    def timeline(self, notes: Sequence[str] = ()) -> Timeline:
+    def timeline(self, notes: Sequence[str] = (), n_views: int = 0) -> Timeline:
         """The film so far."""
-        return Timeline(np.concatenate(self._t), np.concatenate(self._q), tuple(self._stops), tuple(notes))
+        n_views = max([n_views, *(stop.number for stop in self._stops)])
+        return Timeline(np.concatenate(self._t), np.concatenate(self._q), tuple(self._stops), tuple(notes), n_views)
 
     @property
     def _now(self) -> float:

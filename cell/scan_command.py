@@ -17,8 +17,8 @@ from cell import cloud_files, execute, execution_report, run_reader, scan_driver
 from cell.deviation import deviation
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.execution_folder import EXECUTING, ExecutionFolder
-from cell.execution_reader import read_execution
-from cell.execution_results import ExecutedScan, achieved, merged, usable
+from cell.execution_reader import RecordedExecution, read_execution
+from cell.execution_results import ExecutedScan, achieved, merged, scan_name, usable
 from cell.execution_summary import execution_summary
 from cell.narrator import Narrator, ProgressCallback
 from cell.nearest import NearestSurface
@@ -98,7 +98,7 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
                 legs, driver, scene, options.disturbance, folder, seed=seed, clock=clock, progress=progress
             )
             folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
-        summary = _results(work, scene, motion)
+        summary = _results(work, scene, motion, read_execution(run, folder.path.name))
         code = _exit_code(summary, scene)
         return ScanOutcome(folder.finish(code), code, summary)
 
@@ -126,20 +126,21 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     scene = scan_scene.load(run, options.get("resolution_deg"))
     # The status tells how the execution ended, not how its report did.
     status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.get("exit_code", 0)
-    summary = _results(_Work(run, folder, narrator), scene, run_reader.motion(run))
+    summary = _results(_Work(run, folder, narrator), scene, run_reader.motion(run), recorded)
     for sentence in summary["left_out"]:
         narrator.note(sentence)
     code = _exit_code(summary, scene)
     return ScanOutcome(folder.finish(code if ended == "finished" else exit_code, status), code, summary)
 
 
-def _results(work: _Work, scene: ScanScene, motion: Motion) -> dict[str, Any]:
+def _results(work: _Work, scene: ScanScene, motion: Motion, recorded: RecordedExecution) -> dict[str, Any]:
     """Merge, reconstruct, measure and report what the execution has on disk; returns the summary."""
     run, folder = work.run, work.folder
     seed, options = int(folder.manifest.get("seed", run.manifest["seed"])), folder.manifest.get("options", {})
 
     with work.step("merge"):
-        scans, left_out = usable(read_execution(run, folder.path.name))
+        views = run_reader.views(run)
+        scans, left_out = usable(recorded, views)
         _adopt(folder, scans)
         nearest = NearestSurface(scene.reference)
         cloud = merged(scans, nearest, registered=bool(options.get("register")))
@@ -153,7 +154,7 @@ def _results(work: _Work, scene: ScanScene, motion: Motion) -> dict[str, Any]:
             folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed))
 
     with work.step("measure"):
-        plan, views = run_reader.plan_json(run), run_reader.views(run)
+        plan = run_reader.plan_json(run)
         reached = achieved(scans, views, plan["coverage"]["visible"], cloud.cloud, scene, int(run.manifest["seed"]))
         off = None
         if model.mesh is not None:
@@ -221,7 +222,7 @@ def _write_motion(folder: ExecutionFolder, motion: Motion) -> None:
 def _adopt(folder: ExecutionFolder, scans: Sequence[ExecutedScan]) -> None:
     """Scans of a killed execution get their sha256 in the manifest, as those of a finished one have."""
     for scan in scans:
-        folder.adopt(f"scans/{scan.stop:04d}.npz")
+        folder.adopt(f"scans/{scan_name(scan.stop)}")
 
 
 def _exit_code(summary: dict[str, Any], scene: ScanScene) -> int:

@@ -18,9 +18,9 @@ import trimesh
 
 from cell import scan_command
 from cell.errors import FileError
-from cell.execution_reader import read_execution, read_scan
+from cell.execution_reader import execution_ids, read_execution, read_scan
 from cell.narrator import Narrator
-from cell.run_record import open_run
+from cell.run_record import RunRecord, open_run
 from cell.scan_options import ScanOptions
 from planner.ports import Rejection
 
@@ -312,6 +312,49 @@ def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path
     summary = _remake(run)
     assert summary["missing_views"] == [1]
     assert "is not what the execution wrote" in summary["left_out"][0]
+
+
+def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: Path) -> None:
+    """A stop beyond the plan, one of another file, another candidate, a stop that repeats: none crashes nor counts."""
+    scans = copied / "executions" / "0001" / "scans"
+    n = len(json.loads((copied / "plan.json").read_text())["views"])
+    _rewrite(scans / "0001.npz", stop=np.array(n + 7))
+    _rewrite(scans / "0002.npz", view=np.array(10**6))
+    _rewrite(scans / "0003.npz", stop=np.array(4))
+    shutil.copy(scans / "0004.npz", scans / "copy.npz")
+    summary = _remake(copied)
+    assert summary["missing_views"] == [1, 2, 3]
+    assert [view["stop"] for view in summary["views"]] == list(range(4, n + 1))
+    assert [sentence.split(" ")[0] for sentence in summary["left_out"]] == [
+        "scans/0001.npz", "scans/0002.npz", "scans/0003.npz", "scans/copy.npz",
+    ]  # fmt: skip
+    assert f"views 1 to {n}" in summary["left_out"][0]
+    assert "candidate 1000000" in summary["left_out"][1]
+    assert "whose file is 0004.npz" in summary["left_out"][2]
+
+
+def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: Path) -> None:
+    """Not JSON, or an entry of another kind: a sentence in left_out, and the report is that of the scans."""
+    path = copied / "executions" / "0001" / "manifest.json"
+    good = json.loads(path.read_text())
+    for content in ("{", json.dumps({**good, "seed": "three"}), json.dumps({**good, "options": [1]})):
+        path.write_text(content)
+        summary = _remake(copied)
+        assert summary["n_views"] == summary["n_views_planned"]
+        (sentence,) = summary["left_out"]
+        assert sentence.startswith("manifest.json is damaged")
+        assert sentence.endswith("the report is made without it")
+        assert json.loads(path.read_text())["status"] == "incomplete"
+
+
+def test_executions_are_those_with_a_number_in_order_of_it(tmp_path: Path) -> None:
+    """10000 comes after 9999; a folder or file of another name is no execution, so "latest" is the highest number."""
+    for name in ("9999", "10000", "0002", "notes", "0001.bak"):
+        (tmp_path / "executions" / name).mkdir(parents=True)
+    (tmp_path / "executions" / "20000").write_text("")
+    run = RunRecord(tmp_path, {})
+    assert execution_ids(run) == ["0002", "9999", "10000"]
+    assert read_execution(run, "latest").folder.name == "10000"
 
 
 def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:

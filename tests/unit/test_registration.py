@@ -148,6 +148,25 @@ def test_corrections_are_rigid_and_repeat(scans: list[ScanCloud], head: Triangle
         assert a.T_correction.tobytes() == b.T_correction.tobytes()
 
 
+@pytest.mark.parametrize(("mm", "deg", "seed"), [(5.0, 1.0, 2), (20.0, 2.0, 2)])
+def test_a_huge_pose_error_is_never_made_larger(
+    scans: list[ScanCloud], head: TriangleMesh, mm: float, deg: float, seed: int
+) -> None:
+    """Far beyond the reach of matches: a scan comes nearer to its true place, or it stays where it was reported."""
+    disturbed = _disturbed(scans, mm, deg, seed)
+    result = register(disturbed, head)
+    kept = [scan for scan in result.scans if not scan.is_corrected]
+    for true, wrong, scan in zip(scans, disturbed, result.scans, strict=True):
+        before, after = (
+            np.linalg.norm(s.points - true.points, axis=1).mean() for s in (wrong, wrong.moved(scan.T_correction))
+        )
+        assert after <= before
+    for scan in kept:
+        assert (scan.T_correction == np.eye(4)).all()
+        assert scan.rms_after == scan.rms_before or np.isnan(scan.rms_before)
+    assert kept or mm < 10
+
+
 def test_arguments_must_be_positive(scans: list[ScanCloud], head: TriangleMesh) -> None:
     """No samples, no iterations, no reach: refused by name."""
     for wrong in ({"samples": 0}, {"iterations": 0}, {"reach": 0.0}):

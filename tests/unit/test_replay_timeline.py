@@ -1,5 +1,6 @@
 """The timeline of a replay and its player: arithmetic on a motion that is made by hand."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,20 @@ def test_a_way_that_nobody_planned_is_straight_and_told(views: tuple[int, ...]) 
     assert "not checked for collisions" in film.notes[0]
     assert (np.diff(film.t) > 0).all()
     assert (np.abs(np.diff(film.q, axis=0)) / np.diff(film.t)[:, None]).max() < 1.3
+
+
+def test_stops_have_the_numbers_of_the_plan() -> None:
+    """Where view 1 is missing, the others keep the numbers that they have in the plan, out of the plan's views."""
+    motion = _motion()
+    found = _execution((3, 9), 0.0)
+    scans = tuple(
+        dataclasses.replace(scan, stored={"stop": np.array(number)})
+        for number, scan in zip((2, 3), found.scans, strict=True)
+    )
+    film = replay_timeline.of_execution(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
+    assert [(stop.number, stop.candidate) for stop in film.stops] == [(2, 3), (3, 9)]
+    assert film.n_views == 3
+    assert replay_timeline.of_plan(motion).n_views == 3
 
 
 def test_nothing_but_home() -> None:
