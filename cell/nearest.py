@@ -2,9 +2,9 @@
 
 Every face is cut into pieces no larger than a common radius, and a k-d tree holds the pieces' centres. A piece whose
 centre is farther than (distance found so far) + (its radius) cannot hold a closer point; the answer is certified when
-the next piece that the tree would give is farther than that. Where it is not, more pieces are asked for, in the end all
-of them. So the result is the exact closest point up to rounding, whatever the triangles look like. Object frame,
-metres.
+the next piece that the tree would give is farther than that. That settles most points near the surface; for the others
+branch and bound over the pieces (`cell.face_blocks`) leaves out only pieces that are certainly farther. So the result
+is the exact closest point up to rounding, whatever the triangles look like. Object frame, metres.
 
 The side follows Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG
 11 (2005), doi:10.1109/TVCG.2005.49: the normal of the face, edge or corner on which the closest point lies decides,
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell import kdtree
+from cell.face_blocks import FaceBlocks
 from planner.closest import squared_distance
 from planner.readonly import readonly
 from planner.surface import TriangleMesh, face_normals
@@ -24,11 +25,10 @@ from planner.surface import TriangleMesh, face_normals
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_FIRST_CANDIDATES = 8  # certifies about nine of ten points near the surface; the others ask for more
-_MORE = 4  # by this factor
+_CANDIDATES = (8, 32)  # the first certify about nine of ten points near the surface, the next most of the others
+_NEAR = 4.0  # largest radii of a piece within which the tree is asked; farther out it hardly certifies, and takes long
 _PIECES = 40_000  # a mesh of few faces is cut into about so many pieces
 _CHUNK = 16_384  # points a pass, so that its arrays stay in the processor's cache
-_LARGEST_TABLE = 4_000_000  # candidates held at once
 _CREASE = np.cos(np.radians(30.0))  # corners whose faces differ by more keep their face's normal
 
 
@@ -67,10 +67,12 @@ class NearestSurface:
         self.mesh = mesh
         self._triangles: Floats = mesh.vertices[mesh.faces]
         self._normals = face_normals(mesh)
-        centres, self._owner, self._radius = _pieces(self._triangles)
+        pieces, self._owner = _pieces(self._triangles)
+        centres, self._radius = _centre_and_radius(pieces)
         self._largest_radius = float(self._radius.max())
         self._rounding = 1e-12 * float(np.abs(mesh.vertices).max())
         self._tree = kdtree.build(centres)
+        self._blocks = FaceBlocks(pieces)
         self._corner_normals: Floats | None = None
         self._edge_normals: Floats | None = None
         self._smooth: Floats | None = None
@@ -105,8 +107,7 @@ class NearestSurface:
     def normals(self, closest: ClosestPoints) -> Floats:
         """(N, 3) unit normals at closest points, interpolated over the face except across creases of 30 degrees.
 
-        Interpolation matters where the mesh stands for a round surface: flat facets would resist a rotation that the
-        surface itself does not resist.
+        Flat facets would resist a rotation that the round surface they stand for does not resist.
         """
         if self._smooth is None:
             self._smooth = self._round_normals()
@@ -135,26 +136,34 @@ class NearestSurface:
 
     def _closest_face(self, points: Floats) -> NDArray[np.int32]:
         """(N,) the face that holds the closest point; the certificate of the module docstring."""
-        result = np.empty(len(points), dtype=np.int32)
-        open_points = np.arange(len(points))
-        count = min(_FIRST_CANDIDATES, len(self._owner))
-        while len(open_points):
-            step = max(1, _LARGEST_TABLE // count)
-            certified = np.concatenate(
-                [
-                    self._try(points, open_points[start : start + step], count, result)
-                    for start in range(0, len(open_points), step)
-                ]
-            )
-            open_points = open_points[~certified]
-            count = min(count * _MORE, len(self._owner))
+        result = np.zeros(len(points), dtype=np.int32)
+        found = np.full(len(points), np.inf)  # as long as too few pieces are near
+        is_certain = np.zeros(len(points), dtype=np.bool_)
+        asked = np.arange(len(points))
+        for count in _CANDIDATES:
+            is_certain[asked] = self._try(points, asked, min(count, len(self._owner)), result, found)
+            asked = np.flatnonzero(~is_certain & (found <= self._largest_radius))
+        open_points = np.flatnonzero(~is_certain)
+        rounding = self._rounding + 1e-12 * float(np.abs(points).max(initial=0.0))
+        for row, piece in self._blocks.pairs(points[open_points], found[open_points], rounding):
+            face = self._owner[piece]
+            squared = self._squared_distance(points[open_points[row]], face)
+            order = np.lexsort((squared, row))
+            first = order[np.concatenate([[True], row[1:] != row[:-1]])]  # `row` ascends, so the order keeps its runs
+            result[open_points[row[first]]] = face[first]
         return result
 
-    def _try(self, points: Floats, chosen: Indices, count: int, result: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Take the best of `count` pieces into `result`; whether it is certain."""
-        query = points[chosen]
-        distance, piece = kdtree.nearest(self._tree, query, count, workers=2)
-        face = self._owner[piece]
+    def _try(
+        self, points: Floats, chosen: Indices, count: int, result: NDArray[np.int32], found: Floats
+    ) -> NDArray[np.bool_]:
+        """Take the best of `count` near pieces into `result` and its distance into `found`; whether it is certain."""
+        bound = _NEAR * self._largest_radius  # beyond it the tree gives infinity
+        answer = self._tree.query(points[chosen], count, distance_upper_bound=bound, workers=2)
+        distance, piece = (np.reshape(values, (len(chosen), count)) for values in answer)
+        is_near = np.isfinite(distance[:, -1])
+        certain = np.zeros(len(chosen), dtype=np.bool_)
+        chosen, distance, piece = chosen[is_near], distance[is_near], piece[is_near]
+        query, face = points[chosen], self._owner[piece]
         first = self._squared_distance(query, face[:, 0])
         reach = np.sqrt(first) + self._rounding
         row, column = np.nonzero(distance[:, 1:] - self._radius[piece[:, 1:]] <= reach[:, None])
@@ -162,12 +171,9 @@ class NearestSurface:
         squared[:, 0] = first
         squared[row, column + 1] = self._squared_distance(query[row], face[row, column + 1])
         best = np.argmin(squared, axis=1)
-        rows = np.arange(len(chosen))
-        result[chosen] = face[rows, best]
-        if count == len(self._owner):
-            return np.ones(len(chosen), dtype=np.bool_)
-        found = np.sqrt(squared[rows, best]) + self._rounding
-        certain: NDArray[np.bool_] = distance[:, -1] - self._largest_radius > found
+        result[chosen] = face[np.arange(len(best)), best]
+        found[chosen] = np.sqrt(squared.min(axis=1))
+        certain[is_near] = distance[:, -1] - self._largest_radius > found[chosen] + self._rounding
         return certain
 
     def _squared_distance(self, points: Floats, face: NDArray[np.int32]) -> Floats:
@@ -258,26 +264,25 @@ def _foot_weights(points: Floats, triangles: Floats) -> Floats:
     return weights
 
 
-def _pieces(triangles: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
+def _pieces(triangles: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """Cut triangles at the middle of their longest edge until none reaches farther than a common radius.
 
     Returns:
-        (P, 3) centres [m], (P,) the triangle that each is a piece of, (P,) largest distance from centre to corner [m].
+        (P, 3, 3) corners [m] and (P,) the triangle that each is a piece of.
     """
     owner = np.arange(len(triangles), dtype=np.int32)
-    centre, radius = _centre_and_radius(triangles)
+    radius = _centre_and_radius(triangles)[1]
     area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1).sum()
     # A piece of radius r cut from a large triangle has about the area r^2; long thin faces give length / r pieces.
     limit = max(float(np.quantile(radius, 0.9)), float(np.sqrt(area / 2 / _PIECES)), radius.sum() / (4 * _PIECES))
     limit = min(limit, float(radius.max()))
-    centres, owners, radii = [], [], []
+    pieces, owners = [], []
     while True:
         small = radius <= limit * (1 + 1e-9)
-        centres.append(centre[small])
+        pieces.append(triangles[small])
         owners.append(owner[small])
-        radii.append(radius[small])
         if small.all():
-            return np.concatenate(centres), np.concatenate(owners), np.concatenate(radii)
+            return np.concatenate(pieces), np.concatenate(owners)
         triangles, owner = triangles[~small], owner[~small]
         edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
         start = np.argmax(edges, axis=1)
@@ -286,7 +291,7 @@ def _pieces(triangles: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
         middle = (a + b) / 2
         triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
         owner = np.concatenate([owner, owner])
-        centre, radius = _centre_and_radius(triangles)
+        radius = _centre_and_radius(triangles)[1]
 
 
 def _centre_and_radius(triangles: Floats) -> tuple[Floats, Floats]:

@@ -6,7 +6,9 @@ import pytest
 import trimesh
 
 from cell.deviation import deviation
+from cell.face_blocks import FaceBlocks
 from cell.nearest import NearestSurface
+from planner.closest import squared_distance
 from planner.surface import TriangleMesh
 
 
@@ -82,6 +84,43 @@ def test_distance_equals_brute_force(name: str) -> None:
     assert (closest.weights >= 0).all()
     np.testing.assert_allclose(closest.weights.sum(axis=1), 1, atol=1e-12)
     np.testing.assert_allclose(np.einsum("nc,ncj->nj", closest.weights, corners), closest.point, atol=1e-12 * size)
+
+
+def test_where_thousands_of_faces_are_about_as_near_the_distance_is_exact() -> None:
+    """On the medial axis, at the very middle, far away, on corners and on edges: exact, and without huge arrays."""
+    ball, torus = trimesh.creation.icosphere(4, 0.1), trimesh.creation.torus(0.1, 0.03, 48, 48)
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ring = 0.1 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    rng = np.random.default_rng(7)
+    away = rng.normal(size=(40, 3))
+    for solid, axis in ((ball, np.zeros((40, 3))), (torus, ring)):
+        mesh = _mesh(solid)
+        edges = mesh.vertices[mesh.faces[:40, [0, 1]]].mean(axis=1)
+        points = np.concatenate(
+            [axis, axis + 1e-3 * away, [mesh.vertices.mean(axis=0)], 5 * away, mesh.vertices[:40], edges]
+        )
+        found = NearestSurface(mesh).closest(points)
+        np.testing.assert_allclose(found.distance, _brute(points, mesh), rtol=1e-13, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_pruning_keeps_the_closest_triangle_and_drops_most(name: str) -> None:
+    """Of each point all triangles that are the closest remain, whatever is known of the distance; few others do."""
+    mesh = _mesh(MESHES[name])
+    triangles = mesh.vertices[mesh.faces]
+    blocks = FaceBlocks(triangles)
+    points = np.random.default_rng(8).uniform(-0.3, 0.3, (60, 3))
+    faces = np.arange(len(triangles))
+    exact = np.array([squared_distance(point, triangles, faces) for point in points]) ** 0.5
+    for reach in (np.full(60, np.inf), exact.min(axis=1)):
+        kept = np.zeros(exact.shape, dtype=bool)
+        for row, face in blocks.pairs(points, reach, 1e-12):
+            assert (np.diff(row) >= 0).all()
+            kept[row, face] = True
+        assert kept[np.arange(60), exact.argmin(axis=1)].all()
+        assert kept[exact <= exact.min(axis=1)[:, None]].all()
+        if len(faces) > 1000:
+            assert kept.mean() < 0.1
 
 
 def test_distance_equals_fcl() -> None:
