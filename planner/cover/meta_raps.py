@@ -24,8 +24,8 @@ from planner.errors import PlannerError
 class MetaRapsParameters:
     """Parameters of Meta-RaPS, named as in the paper.
 
-    The defaults are those of an open implementation of the procedure for set cover; the paper tunes them per family of
-    instances, so treat them as a start.
+    The defaults are those of an open implementation of the procedure for set cover; they were not checked against
+    the paper's own table.
 
     Attributes:
         priority: probability of taking a best column; the rest is the degree of randomisation.
