@@ -16,7 +16,9 @@ from cell.narrator import ProgressCallback
 from cell.pose_error import Disturbance
 from cell.scan_scene import ScanScene
 from drivers.clock import Clock
+from drivers.commands import Move, Result
 from drivers.contract import Driver, RobotState
+from drivers.limits import refuse
 from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
 from planner.ports import Floats
 from planner.timing import Motion, retime
@@ -130,7 +132,7 @@ def run(
         Time that the controller took for the moves [s].
 
     Raises:
-        DriverFailureError: if the arm does not stand where the plan begins.
+        DriverFailureError: if the arm does not stand where the plan begins, or the controller would refuse a leg.
         DriverError: whatever the driver raises.
     """
     began = clock.now()
@@ -142,7 +144,7 @@ def run(
     try:
         state = driver.state()
         say("connected", controller=driver.capabilities.controller, axes_deg=to_deg(state.axes).tolist())
-        _require_at(legs.start, state)
+        require_drivable(legs, driver, scene.speed)
         for number, leg in enumerate(legs.legs, start=1):
             set_points = leg.set_points
             say("move", leg=number, stop=leg.stop, via_points=len(set_points))
@@ -157,7 +159,10 @@ def run(
             if progress:
                 progress(number, len(legs.legs))
     except BaseException as error:
-        say("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", reason=str(error))
+        if isinstance(error, KeyboardInterrupt):
+            say("interrupted", reason="stopped by Ctrl-C")
+        else:
+            say("failed", reason=str(error))
         raise
     say("done")
     return moving
@@ -214,6 +219,33 @@ def _drive(driver: Driver, set_points: SetPoints, speed: float) -> RobotState:
     for first in range(0, len(set_points), most):
         state = driver.move(set_points[first : first + most], min(speed, driver.capabilities.max_speed))
     return state
+
+
+def require_drivable(legs: Legs, driver: Driver, speed: float) -> None:
+    """Check start, limits, steps and speed of all legs against the controller, before anything moves.
+
+    Args:
+        legs: what is to be driven.
+        driver: connected.
+        speed: fraction of the axis speeds.
+
+    Raises:
+        DriverFailureError: if the arm stands elsewhere, or the controller would refuse a leg.
+        DriverError: if the state cannot be read.
+    """
+    able, state = driver.capabilities, driver.state()
+    _require_at(legs.start, state)
+    stands = state.axes
+    for number, leg in enumerate(legs.legs, start=1):
+        points = leg.set_points
+        most = able.max_via or len(points)
+        for first in range(0, len(points), most):
+            move = Move(points[first : first + most], min(speed, able.max_speed))
+            result, detail = refuse(move, stands, able)
+            if result is not Result.OK:
+                goal = f"to view {leg.stop}" if leg.stop else "home"
+                raise DriverFailureError(f"the controller refuses move {number} ({goal}): {detail}; nothing was moved")
+            stands = move.set_points[-1]
 
 
 def _require_at(start: Floats, state: RobotState) -> None:

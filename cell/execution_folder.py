@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell import process
 from cell.errors import FileError
 from cell.execution_reader import FOLDER
 from cell.run_folder import SCHEMA, RunFolder, versions
@@ -78,6 +79,7 @@ class ExecutionFolder(RunFolder):
                 "plan": run.manifest.get("artefacts", {}).get("plan.json", ""),
                 "versions": versions(),
                 "seconds": {},
+                **process.this_process(),
             },
         )
         folder._write_manifest()
@@ -87,7 +89,8 @@ class ExecutionFolder(RunFolder):
     def reopen(cls, path: Path, manifest: Mapping[str, Any]) -> "ExecutionFolder":
         """An execution that was made before, to make its report anew."""
         seconds = {name: took for name, took in manifest.get("seconds", {}).items() if name == EXECUTING}
-        return cls(path, path, {"schema": SCHEMA, **manifest, "seconds": seconds}, "start", dict(manifest.get("artefacts", {})))
+        entries = {"schema": SCHEMA, **manifest, "seconds": seconds}
+        return cls(path, path, entries, "start", dict(manifest.get("artefacts", {})))
 
     def note(self, **entries: Any) -> None:
         """Put entries into the manifest."""
@@ -138,6 +141,11 @@ class ExecutionFolder(RunFolder):
         """Take away an artefact that an earlier report made and this one has no data for."""
         (self.path / name).unlink(missing_ok=True)
         self._artefacts.pop(name, None)
+
+    def _close(self, status: str, exit_code: int | None) -> None:
+        for name in process.KEYS:  # only while it is written
+            self.manifest.pop(name, None)
+        RunFolder._close(self, status, exit_code)
 
     def _on_disk(self, name: str, write: Callable[[Path], None]) -> None:
         with self._writing(name):

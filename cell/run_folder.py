@@ -158,7 +158,7 @@ class RunFolder:
         with self._writing(name):
             self._artefacts[name] = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
 
-    def finish(self, exit_code: int, status: str = "finished") -> Path:
+    def finish(self, exit_code: int | None, status: str = "finished") -> Path:
         """Complete the manifest and rename the folder to its final name.
 
         Returns:
@@ -179,7 +179,7 @@ class RunFolder:
             # The disk that failed the run may refuse the last manifest as well; the earlier one still names the stage.
             return
 
-    def _close(self, status: str, exit_code: int) -> None:
+    def _close(self, status: str, exit_code: int | None) -> None:
         self.manifest.update(status=status, exit_code=exit_code, artefacts=dict(sorted(self._artefacts.items())))
         self._write_manifest()
 

@@ -5,7 +5,7 @@ an execution that was stopped, is made by the same lines.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cell import cloud_files, execute, execution_report, run_reader, scan_driver, scan_scene
+from cell import cloud_files, execute, execution_report, process, run_reader, scan_driver, scan_scene
 from cell.deviation import deviation
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.execution_folder import EXECUTING, ExecutionFolder
@@ -39,7 +39,8 @@ class ScanOutcome:
 
     Attributes:
         folder: of the execution.
-        exit_code: 0, or 3 where a whole execution stays below the coverage that the plan requires.
+        exit_code: 0; 3 where a whole execution stays below the coverage that the plan requires; 6 where a report was
+            made of an execution that lacks views.
         summary: content of report.json.
     """
 
@@ -87,9 +88,14 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
     seed = options.seed if options.seed is not None else int(run.manifest["seed"])
     driver, clock = scan_driver.prepare(options, motion, scene.speed)
     kept = options.kept() | {"scanner": dict(scene.scanner_parameters)}
-    folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
-    work = _Work(run, folder, narrator)
-    with folder.kept_on_failure(), _drivers_errors_as_ours():
+    with ExitStack() as connected:
+        with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
+            connected.enter_context(driver)
+            execute.require_drivable(legs, driver, scene.speed)
+        folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
+        connected.enter_context(folder.kept_on_failure())
+        connected.enter_context(_drivers_errors_as_ours())
+        work = _Work(run, folder, narrator)
         if options.view is not None:
             _write_motion(folder, legs.motion(motion))
         with work.step(EXECUTING) as progress, driver:
@@ -117,6 +123,11 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     run = _finished(run_folder)
     recorded = read_execution(run, execution)
     ended = str(recorded.manifest.get("status", "running"))
+    if ended == "running" and process.lives(recorded.manifest):
+        raise FileError(
+            f"execution {recorded.folder.name} is still running (process {recorded.manifest['pid']}); wait until it "
+            "ends, or stop it with Ctrl-C"
+        )
     if ended != "finished":
         narrator.note(
             f"execution {recorded.folder.name} did not finish (its status is '{ended}'); what is there is used"
@@ -125,10 +136,17 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     options = folder.manifest.get("options", {})
     scene = scan_scene.load(run, options.get("resolution_deg"))
     # The status tells how the execution ended, not how its report did.
-    status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.get("exit_code", 0)
+    status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.get("exit_code")
     summary = _results(_Work(run, folder, narrator), scene, run_reader.motion(run), recorded)
     for sentence in summary["left_out"]:
         narrator.note(sentence)
+    if summary["missing_views"]:
+        here = summary["n_views"]
+        narrator.note(
+            f"the execution is incomplete: {here} of {here + len(summary['missing_views'])} views are there; "
+            "the report says what is there"
+        )
+        return ScanOutcome(folder.finish(exit_code, status), FileError.exit_code, summary)
     code = _exit_code(summary, scene)
     return ScanOutcome(folder.finish(code if ended == "finished" else exit_code, status), code, summary)
 

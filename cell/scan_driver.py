@@ -10,6 +10,7 @@ from drivers.errors import DriverError
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_deg
+from drivers.sim import SimDriver
 from planner.timing import Motion
 
 
@@ -37,13 +38,15 @@ def prepare(options: ScanOptions, motion: Motion, speed: float) -> tuple[Driver,
     if options.realtime and not simulated:
         raise UsageError(f"--realtime is for sim://; {options.driver} takes the time that it takes")
     own_clock = not simulated or query.get("realtime", "0").lower() not in ("0", "false", "no", "off")
-    clock: Clock = RealTimeClock() if own_clock or options.realtime else SimulatedClock()
     if simulated and "start" not in query and "://" in url:
         start = ",".join(f"{angle:.4f}" for angle in to_deg(from_rad(motion.via_q[0])))
         url += ("&" if "?" in url else "?") + f"start={start}"
     lim = motion.limits
     limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / speed, lim.acceleration)
+    given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
     try:
-        return open_driver(url, Context(clock=None if own_clock else clock, limits=limits)), clock
+        driver = open_driver(url, Context(clock=given, limits=limits))
+        # A simulated controller has one clock, with its time_scale; of another one only real time is known.
+        return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
     except DriverError as error:
         raise DriverFailureError(str(error)) from error

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import scan_command
-from cell.errors import FileError
+from cell import process, scan_command
+from cell.errors import DriverFailureError, FileError
 from cell.execution_reader import execution_ids, read_execution, read_scan
 from cell.narrator import Narrator
 from cell.run_record import RunRecord, open_run
@@ -347,6 +347,37 @@ def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: P
         assert json.loads(path.read_text())["status"] == "incomplete"
 
 
+@pytest.mark.skipif(os.name != "posix", reason="processes")
+def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process_is(copied: Path) -> None:
+    """With the entries of a process that lives, nothing is touched; of one that ended, the report is made."""
+    path = copied / "executions" / "0001" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    here = process.this_process()
+    entries = {"pid": child.pid, "pid_began": process._stat(child.pid)[1], "machine": here["machine"]}
+    for living in (here, entries):
+        path.write_text(json.dumps({**manifest, **living}))
+        before = path.read_bytes()
+        with pytest.raises(FileError, match=f"still running .process {living['pid']}"):
+            _remake(copied)
+        assert path.read_bytes() == before
+    assert not process.lives({**here, "machine": here["machine"] + "-other"})
+    child.communicate()
+    assert not process.lives(entries)
+    assert _remake(copied)["complete"]
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [("sim://?start=0,-80,90,0,90,0", "nothing was moved"), ("sim://?max_step_deg=0.01", "refuses move 1")],
+)
+def test_what_the_controller_refuses_leaves_no_execution(planned: Path, url: str, words: str) -> None:
+    """Start and steps of all legs are checked before a folder is made."""
+    with pytest.raises(DriverFailureError, match=words):
+        _scan(planned, driver=url)
+    assert not (planned / "executions").exists()
+
+
 def test_executions_are_those_with_a_number_in_order_of_it(tmp_path: Path) -> None:
     """10000 comes after 9999; a folder or file of another name is no execution, so "latest" is the highest number."""
     for name in ("9999", "10000", "0002", "notes", "0001.bak"):
@@ -363,6 +394,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
     shutil.rmtree(folder / "scans")
     (folder / "scans").mkdir()
     summary = _remake(copied)
+    assert scan_command.report(copied, "0001", Narrator(quiet_stdout=True)).exit_code == 6
     assert summary["missing_views"] == list(range(1, summary["n_views_planned"] + 1))
     assert summary["coverage"]["visible"] == 0
     assert not list(folder.glob("*.png"))
@@ -397,11 +429,17 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
         assert manifest["status"] == "running"
     there = len(list((folder / "scans").glob("*.npz")))
     done = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 6, done.stderr
     summary = json.loads(done.stdout)
     assert 1 <= summary["n_views"] == there < summary["n_views_planned"]
     assert summary["missing_views"] == list(range(there + 1, summary["n_views_planned"] + 1))
     assert "did not finish" in done.stderr
+    said = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are there; the report says what"
+    assert said in done.stderr
+    after = json.loads((folder / "manifest.json").read_text())
+    ended = ("interrupted", 130) if how == signal.SIGINT else ("incomplete", None)
+    assert (after["status"], after["exit_code"]) == ended
+    assert "pid" not in after
 
 
 @pytest.mark.parametrize(

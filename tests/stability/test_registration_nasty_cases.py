@@ -178,7 +178,7 @@ def test_outliers_of_one_percent_do_not_pull() -> None:
 
 
 def test_a_large_error_on_a_surface_with_features_is_found() -> None:
-    """8 mm aside on a model of 60 mm: kept as reported by the usual reach; with 10 mm it comes back to 2 micrometres."""
+    """8 mm aside on a model of 60 mm: kept as reported by the usual reach; with 10 mm of it, 2 micrometres are left."""
     scan = ScanCloud(_patch("saddle and ripples") + np.array([0.008, 0.004, 0.0]), SENSOR)
     doubted = register([scan], _model("saddle and ripples"), samples=500).scans[0]
     assert doubted.status is RegistrationStatus.TOO_FAR

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell import execute
+from cell import execute, scan_driver
 from cell.embree import EmbreeRayCaster
 from cell.errors import DriverFailureError, UsageError
 from cell.execution_folder import ExecutionFolder
@@ -18,6 +18,7 @@ from cell.kinematics import Kr16Kinematics
 from cell.pose_error import Disturbance
 from cell.run_folder import SCHEMA
 from cell.run_record import RunRecord
+from cell.scan_options import ScanOptions
 from cell.scan_scene import ScanScene
 from cell.scanners.laser_area import LaserArea
 from drivers.clock import SimulatedClock
@@ -246,7 +247,8 @@ def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> N
 
 
 @pytest.mark.parametrize(
-    ("error", "event"), [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")]
+    ("error", "event"),
+    [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")],
 )
 def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
     error: BaseException, event: str, folder: ExecutionFolder
@@ -261,7 +263,7 @@ def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
         _run(Recorded(before=fail), _tour(), folder)
     assert sorted(path.name for path in (folder.path / "scans").iterdir()) == ["0001.npz", "0002.npz"]
     last = _events(folder)[-1]
-    assert (last["event"], last["reason"]) == (event, str(error))
+    assert (last["event"], last["reason"]) == (event, str(error) or "stopped by Ctrl-C")
 
 
 def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder: ExecutionFolder) -> None:
@@ -275,6 +277,14 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
         )  # fmt: skip
     assert seconds == pytest.approx(motion.duration, abs=1e-6 * len(motion.via_q))
     assert _events(folder)[-1]["t_s"] == pytest.approx(motion.duration, abs=1e-4)
+
+
+def test_the_clock_of_events_is_the_controllers_own() -> None:
+    """With a time scale there is one clock, so that times of events and of moves are the controller's."""
+    for url in ("sim://?realtime=1&time_scale=50", "sim://"):
+        driver, clock = scan_driver.prepare(ScanOptions(driver=url), _tour(), 1.0)
+        assert clock is driver.clock
+        assert clock.simulated == (url == "sim://")
 
 
 def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
