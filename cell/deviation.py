@@ -2,11 +2,11 @@
 
 The deviation of a point of the mesh is its distance to the closest point of the reference, positive outside the part.
 The numbers (rms, 95 %, mean) are over area-weighted samples of the mesh, so that a region of many small faces counts no
-more than its area; the largest is over samples and vertices. What the mesh lacks does not show here: that is coverage.
-Object frame, metres.
+more than its area; the largest is over samples and vertices. Faces that close holes are invented, so they have numbers
+of their own. What the mesh lacks does not show here: that is coverage. Object frame, metres.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +23,10 @@ _BINS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deviation:
-    """Signed deviation of a mesh from the reference, positive outside.
+    """Signed deviation of a mesh from the reference, positive outside; of its measured faces but for `closed`.
 
     Attributes:
-        at_vertices: (V,) signed deviation of each vertex of the mesh [m], for colouring.
+        at_vertices: (V,) signed deviation of each vertex of the whole mesh [m], for colouring.
         rms: root of the area-weighted mean square [m].
         mean: area-weighted mean [m]; a mesh that is too large all over has it near the rms.
         quantile_95: 95 % of the mesh's area deviate by no more than this, without sign [m].
@@ -34,6 +34,7 @@ class Deviation:
         histogram: (B,) share of the area in each bin; the outer bins also hold what lies beyond them.
         bin_edges: (B + 1,) [m], symmetric about zero.
         sample_count: how many samples stand for the area.
+        closed: the same of the faces that close holes; None where there are none.
     """
 
     at_vertices: Floats
@@ -44,6 +45,7 @@ class Deviation:
     histogram: Floats
     bin_edges: Floats
     sample_count: int
+    closed: "Deviation | None" = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "at_vertices", readonly("at_vertices", self.at_vertices, (None,)))
@@ -52,7 +54,12 @@ class Deviation:
 
 
 def deviation(
-    mesh: TriangleMesh, reference: TriangleMesh | NearestSurface, rng: np.random.Generator, *, count: int = 100_000
+    mesh: TriangleMesh,
+    reference: TriangleMesh | NearestSurface,
+    rng: np.random.Generator,
+    *,
+    closed: NDArray[np.bool_] | None = None,
+    count: int = 100_000,
 ) -> Deviation:
     """Measure the mesh against the reference.
 
@@ -60,16 +67,27 @@ def deviation(
         mesh: the reconstructed surface, object frame.
         reference: the part, object frame; a `NearestSurface` of it saves building that again.
         rng: source of randomness of the samples.
-        count: number of area-weighted samples, > 0.
+        closed: (F,) True for faces that close a hole; None where there are none.
+        count: number of area-weighted samples, > 0; the closing faces get a tenth as many.
 
     Raises:
-        PlannerError: if `count` is not positive or the mesh has no area.
+        PlannerError: if `count` is not positive or the measured or the closing faces have no area.
     """
     nearest = reference if isinstance(reference, NearestSurface) else NearestSurface(reference)
+    at_vertices = nearest.signed(mesh.vertices, nearest.closest(mesh.vertices))
+    if closed is None or not closed.any():
+        return _of_faces(mesh, at_vertices, nearest, rng, count)
+    measured = _of_faces(TriangleMesh(mesh.vertices, mesh.faces[~closed]), at_vertices, nearest, rng, count)
+    invented = TriangleMesh(mesh.vertices, mesh.faces[closed])
+    return replace(measured, closed=_of_faces(invented, at_vertices, nearest, rng, -(-count // 10)))
+
+
+def _of_faces(
+    mesh: TriangleMesh, at_vertices: Floats, nearest: NearestSurface, rng: np.random.Generator, count: int
+) -> Deviation:
+    """The numbers of a mesh whose vertices are measured already."""
     samples = area_samples(mesh, count, rng)
-    points = np.concatenate([mesh.vertices, samples])
-    signed = nearest.signed(points, nearest.closest(points))
-    at_vertices, over_area = signed[: len(mesh.vertices)], signed[len(mesh.vertices) :]
+    over_area = nearest.signed(samples, nearest.closest(samples))
     used = np.unique(mesh.faces)
     quantile = float(np.quantile(np.abs(over_area), 0.95))
     limit = 1.5 * quantile if quantile > 0 else 1e-9  # a mesh that is exactly the reference still needs bins

@@ -99,13 +99,7 @@ def execution_summary(
         },
         "deviation": None
         if deviation is None
-        else {
-            "rms_mm": _mm(deviation.rms),
-            "mean_mm": _mm(deviation.mean),
-            "quantile_95_mm": _mm(deviation.quantile_95),
-            "largest_mm": _mm(deviation.largest),
-            "samples": deviation.sample_count,
-        },
+        else {**_numbers(deviation), "closed": None if deviation.closed is None else _numbers(deviation.closed)},
         "motion": {"planned_s": planned_seconds, "executed_s": executed_seconds},
     }
 
@@ -128,6 +122,16 @@ def _view(k: int, scan: ExecutedScan, merged: Merged, achieved: Achieved) -> dic
         "pose_error_after_deg": _deg(turn_after),
         "registration": None if registered is None else registered.sentence,
         "free_directions": 0 if registered is None else len(registered.free),
+    }
+
+
+def _numbers(deviation: Deviation) -> dict[str, Any]:
+    return {
+        "rms_mm": _mm(deviation.rms),
+        "mean_mm": _mm(deviation.mean),
+        "quantile_95_mm": _mm(deviation.quantile_95),
+        "largest_mm": _mm(deviation.largest),
+        "samples": deviation.sample_count,
     }
 
 

@@ -176,7 +176,7 @@ def _results(work: _Work, scene: ScanScene, motion: Motion, recorded: RecordedEx
         reached = achieved(scans, views, plan["coverage"]["visible"], cloud.cloud, scene, int(run.manifest["seed"]))
         off = None
         if model.mesh is not None:
-            off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]))
+            off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
 
     with work.step("report"):
         legs = execute.legs_of(motion, options.get("view"))

@@ -250,18 +250,23 @@ def test_closed_holes_are_marked_and_said(copied: Path) -> None:
     body = (outcome.folder / "mesh.ply").read_bytes().partition(b"end_header\n")[2]
     faces = np.frombuffer(body[24 * model["vertices"] :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
     assert faces["closed"].sum() == model["closed_faces"]
-    assert "invented" in (outcome.folder / "report.md").read_text()
+    apart = outcome.summary["deviation"]["closed"]
+    page = (outcome.folder / "report.md").read_text()
+    assert "invented, not measured, marked `closed` in mesh.ply, and not part of the deviation below" in page
+    assert f"deviate by {apart['rms_mm']:.4f} mm rms, by {apart['largest_mm']:.4f} mm at most" in page
 
 
 def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
     """The scanner stands metres off: every scan is empty, nothing is measured, there is no surface, all is said."""
     outcome = _scan(copied, pose_error_mm=5000.0, view=1)
     assert outcome.summary["n_points"] == 0
+    assert outcome.summary["registration"]["left_as_reported"] == 1
     assert outcome.summary["coverage"]["visible"] == outcome.summary["coverage"]["sampled"] == 0
     assert outcome.summary["deviation"] is None
     text = (outcome.folder / "report.md").read_text()
     assert "View 1 saw nothing of the part." in text
     assert "No surface" in text
+    assert "1 scan of 1 could not be registered and stayed at the reported pose" in text
     assert not (outcome.folder / "mesh.ply").exists()
 
 
@@ -298,6 +303,7 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
     text = (copied / "executions" / "0001" / "report.md").read_text()
     assert "Not complete" in text
     assert "view 2, 3" in text
+    assert "Left out: scans/0002.npz" in text
     assert str(copied) not in text
     manifest = json.loads((copied / "executions" / "0001" / "manifest.json").read_text())
     assert manifest["status"] == "incomplete"
@@ -311,6 +317,7 @@ def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path
     _rewrite(path, points=read_scan(path).points + 1e-3)
     summary = _remake(run)
     assert summary["missing_views"] == [1]
+    assert "Scan view 1 again (`cell scan RUN --view 1`)" in (run / "executions" / "0001" / "report.md").read_text()
     assert "is not what the execution wrote" in summary["left_out"][0]
 
 
@@ -376,6 +383,36 @@ def test_what_the_controller_refuses_leaves_no_execution(planned: Path, url: str
     with pytest.raises(DriverFailureError, match=words):
         _scan(planned, driver=url)
     assert not (planned / "executions").exists()
+
+
+def test_the_columns_of_the_table_of_scans_add_up_to_the_rays(copied: Path) -> None:
+    """Points and reasons of each row sum to the 3600 rays, with reasons that the usual scanner never gives as well."""
+    path = copied / "executions" / "0001" / "scans" / "0002.npz"
+    counts = read_scan(path).stored["counts"].copy()
+    moved = int(counts[Rejection.NO_HIT]) // 2
+    counts[Rejection.NO_HIT] -= moved
+    counts[Rejection.OUT_OF_SENSOR_FOV] += moved
+    assert moved > 0
+    _rewrite(path, counts=counts)
+    summary = _remake(copied)
+    lines = (copied / "executions" / "0001" / "report.md").read_text().partition("## Scans in driving order")[2]
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines.splitlines() if line.startswith("|")]
+    points = table[0].index("points")
+    assert "outside the sensor's field of view" in table[0]
+    assert "too uncertain" not in table[0]
+    assert len(table) == 2 + summary["n_views"]
+    for row in table[2:]:
+        assert sum(int(cell.replace(",", "")) for cell in row[points:]) == 3600
+
+
+@pytest.mark.parametrize("entry", [{"seed": "three"}, {"seed": -1}, {"artefacts": []}, {"status": 5}])
+def test_a_damaged_value_in_the_manifest_of_the_plan_is_a_file_error(copied: Path, entry: dict[str, Any]) -> None:
+    """One sentence that names the entry, for a new scan as for a report."""
+    path = copied / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **entry}))
+    for work in (_scan, _remake):
+        with pytest.raises(FileError, match=f"its {next(iter(entry))} is"):
+            work(copied)
 
 
 def test_executions_are_those_with_a_number_in_order_of_it(tmp_path: Path) -> None:

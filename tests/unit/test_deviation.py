@@ -39,6 +39,24 @@ def test_area_counts_not_faces() -> None:
     assert result.histogram[result.bin_edges[:-1] > 0.0005].sum() == pytest.approx(0.5, abs=1e-3)
 
 
+def test_closing_faces_are_counted_apart() -> None:
+    """A square with a lid 3 mm above: the square deviates by nothing, the lid by 3 mm, and colours cover both."""
+    flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
+    mesh = TriangleMesh(
+        np.concatenate([flat, flat + np.array([0, 0, 0.003])]), [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    )
+    reference = TriangleMesh(flat, [[0, 1, 2], [0, 2, 3]])
+    closed = np.array([False, False, True, True])
+    result = deviation(mesh, reference, np.random.default_rng(3), closed=closed, count=1000)
+    assert (result.rms, result.largest) == pytest.approx((0, 0), abs=1e-15)
+    assert result.closed is not None
+    assert [result.closed.rms, result.closed.mean, result.closed.largest] == pytest.approx([0.003] * 3)
+    np.testing.assert_allclose(result.at_vertices, np.repeat([0, 0.003], 4), atol=1e-15)
+    none = deviation(mesh, reference, np.random.default_rng(3), closed=np.zeros(4, dtype=bool), count=1000)
+    assert none.closed is None
+    assert none.rms == pytest.approx(0.003 / np.sqrt(2))
+
+
 def test_samples_lie_on_the_mesh_and_follow_its_area() -> None:
     """Each sixth of a cube's area holds a sixth of the samples to within one or two strata."""
     points = area_samples(REFERENCE, 6000, np.random.default_rng(2))
