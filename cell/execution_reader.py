@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run_reader import motion_of
-from cell.run_record import RunRecord, file_bytes, npz, read_json, understood
+from cell.run_record import RunRecord, file_bytes, npz, read_manifest, understood
 from planner.errors import PlannerError
 from planner.ports import Floats
 from planner.readonly import readonly
@@ -102,7 +102,7 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
     unreadable: list[str] = []
     if (folder / "manifest.json").is_file():
         try:
-            manifest = _manifest(folder / "manifest.json")
+            manifest = read_manifest(folder / "manifest.json")
         except FileError as error:
             unreadable.append(f"{error}; the report is made without it")
     for path in sorted((folder / "scans").glob("*.npz")):
@@ -119,23 +119,6 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
         except FileError as error:
             unreadable.append(str(error))
     return RecordedExecution(folder, manifest, tuple(scans), recorded, tuple(unreadable))
-
-
-def _manifest(path: Path) -> Mapping[str, Any]:
-    """The manifest of an execution, its entries of the kinds that a report relies on.
-
-    Raises:
-        FileError: if it is not JSON, or an entry is of another kind.
-    """
-    manifest = read_json(path)
-    kinds: dict[str, tuple[type, ...]] = {
-        "status": (str,), "seed": (int,), "options": (dict,), "artefacts": (dict,), "seconds": (dict,), "pid": (int,),
-        "moving_s": (int, float), "exit_code": (int, type(None)),
-    }  # fmt: skip
-    for name, kind in kinds.items():
-        if name in manifest and not isinstance(manifest[name], kind):
-            raise FileError(f"{path} is damaged: its {name} is {manifest[name]!r}")
-    return manifest
 
 
 def read_scan(path: Path) -> RecordedScan:

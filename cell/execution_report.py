@@ -1,7 +1,23 @@
 """The page of an execution, made from the summary in its report.json. It holds no clock value."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+_COARSE = 0.02  # of the part's diagonal: a surface that reaches farther from its points is called interpolated
+
+_REASONS = {
+    "no_hit": "nothing hit",
+    "out_of_fov": "outside the field of view",
+    "out_of_range": "too far or near",
+    "grazing_source": "laser grazing",
+    "grazing_sensor": "sensor grazing",
+    "source_blocked": "other thing hit",
+    "sensor_blocked": "shadow",
+    "out_of_depth": "out of depth of field",
+    "out_of_sensor_fov": "outside the sensor's field of view",
+    "too_uncertain": "too uncertain",
+}
+"""Columns of the table of scans by the names of `Rejection`; those that no scan has are left away."""
 
 
 def markdown(summary: Mapping[str, Any]) -> str:
@@ -43,7 +59,17 @@ def _opening(summary: Mapping[str, Any]) -> str:
         )
     else:
         text += f" No surface: {summary['model']['status']}."
-    return text
+    left = left_as_reported(summary)
+    return f"{text} {left[:1].upper()}{left[1:]}." if left else text
+
+
+def left_as_reported(summary: Mapping[str, Any]) -> str:
+    """How many scans registration left at their reported pose, in words; "" where it left none."""
+    registration = summary["registration"]
+    if registration is None or not registration["left_as_reported"]:
+        return ""
+    count = registration["left_as_reported"]
+    return f"{_number(count, 'scan')} of {summary['n_views']} could not be registered and stayed at the reported pose"
 
 
 def _missing(summary: Mapping[str, Any]) -> str:
@@ -51,8 +77,16 @@ def _missing(summary: Mapping[str, Any]) -> str:
     if summary["missing_views"]:
         views = ", ".join(str(stop) for stop in summary["missing_views"])
         parts.append(f"No usable scan of view {views}.")
-    parts += [sentence[:1].upper() + sentence[1:] + "." for sentence in summary["left_out"]]
+        parts.append(_again(summary["missing_views"]))
+    if summary["left_out"]:
+        parts.append("Left out: " + "; ".join(summary["left_out"]) + ".")
     return " ".join(parts)
+
+
+def _again(views: Sequence[int]) -> str:
+    if len(views) == 1:
+        return f"Scan view {views[0]} again (`cell scan RUN --view {views[0]}`)."
+    return "Scan again (`cell scan RUN`)."
 
 
 def _table(summary: Mapping[str, Any]) -> list[str]:
@@ -110,8 +144,13 @@ def _model(summary: Mapping[str, Any]) -> list[str]:
         "mesh.ply, and not part of the deviation below. They deviate by "
         f"{deviation['closed']['rms_mm']:.4f} mm rms, by {deviation['closed']['largest_mm']:.4f} mm at most."
         if model["closed_faces"]
-        else "Holes stay holes: nothing was invented where nothing was measured."
+        else f"Holes stay holes: no surface is farther than {model['reach_mm']:.3g} mm from a measured point."
     )
+    if model["reach_mm"] > _COARSE * model["diagonal_mm"]:
+        closed += (
+            f" The points are far apart for a part of {model['diagonal_mm']:.0f} mm: the surface is interpolated over "
+            f"gaps up to {model['reach_mm']:.3g} mm; a finer `--resolution` measures more of it."
+        )
     return [
         *lines,
         f"{model['faces']:,} faces from points {model['spacing_mm']:.3g} mm apart, on a grid of "
@@ -172,20 +211,15 @@ def _registration(summary: Mapping[str, Any]) -> list[str]:
 def _views(summary: Mapping[str, Any]) -> list[str]:
     if not summary["views"]:
         return []
-    lines = [
-        "## Scans in driving order",
-        "",
-        "| view | candidate | points | adds % of surface | nothing hit | too far or near | grazing "
-        "| other thing hit, or shadow | reported - commanded deg |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    reasons = [name for name in _REASONS if any(view["rays"][name] for view in summary["views"])]
+    names = ["view", "candidate", "adds % of surface", "reported - commanded deg", "points"]
+    names += [_REASONS[name] for name in reasons]
+    lines = ["## Scans in driving order", "", f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
     for view in summary["views"]:
-        rays = view["rays"]
-        lines.append(
-            f"| {view['stop']} | {view['id']} | {view['points']:,} | {100 * view['adds']:.2f} | {rays['no_hit']:,} | "
-            f"{rays['out_of_range']:,} | {rays['grazing_source'] + rays['grazing_sensor']:,} | "
-            f"{rays['source_blocked'] + rays['sensor_blocked']:,} | {view['reported_minus_commanded_deg']:.4f} |"
-        )
+        cells = [str(view["stop"]), str(view["id"]), f"{100 * view['adds']:.2f}"]
+        cells += [f"{view['reported_minus_commanded_deg']:.4f}", f"{view['points']:,}"]
+        lines.append(f"| {' | '.join([*cells, *(format(view['rays'][name], ',') for name in reasons)])} |")
+    lines += ["", "Points and the columns behind them add up to the rays of a scan."]
     empty = [str(view["stop"]) for view in summary["views"] if not view["points"]]
     if empty:
         lines += ["", f"View {', '.join(empty)} saw nothing of the part."]

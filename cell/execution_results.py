@@ -55,8 +55,9 @@ class ExecutedScan:
     counts: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        for name in ("T_reported", "T_true"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
+        # A sentence names the array as the file does.
+        for name, stored in (("T_reported", "T_object_scanner"), ("T_true", "T_object_scanner_true")):
+            object.__setattr__(self, name, readonly(stored, getattr(self, name), (4, 4)))
         if not 0 < len(self.counts) <= len(Rejection):  # reasons are appended: an older scan has fewer
             raise ValueError(f"it has {len(self.counts)} counts of rays; there must be 1 to {len(Rejection)}")
         object.__setattr__(self, "counts", (*self.counts, *[0] * (len(Rejection) - len(self.counts))))

@@ -8,7 +8,7 @@ import numpy as np
 from cell.deviation import Deviation
 from cell.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason
 from cell.pose_error import difference
-from cell.reconstruct import Reconstruction
+from cell.reconstruct import REACH, Reconstruction
 from cell.scan_scene import ScanScene
 
 
@@ -86,6 +86,7 @@ def execution_summary(
             "rms_after_mm": _mm(registration.rms_after),
             "iterations": registration.iterations,
             "overlapping_pairs": len(registration.overlaps),
+            "left_as_reported": sum(not scan.is_corrected for scan in registration.scans),
         },
         "model": {
             "status": model.status.value,
@@ -93,6 +94,8 @@ def execution_summary(
             "faces": 0 if model.mesh is None else len(model.mesh.faces),
             "closed_faces": int(model.closed.sum()),
             "spacing_mm": _mm(model.spacing),
+            "reach_mm": _mm(REACH * model.spacing),
+            "diagonal_mm": _mm(float(np.linalg.norm(np.ptp(scene.reference.vertices, axis=0)))),
             "grid_mm": _mm(model.grid),
             "outliers": model.outliers,
             "holes": model.holes,

@@ -89,6 +89,8 @@ class Narrator:
 
     def scan_table(self, outcome: "ScanOutcome") -> None:
         """The summary of an execution."""
+        from cell.execution_report import left_as_reported
+
         summary = outcome.summary
         coverage, deviation, registration = summary["coverage"], summary["deviation"], summary["registration"]
         motion, cloud = summary["motion"], summary["cloud"]
@@ -112,6 +114,8 @@ class Narrator:
                 f"points to reference {cloud['rms_to_reference_as_reported_mm']:.4f} mm rms as reported, "
                 f"{cloud['rms_to_reference_mm']:.4f} mm registered",
             )
+            if left := left_as_reported(summary):
+                table.add_row("", left)
         table.add_row(
             "surface",
             summary["model"]["status"]

@@ -23,6 +23,12 @@ from cell.errors import FileError
 from cell.run_folder import SCHEMA
 from planner.errors import PlannerError
 
+_KINDS: Mapping[str, tuple[Any, str]] = {
+    "status": (str, "a word"), "stage": (str, "a word"), "seed": (int, "a whole number"),
+    "options": (dict, "an object"), "artefacts": (dict, "an object"), "seconds": (dict, "an object"),
+    "pid": (int, "a whole number"), "moving_s": (int | float, "a number"), "exit_code": (int, "a whole number"),
+}  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
@@ -68,7 +74,7 @@ def open_run(folder: Path) -> RunRecord:
     path = folder / "manifest.json"
     if not path.is_file():
         raise FileError(f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made")
-    manifest = _json(path, file_bytes(path))
+    manifest = read_manifest(path)
     schema = manifest.get("schema")
     if schema != SCHEMA:
         if isinstance(schema, str) and schema.startswith("scan-cell/run/"):
@@ -142,6 +148,22 @@ def read_json(path: Path) -> dict[str, Any]:
         FileError: if it is missing or is not a JSON object.
     """
     return _json(path, file_bytes(path))
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """A manifest.json, its entries of the kinds that readers rely on; any entry may be missing.
+
+    Raises:
+        FileError: if it cannot be read, is not JSON, or an entry is of another kind.
+    """
+    manifest = read_json(path)
+    for name, (kind, said) in _KINDS.items():
+        value = manifest.get(name)
+        if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
+            raise FileError(f"{path} is damaged: its {name} is {value!r}; it must be {said}")
+    if (manifest.get("seed") or 0) < 0:
+        raise FileError(f"{path} is damaged: its seed is {manifest['seed']}; it must be 0 or more")
+    return manifest
 
 
 def file_bytes(path: Path) -> bytes:
