@@ -70,6 +70,21 @@ def test_nothing_is_invented_beyond_two_spacings(views: int) -> None:
     assert longest < np.sqrt(3) * 2 * result.grid
 
 
+@pytest.mark.parametrize("noise", [0.0, 50e-6, 300e-6])
+def test_nothing_is_invented_on_a_displaced_ball_with_a_hole_and_noise(noise: float) -> None:
+    """Off the origin, with a cap missing and noisy: all of the mesh is within two spacings of the cloud as given."""
+    whole = merge([_ball_scan(view, 0.3, noise, i) for i, view in enumerate(VIEWS)])
+    keep = whole.points[:, 2] < RADIUS * np.cos(np.radians(20))
+    aside = np.array([0.71, -0.32, 0.43])
+    cloud = PointCloud(whole.points[keep] + aside, whole.normals[keep], whole.scan[keep])
+    result = reconstruct(cloud)
+    mesh = _mesh_of(result)
+    assert result.holes >= 1
+    spread = area_samples(mesh, 100_000, np.random.default_rng(1))
+    distance = cKDTree(cloud.points).query(np.concatenate([mesh.vertices, spread]))[0]
+    assert 1.2 * result.spacing < distance.max() <= 2 * result.spacing
+
+
 def test_a_hole_stays_a_hole_and_closing_it_is_marked() -> None:
     """A cap of 40 degrees that no ray met stays open; asked for, it is closed by faces that are marked."""
     cloud = merge([_ball_scan(view) for view in VIEWS])
