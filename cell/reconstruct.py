@@ -3,7 +3,9 @@
 The grid is filled only along the surface: first the corners of the cells that hold a point, then from cell to cell
 across faces on which the sign changes, until no datum is near. Marching cubes (scikit-image) turns the filled cells
 into faces, each vertex is put on the implicit surface, and what is farther than two point spacings from any datum is
-cut away: holes stay holes. Object frame, metres.
+cut away: holes stay holes. Up to that cut the surface does run on past the last data: the border of a sheet whose
+edges no ray met, and the rim of a hole, get a strip of surface up to two spacings wide that was not measured
+and is not marked. Object frame, metres.
 """
 
 from dataclasses import dataclass
