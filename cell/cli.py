@@ -282,8 +282,8 @@ def replay(
     "cell scan sim_runs/trial --pose-error 0.5,0.1 --range-noise 0.02 --seed 4\n\n"
     "cell scan sim_runs/trial --view 3 --resolution 0.5 --realtime\n\n"
     "cell scan sim_runs/trial --report 0001\n\n"
-    "Exit codes: 0 done, 2 usage, 3 below the plan's required coverage, 5 driver, 6 files or run folder, 70 bug, "
-    "130 Ctrl-C."
+    "Exit codes: 0 done, 2 usage, 3 below the plan's required coverage, 5 driver, 6 files or run folder (also: "
+    "a report of an execution that lacks views), 70 bug, 130 Ctrl-C."
 )
 def scan(
     run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
