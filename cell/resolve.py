@@ -12,6 +12,7 @@ import numpy as np
 from cell.errors import SceneError
 from cell.scene import Scene
 from cell.workpiece import Workpiece
+from planner.viewpoints import enclosing_radius
 
 # part: planning faces, standoff [mm], baseline [mm]; the faces are the paper's (Tables 1 and 2), changed only with a
 # line in CHANGELOG.md.
@@ -65,7 +66,7 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
             f"least {_LEAST_CLEARANCE_MM:g}"
         )
     built_in = _DEFAULTS.get(part.name) if scene.part.path is None else None
-    radius_mm = 1000 * float(np.linalg.norm(part.reference.vertices - part.centre, axis=1).max())
+    radius_mm = 1000 * enclosing_radius(part.reference, part.centre)
     standoffs_mm = _standoffs_mm(scene, built_in, radius_mm)
     near, far = scene.scanner.range_mm or (_RANGE_SHARES[0] * min(standoffs_mm), _RANGE_SHARES[1] * max(standoffs_mm))
     for standoff in standoffs_mm:

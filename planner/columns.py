@@ -48,18 +48,6 @@ def join_reach(parts: Sequence[Reach]) -> Reach:
     )
 
 
-def pick_reach(reached: Reach, which: NDArray[np.integer]) -> Reach:
-    """Reach of some viewpoints: (n,) rows in the order that is wanted."""
-    counts = np.diff(reached.offsets)[which]
-    rows = [reached.q_of(int(viewpoint)) for viewpoint in which]
-    return Reach(
-        reached.verdict[which],
-        np.concatenate([np.empty((0, 6)), *rows]),
-        np.concatenate([[0], np.cumsum(counts)]),
-        tuple(reached.blocker[int(viewpoint)] for viewpoint in which),
-    )
-
-
 def join_measurability(parts: Sequence[Measurability]) -> Measurability:
     """M with the columns of all parts, which have the same features; with its sigma where every part has it.
 

@@ -75,36 +75,6 @@ def visible(
     return _coverage(measured(T_object_scanner, samples, scanner, casters, progress=progress), samples)
 
 
-def coverable(
-    plan: Coverage,
-    T_object_scanner: Floats,
-    samples: SurfaceSamples,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
-) -> Coverage:
-    """What the plan's views or any reachable candidate measures; only samples that the plan leaves open are tested.
-
-    Args:
-        plan: visible coverage of a plan whose views are among the candidates.
-        T_object_scanner: (n, K, 4, 4) the reachable candidates [m].
-        samples: the same as the plan's.
-        scanner: the sensor's law.
-        casters: the reference's caster and those of occluders, object frame.
-
-    Raises:
-        PlannerError: if the plan was judged on another number of samples.
-    """
-    if len(plan.covered) != len(samples):
-        raise PlannerError(
-            f"the plan's coverage is of {len(plan.covered)} samples and {len(samples)} were given; "
-            "they must be the same"
-        )
-    still_open = np.flatnonzero(~plan.covered)
-    covered = plan.covered.copy()
-    covered[still_open] = measured(T_object_scanner, _some(samples, still_open), scanner, casters)
-    return _coverage(covered, samples)
-
-
 def sampling_radius(reference: TriangleMesh) -> float:
     """Radius of sampled coverage [m]: 1 % of the diagonal of the part's bounding box."""
     return RADIUS_SHARE * float(np.linalg.norm(np.ptp(reference.vertices, axis=0)))
@@ -137,13 +107,3 @@ def _coverage(covered: NDArray[np.bool_], samples: SurfaceSamples) -> Coverage:
     if not len(samples):
         raise PlannerError("there are no samples; coverage is a share of at least one")
     return Coverage(covered, float(samples.areas[covered].sum()), float(samples.areas.sum()))
-
-
-def _some(samples: SurfaceSamples, chosen: NDArray[np.integer]) -> SurfaceSamples:
-    return SurfaceSamples(
-        samples.points[chosen],
-        samples.normals[chosen],
-        samples.areas[chosen],
-        samples.face[chosen],
-        samples.planning_face[chosen],
-    )

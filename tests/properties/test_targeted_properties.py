@@ -219,6 +219,3 @@ def test_columns_are_joined_and_picked_alike():
     reaches = [_reach(np.zeros(n), rng.random(n) < 0.5) for n in (4, 6)]
     both = columns.join_reach(reaches)
     assert both.verdict.tolist() == [*reaches[0].verdict, *reaches[1].verdict]
-    picked = columns.pick_reach(both, np.array([9, 0, 4]))
-    assert picked.verdict.tolist() == both.verdict[[9, 0, 4]].tolist()
-    assert [len(picked.q_of(i)) for i in range(3)] == [len(both.q_of(i)) for i in (9, 0, 4)]

@@ -7,7 +7,6 @@ from cell.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner import coverage
 from planner.errors import PlannerError
-from planner.measurability import measured
 from planner.surface import SurfaceSamples, TriangleMesh, sample
 from planner.viewpoints import optimal_scanning_zone
 
@@ -68,8 +67,8 @@ def test_no_scan_point_covers_nothing_and_broken_input_is_refused():
         coverage.sampled(np.zeros((1, 3)), samples, 0.0)
 
 
-def test_visible_and_coverable_coverage_of_a_slab():
-    """A view from above measures the top; the candidates together measure all but what none of them can see."""
+def test_visible_coverage_of_a_slab():
+    """Views from above measure the top; views from above and from the side all but the bottom."""
     slab = _slab()
     caster = EmbreeRayCaster(slab.vertices, slab.faces)
     samples = sample(slab, slab, 5000, np.random.default_rng(0))
@@ -77,37 +76,6 @@ def test_visible_and_coverable_coverage_of_a_slab():
     above = candidates[candidates[:, 0, 2, 3] > 0.2]
     plan = coverage.visible(above, samples, SCANNER, [caster])
     assert plan.fraction == pytest.approx((samples.normals[:, 2] > 0.9).mean(), abs=1e-12)
-    reachable = candidates[candidates[:, 0, 2, 3] > 0]  # not from below
-    best = coverage.coverable(plan, reachable, samples, SCANNER, [caster])
-    assert (best.covered == (plan.covered | measured(reachable, samples, SCANNER, [caster]))).all()
+    best = coverage.visible(candidates[candidates[:, 0, 2, 3] > 0], samples, SCANNER, [caster])
     assert best.fraction == pytest.approx((samples.normals[:, 2] > -0.9).mean(), abs=1e-12)
     assert best.total_area == plan.total_area
-
-
-def test_coverable_tests_only_open_samples():
-    """A caster that counts sees no leg to a sample that the plan covers."""
-    slab = _slab()
-    caster = EmbreeRayCaster(slab.vertices, slab.faces)
-    samples = sample(slab, slab, 500, np.random.default_rng(0))
-    covered = np.ones(500, dtype=bool)
-    covered[::100] = False
-    targets = []
-
-    class _Counting:
-        def first_hit(self, origins, directions):
-            raise AssertionError("aiming casts no first hits")
-
-        def blocked(self, origins, targets_):
-            targets.append(targets_)
-            return caster.blocked(origins, targets_)
-
-    candidates = optimal_scanning_zone(slab, [0.3], [0.0]).T_object_scanner
-    coverage.coverable(coverage.Coverage(covered, 1.0, 1.0), candidates, samples, SCANNER, [_Counting()])
-    asked = np.concatenate(targets)
-    distance = np.linalg.norm(asked[:, None] - samples.points[::100], axis=2).min(axis=1)
-    assert len(asked) > 0
-    assert distance.max() < 1e-6
-    with pytest.raises(PlannerError, match="500 samples and 5"):
-        coverage.coverable(
-            coverage.Coverage(covered, 1.0, 1.0), candidates, _samples(np.zeros((5, 3)), np.ones(5)), SCANNER, [caster]
-        )
