@@ -15,17 +15,15 @@ from cell.cloud import PointCloud, ScanCloud, merge
 from cell.errors import FileError
 from cell.execution_reader import RecordedExecution, RecordedScan
 from cell.nearest import NearestSurface
+from cell.prediction import held_out
 from cell.registration import Registration, register
 from cell.run_reader import RecordedView
 from cell.run_record import file_bytes, understood
 from cell.scan_scene import ScanScene
-from planner import coverage, measurability, surface
+from planner import coverage, measurability
 from planner.ports import Floats, Rejection
 from planner.readonly import readonly
 from planner.surface import SurfaceSamples
-
-HELD_OUT = 1
-"""Stream of randomness of the plan's held-out samples; coverage achieved is measured on the same samples."""
 
 _CLOUD_SAMPLES = 40_000  # points whose distance to the reference stands for that of all
 
@@ -222,9 +220,7 @@ def achieved(
         scene: part, surroundings and scanner.
         plan_seed: seed of the plan, from which its held-out samples were drawn.
     """
-    samples = surface.sample(
-        scene.reference, scene.planning, coverage.SAMPLES, np.random.default_rng([plan_seed, HELD_OUT])
-    )
+    samples = held_out(scene.reference, scene.planning, plan_seed)
     measured = _measured([scan.T_true for scan in scans], samples, scene)
     predicted = planned_visible
     if sorted(scan.stop for scan in scans) != list(range(1, len(planned) + 1)):

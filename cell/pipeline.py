@@ -25,14 +25,14 @@ from cell.mesh_checks import Kind
 from cell.narrator import Narrator, ProgressCallback
 from cell.occluders import Occluder, occluder_triangles
 from cell.plan_summary import draw, plan_summary
-from cell.prediction import Prediction
+from cell.prediction import Prediction, held_out
 from cell.resolve import Settings, resolve
 from cell.run_folder import SCHEMA, RunFolder
 from cell.scene import Scene
 from cell.view_plan import select_and_connect
 from cell.workpiece import Workpiece
 from cell.world import compile as compile_world
-from planner import coverage, measurability, reach, surface, timing
+from planner import measurability, reach, surface, timing
 from planner.measurability import Measurability
 from planner.ports import Scanner
 from planner.reach import Reach
@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 
 _ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
-_FEATURES, _HELD_OUT, _SELECTION, _MOTION = range(4)
+_FEATURES, _SELECTION, _MOTION = 0, 2, 3  # 1 is `cell.prediction.HELD_OUT_STREAM`
 """Streams of randomness: each step draws from its own, so that one step's appetite does not change another's draws."""
 
 
@@ -182,8 +182,8 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             plan_files.write_reach(run.folder, reached)
         candidates = scanners.swept(scanner, candidates)
         plan_files.write_measurability(run.folder, M)
-        held_out = surface.sample(reference, planning, coverage.SAMPLES, run.rng(_HELD_OUT))
-        prediction = Prediction.of(held_out, judge, casters, candidates.T_object_scanner[reached.reachable], progress)
+        samples = held_out(reference, planning, run.seed)
+        prediction = Prediction.of(samples, judge, casters, candidates.T_object_scanner[reached.reachable], progress)
 
     with run.step("select, order and connect") as progress:
         limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)

@@ -6,11 +6,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import coverage
+from planner import coverage, surface
 from planner.coverage import Coverage
 from planner.measurability import measured
 from planner.ports import Floats, RayCaster, Scanner
-from planner.surface import SurfaceSamples
+from planner.surface import SurfaceSamples, TriangleMesh
+
+HELD_OUT_STREAM = 1
+"""Stream of randomness of the held-out samples: plan, execution and `cell why` speak of the same ones."""
+
+
+def held_out(
+    reference: TriangleMesh, planning: TriangleMesh, seed: int, count: int = coverage.SAMPLES
+) -> SurfaceSamples:
+    """The samples on which coverage is predicted and achieved, not those that the optimiser sees.
+
+    Args:
+        reference: the part [m], object frame.
+        planning: its decimated copy.
+        seed: the plan's.
+        count: how many; the definition of coverage has 100,000.
+    """
+    return surface.sample(reference, planning, count, np.random.default_rng([seed, HELD_OUT_STREAM]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

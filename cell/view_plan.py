@@ -214,7 +214,7 @@ def select_and_connect(
 
 
 _TOLD = 3  # candidates whose reasons are given when none is left
-_RAISES = 6  # of the target; each closes the gap that the held-out samples show, so one or two do
+_RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
 
 
@@ -230,13 +230,13 @@ def _covering(
     rng: np.random.Generator,
 ) -> tuple[Cover, float]:
     """The cover that keeps the coverage on the held-out samples, and its target on the samples of the matrix."""
-    matrix, target = M.matrix(), coverage
-    for _ in range(_RAISES):
+    matrix, target, raises = M.matrix(), coverage, 0
+    while True:
         chosen = cover.solve(
             matrix, M.features.areas, reached.reachable, rng=rng, coverage=target, solver=solver, banned=banned
         )
         short = coverage - prediction.share_of_coverable(candidates.T_object_scanner[chosen.views])
         if target >= 1 or short <= 0:  # full coverage of the matrix's samples is all that can be asked of it
-            break
-        target = min(1.0, target + short + _STEP)
-    return chosen, target
+            return chosen, target
+        raises += 1
+        target = 1.0 if raises == _RAISES else min(1.0, target + short + _STEP)

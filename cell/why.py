@@ -20,12 +20,13 @@ from cell import run_reader, scan_scene, why_files
 from cell.embree import EmbreeRayCaster
 from cell.errors import FileError, UsageError
 from cell.occluders import occluder_triangles
+from cell.prediction import held_out
 from cell.run_record import RunRecord, open_run, understood
 from cell.run_world import world_of
 from cell.why_changes import Changes, one_caster
 from cell.why_groups import detail, grouped
 from cell.why_search import Named, search
-from planner import coverage, surface, why
+from planner import coverage, why
 from planner.legs import Indices, Targets
 from planner.ports import Scanner
 from planner.quality import Limited
@@ -37,8 +38,6 @@ from planner.why import Diagnosis
 
 if TYPE_CHECKING:
     from cell.narrator import Narrator
-
-_HELD_OUT = 1  # the stream of randomness of the samples that the plan's coverage is predicted on (cell.pipeline)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,8 +155,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         scanner, max_sigma = _law(run, resolved, scene.scanner)
         part_caster, occluder_caster = scene.part_caster, one_caster(pieces)
     with narrator.stage("what stays open"):
-        rng = np.random.default_rng([int(run.manifest["seed"]), _HELD_OUT])
-        samples = surface.sample(scene.reference, scene.planning, count, rng)
+        samples = held_out(scene.reference, scene.planning, int(run.manifest["seed"]), count)
         targets = Targets.of(samples.points, samples.normals)
         views = np.stack([view.T_object_scanner for view in run_reader.views(run)])[:, None]
         if candidates.T_object_scanner.shape[1] > 1:
