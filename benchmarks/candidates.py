@@ -19,18 +19,18 @@ import numpy as np
 import trimesh
 
 from benchmarks.parts import meshes
-from cell import candidates as generators
-from cell import workpiece
-from cell.collision import MujocoCollisionChecker
-from cell.embree import EmbreeRayCaster
-from cell.kinematics import Kr16Kinematics
-from cell.matrix import surface_features
-from cell.occluders import occluder_triangles
-from cell.resolve import resolve
+from cell.part import workpiece
+from cell.plan import candidates as generators
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import surface_features
+from cell.rays.occluders import occluder_triangles
+from cell.robot.kinematics import Kr16Kinematics
 from cell.scanners.laser_area import LaserArea
-from cell.scene import load_scene
+from cell.scene.resolve import resolve
+from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
-from cell.world import compile as compile_world
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import compile as compile_world
 from planner import cover, coverage, measurability, reach, surface
 from planner.cover import Cover
 from planner.measurability import Measurability

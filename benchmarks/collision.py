@@ -15,11 +15,11 @@ import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
-from cell import workpiece
-from cell.collision import MujocoCollisionChecker
-from cell.scene import Scene
-from cell.world import World
-from cell.world import compile as compile_world
+from cell.part import workpiece
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 
 _COUNT = 20_000
 _COMPARED = 1_500

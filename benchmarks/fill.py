@@ -19,11 +19,11 @@ import numpy as np
 import trimesh
 
 from cell import stand_ins
-from cell.embree import EmbreeRayCaster
-from cell.resolve import resolve
+from cell.part.workpiece import load
+from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from cell.scene import load_scene
-from cell.workpiece import load
+from cell.scene.resolve import resolve
+from cell.scene.scene import load_scene
 from planner import cover, coverage, surface
 from planner.closest import closest_face
 from planner.measurability import Measurability, fill

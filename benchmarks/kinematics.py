@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.kinematics import BRANCHES, Kr16Kinematics
+from cell.robot.kinematics import BRANCHES, Kr16Kinematics
 from planner.setpoints import setpoints
 
 POSES = 100_000

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from cell import workpiece
-from cell.embree import EmbreeRayCaster
+from cell.part import workpiece
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from cell.virtual_scan import scan
 from planner import cover, coverage, surface
 from planner.closest import closest_face
 from planner.measurability import Measurability, fill

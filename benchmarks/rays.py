@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.embree import HAIR, EmbreeRayCaster
+from cell.rays.embree import HAIR, EmbreeRayCaster
 from planner.ports import Floats
 from planner.surface import TriangleMesh, face_normals
 
@@ -31,12 +31,12 @@ _MARGIN = 1e-6  # of the part's size
 _FILL = """
 import json, resource, sys, time
 import numpy as np
-import cell.embree
-from cell.embree import EmbreeRayCaster
-from cell.resolve import resolve
+import cell.rays.embree
+from cell.rays.embree import EmbreeRayCaster
+from cell.scene.resolve import resolve
 from cell.scanners.laser_area import LaserArea
-from cell.scene import load_scene
-from cell.workpiece import load
+from cell.scene.scene import load_scene
+from cell.part.workpiece import load
 from planner import legs, measurability, surface
 from planner.viewpoints import optimal_scanning_zone
 

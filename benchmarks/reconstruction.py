@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cell.cloud import ScanCloud, merge, point_spacing
-from cell.deviation import Deviation, deviation
-from cell.embree import EmbreeRayCaster
-from cell.nearest import NearestSurface
-from cell.reconstruct import REACH, reconstruct
-from cell.registration import RegistrationStatus, register
+from cell.part.workpiece import Workpiece, load
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import scan
+from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
+from cell.reconstruction.deviation import Deviation, deviation
+from cell.reconstruction.nearest import NearestSurface
+from cell.reconstruction.reconstruct import REACH, reconstruct
+from cell.reconstruction.registration import RegistrationStatus, register
 from cell.scanners.laser_area import LaserArea
-from cell.virtual_scan import scan
-from cell.workpiece import Workpiece, load
 from planner.surface import TriangleMesh
 
 Floats = NDArray[np.float64]

@@ -25,14 +25,16 @@ from scipy.spatial import cKDTree
 
 from benchmarks.checks import independent_visible
 from benchmarks.parts import parts, place
-from cell import execute, run_reader, scan_driver
-from cell.embree import EmbreeRayCaster
-from cell.execution_folder import EXECUTING
-from cell.run_record import open_run
-from cell.scan_options import ScanOptions
+from cell.part.workpiece import load
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import scan
+from cell.run import reader as run_reader
+from cell.run.record import open_run
+from cell.scan import driver as scan_driver
+from cell.scan import execute
+from cell.scan.execution_folder import EXECUTING
+from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
-from cell.virtual_scan import scan
-from cell.workpiece import load
 
 RESOLUTION_DEG = "0.25"
 POSE_ERROR = "0.5,0.1"

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from cell import virtual_scan
-from cell.embree import EmbreeRayCaster
-from cell.pose_error import Disturbance
-from cell.resolve import resolve
+from cell.part.workpiece import load
+from cell.rays import virtual_scan
+from cell.rays.embree import EmbreeRayCaster
+from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
-from cell.scene import load_scene
-from cell.workpiece import load
+from cell.scene.resolve import resolve
+from cell.scene.scene import load_scene
 from planner import surface
 from planner.measurability import fill
 from planner.ports import Floats

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from cell import workpiece
-from cell.collision import MujocoCollisionChecker
-from cell.embree import EmbreeRayCaster
-from cell.kinematics import Kr16Kinematics
-from cell.matrix import part_matrix, surface_features
-from cell.resolve import resolve
+from cell.part import workpiece
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import part_matrix, surface_features
+from cell.robot.kinematics import Kr16Kinematics
 from cell.scanners.laser_area import LaserArea
-from cell.scene import Scene
-from cell.world import compile as compile_world
+from cell.scene.resolve import resolve
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import compile as compile_world
 from planner import cover, coverage, reach, surface, viewpoints
 
 # robot position [mm], viewpoints, views, cover % of the paper's rows

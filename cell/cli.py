@@ -14,9 +14,9 @@ from typing import Annotated, Any
 
 import typer
 
-from cell import options
+from cell.commands import options
+from cell.commands.failures import INTERRUPTED, guarded
 from cell.errors import UsageError
-from cell.failures import INTERRUPTED, guarded
 
 app = typer.Typer(
     add_completion=False,
@@ -139,9 +139,9 @@ def plan(
     ] = False,
 ) -> None:
     """Plan the views that measure a part: which, whether the robot reaches them, in which order, along which motion."""
-    from cell.narrator import Narrator
-    from cell.pipeline import plan as run_plan
-    from cell.scene import load_scene
+    from cell.commands.narrator import Narrator
+    from cell.plan.pipeline import plan as run_plan
+    from cell.scene.scene import load_scene
 
     tables: dict[str, dict[str, Any]] = {"part": {}, "placement": {}, "plan": {}}
     if part is not None:
@@ -200,9 +200,9 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
-    from cell.check import check_scene
-    from cell.narrator import Narrator
-    from cell.scene import load_scene
+    from cell.commands.narrator import Narrator
+    from cell.scene.scene import load_scene
+    from cell.world.check import check_scene
 
     tables: dict[str, dict[str, Any]] = {"part": {}, "placement": {}}
     if part is not None:
@@ -224,8 +224,8 @@ def sensors(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """List the real sensors that a scene may name, what is known of each, and what you have to give."""
-    from cell import sensors as library
-    from cell.run_folder import SCHEMA
+    from cell.run.folder import SCHEMA
+    from cell.scene import sensors as library
 
     if as_json:
         known = [library.load(name).summary() for name in library.names()]
@@ -263,9 +263,9 @@ def replay(
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of frames and picture in pixels.")] = "960x720",
 ) -> None:
     """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
-    from cell.narrator import Narrator
-    from cell.replay import ReplayOptions
-    from cell.replay import replay as run_replay
+    from cell.commands.narrator import Narrator
+    from cell.replay.replay import ReplayOptions
+    from cell.replay.replay import replay as run_replay
 
     width, cross, height = size.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
@@ -345,9 +345,9 @@ def scan(
     ] = False,
 ) -> None:
     """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
-    from cell import scan_command
-    from cell.narrator import Narrator
-    from cell.scan_options import ScanOptions
+    from cell.commands.narrator import Narrator
+    from cell.scan import scan as scan_command
+    from cell.scan.options import ScanOptions
 
     errors = options.numbers("--pose-error", pose_error) or [0.0, 0.0]
     if len(errors) != 2:
@@ -390,8 +390,8 @@ def why(
     ] = False,
 ) -> None:
     """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
-    from cell.narrator import Narrator
-    from cell.why import explain
+    from cell.commands.narrator import Narrator
+    from cell.why.explain import explain
 
     narrator = Narrator(quiet_stdout=as_json)
     outcome = explain(run, narrator, samples=samples)

@@ -6,8 +6,8 @@ no candidate of the base set measures is then aimed at: one surface point after 
 from its normal to the grazing limit, from several standoffs in the scanner's range, at four rolls. The limits are asked
 of the scanner's own law, so they are those of any scanner.
 
-This file makes candidates; whether they are reached and what they measure is asked by `cell.candidates`. Object frame,
-metres, radians.
+This file makes candidates; whether they are reached and what they measure is asked by `cell.plan.candidates`. Object
+frame, metres, radians.
 """
 
 from collections.abc import Sequence

@@ -19,7 +19,7 @@ from cell.errors import CellError, SceneError
 from planner.ports import Scanner
 
 if TYPE_CHECKING:
-    from cell.scene import Scene
+    from cell.scene.scene import Scene
     from planner.viewpoints import Viewpoints
 
 GROUP = "cell.scanners"
@@ -165,7 +165,7 @@ def note_what_is_not_planned(note: Callable[[str], None], scene: "Scene", scanne
             "first of them: the sweep itself is not in the motion yet, and the arm's own shadow along it is not judged"
         )
     if scene.scanner.sensor is not None and "size_mm" not in scene.housing.model_fields_set:
-        from cell import sensors
+        from cell.scene import sensors
 
         body = sensors.load(scene.scanner.sensor).figures.get("body_mm")
         stated = "its body is not stated" if body is None else f"its body is {' x '.join(f'{s:g}' for s in body)} mm"

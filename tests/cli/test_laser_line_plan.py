@@ -51,7 +51,7 @@ def test_the_whole_sweep_is_reachable_and_only_its_first_pose_is_in_the_motion(
     line_plan: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
     """The joint solutions are those of the first poses; a candidate of which a later pose fails is not reachable."""
-    from cell.kinematics import Kr16Kinematics
+    from cell.robot.kinematics import Kr16Kinematics
 
     run, _ = line_plan
     import mujoco

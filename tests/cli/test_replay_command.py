@@ -15,14 +15,14 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from cell import replay_marks as marks
-from cell import run_reader
+from cell.commands.narrator import Narrator
 from cell.errors import FileError, UsageError
-from cell.narrator import Narrator
-from cell.offscreen import PACKAGES, OffScreen, backend
-from cell.replay import ReplayOptions, load_show, replay
-from cell.replay_show import Show, show_what_is_seen
-from cell.run_record import open_run
+from cell.replay import marks
+from cell.replay.offscreen import PACKAGES, OffScreen, backend
+from cell.replay.replay import ReplayOptions, load_show, replay
+from cell.replay.show import Show, show_what_is_seen
+from cell.run import reader as run_reader
+from cell.run.record import open_run
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Floats = NDArray[np.float64]
@@ -274,8 +274,8 @@ import json, sys
 from pathlib import Path
 import numpy as np
 from PIL import ImageGrab
-from cell.narrator import Narrator
-from cell.replay import ReplayOptions, replay
+from cell.commands.narrator import Narrator
+from cell.replay.replay import ReplayOptions, replay
 
 ticks, oranges, places = [0.0], [], []
 

@@ -16,12 +16,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import process, scan_command
+from cell.commands.narrator import Narrator
 from cell.errors import DriverFailureError, FileError
-from cell.execution_reader import execution_ids, read_execution, read_scan
-from cell.narrator import Narrator
-from cell.run_record import RunRecord, open_run
-from cell.scan_options import ScanOptions
+from cell.run import process
+from cell.run.record import RunRecord, open_run
+from cell.scan import scan as scan_command
+from cell.scan.execution_reader import execution_ids, read_execution, read_scan
+from cell.scan.options import ScanOptions
 from planner.ports import Rejection
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell import run_reader, scan_scene
-from cell.run_record import open_run
+from cell.run import reader as run_reader
+from cell.run.record import open_run
+from cell.scan import scene as scan_scene
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

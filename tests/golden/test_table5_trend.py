@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cell import workpiece
-from cell.collision import MujocoCollisionChecker
-from cell.kinematics import Kr16Kinematics
-from cell.scene import Scene
-from cell.world import compile as compile_world
+from cell.part import workpiece
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import compile as compile_world
 from planner import reach, surface, viewpoints
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.collision import MujocoCollisionChecker
-from cell.scene import Scene, pose
-from cell.world import World
-from cell.world import compile as compile_world
+from cell.scene.scene import Scene, pose
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 
 PART = np.array(trimesh.creation.icosphere(2, 0.12).vertices) * [1.0, 0.5, 1.3] + [0.4, 0.0, -0.2]
 REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)

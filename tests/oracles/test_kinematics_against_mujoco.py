@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from cell import robot
-from cell.kinematics import Kr16Kinematics
+from cell.robot import model as robot
+from cell.robot.kinematics import Kr16Kinematics
 
 
 @pytest.fixture(scope="module")

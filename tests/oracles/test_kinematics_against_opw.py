@@ -4,7 +4,7 @@ import numpy as np
 from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
-from cell.kinematics import Kr16Kinematics
+from cell.robot.kinematics import Kr16Kinematics
 
 
 def test_both_solvers_find_the_same_branches():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.embree import EmbreeRayCaster
+from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
 from planner.measurability import Measurability, fill, measured, occlude

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cell.embree import EmbreeRayCaster
+from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.measurability import fill, occlude
 from planner.surface import TriangleMesh, sample

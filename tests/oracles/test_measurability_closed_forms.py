@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from cell.embree import EmbreeRayCaster
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from cell.virtual_scan import scan
 from planner.measurability import measured
 from planner.surface import SurfaceSamples, TriangleMesh, sample
 

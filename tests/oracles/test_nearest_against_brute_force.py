@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.deviation import deviation
-from cell.face_blocks import FaceBlocks
-from cell.nearest import NearestSurface
+from cell.reconstruction.deviation import deviation
+from cell.reconstruction.face_blocks import FaceBlocks
+from cell.reconstruction.nearest import NearestSurface
 from planner.closest import squared_distance
 from planner.surface import TriangleMesh
 

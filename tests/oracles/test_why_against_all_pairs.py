@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from cell.embree import EmbreeRayCaster
+from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner import why
 from planner.legs import Targets

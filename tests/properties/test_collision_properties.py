@@ -7,10 +7,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.collision import MujocoCollisionChecker
-from cell.scene import Scene, pose
-from cell.world import World
-from cell.world import compile as compile_world
+from cell.scene.scene import Scene, pose
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 
 PART = np.array(trimesh.creation.icosphere(3, 0.12).vertices) * [1.0, 0.6, 1.4]
 ANGLE = st.floats(-180, 180)

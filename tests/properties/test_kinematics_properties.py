@@ -2,8 +2,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.frames import kuka_abc_from_pose, pose_from_kuka_abc
-from cell.kinematics import Kr16Kinematics
+from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from cell.robot.kinematics import Kr16Kinematics
 
 KINEMATICS = Kr16Kinematics.load()
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from cell.embree import EmbreeRayCaster
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from cell.virtual_scan import scan
 from planner.legs import Targets, flat_poses, in_view
 from planner.measurability import fill, measured, occlude
 from planner.ports import Rejection

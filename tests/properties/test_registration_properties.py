@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from cell.cloud import ScanCloud
-from cell.nearest import NearestSurface
-from cell.registration import register
+from cell.reconstruction.cloud import ScanCloud
+from cell.reconstruction.nearest import NearestSurface
+from cell.reconstruction.registration import register
 from planner.surface import TriangleMesh
 
 _BOX = trimesh.creation.box((0.06, 0.04, 0.03)).subdivide().subdivide()

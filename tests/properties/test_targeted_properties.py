@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from cell import candidates as growing
-from cell.candidates import grow
-from cell.embree import EmbreeRayCaster
 from cell.errors import SceneError
+from cell.part.workpiece import load
+from cell.plan import candidates as growing
+from cell.plan.candidates import grow
+from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from cell.workpiece import load
 from planner import columns, coverage, measurability, surface, targeted, viewpoints
 from planner.legs import Targets
 from planner.reach import Reach, Verdict

@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import run_reader, why, why_files
-from cell.collision import MujocoCollisionChecker
-from cell.embree import EmbreeRayCaster
-from cell.kinematics import Kr16Kinematics
-from cell.narrator import Narrator
-from cell.occluders import occluder_triangles
-from cell.run_record import RunRecord, artefact, open_run
+from cell.commands.narrator import Narrator
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.occluders import occluder_triangles
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord, artefact, open_run
 from cell.scanners.laser_area import LaserArea
-from cell.scene import Scene, load_scene
-from cell.world import World
-from cell.world import compile as compile_world
+from cell.scene.scene import Scene, load_scene
+from cell.why import explain as why
+from cell.why import files as why_files
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 from planner import coverage, reach
 from planner.reasons import Reason
 from planner.viewpoints import Viewpoints, optimal_scanning_zone

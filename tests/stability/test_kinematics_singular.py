@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.kinematics import Kr16Kinematics
+from cell.robot.kinematics import Kr16Kinematics
 
 STRETCHED = -np.rad2deg(np.arctan2(0.035, 0.670))
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cell.embree import EmbreeRayCaster
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from cell.virtual_scan import scan
 from planner.measurability import fill, measured
 from planner.ports import Rejection
 from planner.surface import SurfaceSamples, TriangleMesh, sample

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.cloud import PointCloud, ScanCloud, merge
-from cell.reconstruct import ReconstructionStatus, reconstruct
+from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
+from cell.reconstruction.reconstruct import ReconstructionStatus, reconstruct
 
 SENSOR = np.array([0.0, 0.0, 0.3])
 

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from cell.cloud import ScanCloud
-from cell.freedom import FreeKind
-from cell.registration import RegistrationStatus, register
+from cell.reconstruction.cloud import ScanCloud
+from cell.reconstruction.freedom import FreeKind
+from cell.reconstruction.registration import RegistrationStatus, register
 from planner.errors import PlannerError
 from planner.surface import TriangleMesh
 

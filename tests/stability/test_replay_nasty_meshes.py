@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell import run_reader
-from cell.replay_look import VIEW_FACES
-from cell.replay_model import POINTS_SHOWN, dress
-from cell.run_record import open_run
+from cell.replay.look import VIEW_FACES
+from cell.replay.model import POINTS_SHOWN, dress
+from cell.run import reader as run_reader
+from cell.run.record import open_run
 from planner.surface import TriangleMesh
 
 _SQUARE = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], dtype=np.float64)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cell.cloud import ScanCloud, merge
-from cell.embree import EmbreeRayCaster
-from cell.reconstruct import ReconstructionStatus, reconstruct
-from cell.registration import RegistrationStatus, register
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import Scan, scan
+from cell.reconstruction.cloud import ScanCloud, merge
+from cell.reconstruction.reconstruct import ReconstructionStatus, reconstruct
+from cell.reconstruction.registration import RegistrationStatus, register
 from cell.scanners.laser_area import LaserArea
-from cell.virtual_scan import Scan, scan
 from planner.ports import Rejection
 from planner.surface import TriangleMesh
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import virtual_scan
-from cell.embree import EmbreeRayCaster
 from cell.errors import SceneError
+from cell.rays import virtual_scan
+from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.measurability import measured
 from planner.ports import Rejection

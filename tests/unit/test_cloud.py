@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.cloud import ScanCloud, estimate_normals, merge, point_spacing
+from cell.reconstruction.cloud import ScanCloud, estimate_normals, merge, point_spacing
 from planner.errors import PlannerError
 
 

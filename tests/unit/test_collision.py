@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.collision import DISTANCE_CAP, MujocoCollisionChecker
-from cell.scene import Scene
-from cell.world import World
-from cell.world import compile as compile_world
+from cell.scene.scene import Scene
+from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 from planner.errors import PlannerError
 
 PART = np.array(trimesh.creation.icosphere(3, 0.12).vertices)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.embree import EmbreeRayCaster
+from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner import coverage
 from planner.errors import PlannerError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.deviation import area_samples, deviation
+from cell.reconstruction.deviation import area_samples, deviation
 from planner.errors import PlannerError
 from planner.surface import TriangleMesh
 

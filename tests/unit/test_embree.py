@@ -6,8 +6,8 @@ import threading
 import numpy as np
 import pytest
 
-from cell.embree import HAIR, EmbreeRayCaster
 from cell.errors import CellError
+from cell.rays.embree import HAIR, EmbreeRayCaster
 
 SQUARE = (
     np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]),

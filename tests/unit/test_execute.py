@@ -9,17 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell import execute, scan_driver
-from cell.embree import EmbreeRayCaster
 from cell.errors import DriverFailureError, UsageError
-from cell.execution_folder import ExecutionFolder
-from cell.execution_reader import read_scan
-from cell.kinematics import Kr16Kinematics
-from cell.pose_error import Disturbance
-from cell.run_folder import SCHEMA
-from cell.run_record import RunRecord
-from cell.scan_options import ScanOptions
-from cell.scan_scene import ScanScene
+from cell.rays.embree import EmbreeRayCaster
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run.folder import SCHEMA
+from cell.run.record import RunRecord
+from cell.scan import driver as scan_driver
+from cell.scan import execute
+from cell.scan.execution_folder import ExecutionFolder
+from cell.scan.execution_reader import read_scan
+from cell.scan.options import ScanOptions
+from cell.scan.pose_error import Disturbance
+from cell.scan.scene import ScanScene
 from cell.scanners.laser_area import LaserArea
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cell.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from planner.errors import PlannerError
 
 

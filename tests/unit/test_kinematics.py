@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from cell.frames import kuka_abc_from_pose
-from cell.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
+from cell.robot.frames import kuka_abc_from_pose
+from cell.robot.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
 from planner.errors import PlannerError
 
 # A1..A6 [deg] -> flange X, Y, Z [mm], A, B, C [deg] and how many branches are real. Worked out by a chain of

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell import matrix
-from cell.embree import EmbreeRayCaster
-from cell.matrix import cache_folder, part_matrix
-from cell.resolve import resolve
-from cell.scene import load_scene
+from cell.part.workpiece import load
+from cell.rays import matrix
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import cache_folder, part_matrix
+from cell.scene.resolve import resolve
+from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
-from cell.workpiece import load
 from planner import measurability, surface
 from planner.columns import pick_viewpoints
 from planner.viewpoints import optimal_scanning_zone

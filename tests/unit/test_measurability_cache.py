@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.errors import FileError
-from cell.measurability_cache import FORMAT, column_hashes, load, row_key, save
+from cell.rays.matrix_cache import FORMAT, column_hashes, load, row_key, save
 from cell.scanners.laser_area import LaserArea
 from planner.measurability import Measurability
 from planner.surface import SurfaceSamples, TriangleMesh
@@ -183,7 +183,7 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path, parts, matrix, monkey
         stream.write(b"PK half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("cell.measurability_cache.np.savez", full)
+    monkeypatch.setattr("cell.rays.matrix_cache.np.savez", full)
     with pytest.raises(FileError, match="No space left"):
         save(path, matrix, key, column_hashes(parts[2]))
     assert load(path, key).measurability is not None

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cell.errors import SceneError
-from cell.own_view import hidden_share
-from cell.scene import Scene
-from cell.world import compile as compile_world
+from cell.scene.scene import Scene
+from cell.world.own_view import hidden_share
+from cell.world.world import compile as compile_world
 
 PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
 

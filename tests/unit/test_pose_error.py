@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cell.pose_error import Disturbance, difference, rotation
+from cell.scan.pose_error import Disturbance, difference, rotation
 
 
 def _pose(seed=1):

@@ -3,8 +3,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cell.frames import pose_from_kuka_abc
-from cell.kinematics import Kr16Kinematics
+from cell.robot.frames import pose_from_kuka_abc
+from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
 from planner.reach import Reach, Verdict, solve
 from planner.viewpoints import Viewpoints

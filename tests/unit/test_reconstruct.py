@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cell.cloud import PointCloud, ScanCloud, merge
-from cell.deviation import area_samples
-from cell.holes import boundary_loops
-from cell.reconstruct import Reconstruction, ReconstructionStatus, reconstruct
+from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
+from cell.reconstruction.deviation import area_samples
+from cell.reconstruction.holes import boundary_loops
+from cell.reconstruction.reconstruct import Reconstruction, ReconstructionStatus, reconstruct
 from planner.errors import PlannerError
 from planner.surface import TriangleMesh, face_areas, face_normals
 

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from cell.cloud import ScanCloud, merge
-from cell.embree import EmbreeRayCaster
-from cell.nearest import NearestSurface
-from cell.reconstruct import reconstruct
-from cell.registration import RegistrationStatus, register
+from cell.rays.embree import EmbreeRayCaster
+from cell.reconstruction.cloud import ScanCloud, merge
+from cell.reconstruction.nearest import NearestSurface
+from cell.reconstruction.reconstruct import reconstruct
+from cell.reconstruction.registration import RegistrationStatus, register
 from planner.errors import PlannerError
 from planner.surface import TriangleMesh
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell import replay_timeline
-from cell.execution_reader import RecordedExecution, RecordedScan
-from cell.replay_frames import frame_times
-from cell.replay_viewer import SPEEDS, Player
+from cell.replay import timeline as replay_timeline
+from cell.replay.frames import frame_times
+from cell.replay.viewer import SPEEDS, Player
+from cell.scan.execution_reader import RecordedExecution, RecordedScan
 from planner.ports import JointLimits
 from planner.timing import Motion, retime
 

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from cell.errors import SceneError
-from cell.resolve import resolve
-from cell.scene import Scene
-from cell.workpiece import Workpiece, from_mesh
+from cell.part.workpiece import Workpiece, from_mesh
+from cell.scene.resolve import resolve
+from cell.scene.scene import Scene
 
 TABLE = {
     "mseke": (930, 300.0, 75.0),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import cell
-from cell import robot
 from cell.errors import FileError, SceneError
+from cell.robot import model as robot
 
 # Bounds of the true links' surfaces in their own frames [mm], measured on CAD (models/README.md, step 4).
 TRUE_BOUNDS_MM = {

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import run_reader
 from cell.errors import FileError
-from cell.execution_reader import execution_ids, read_execution
-from cell.run_record import open_run
+from cell.run import reader as run_reader
+from cell.run.record import open_run
+from cell.scan.execution_reader import execution_ids, read_execution
 
 Blob = Callable[[int], trimesh.Trimesh]
 

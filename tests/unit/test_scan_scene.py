@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import plan_files, scan_scene, workpiece
 from cell.errors import FileError, UsageError
-from cell.occluders import occluder_triangles
-from cell.resolve import resolve
-from cell.run_folder import RunFolder
-from cell.run_record import RunRecord, open_run
-from cell.scan_scene import _occluders
+from cell.part import workpiece
+from cell.plan import files as plan_files
+from cell.rays.occluders import occluder_triangles
+from cell.run.folder import RunFolder
+from cell.run.record import RunRecord, open_run
+from cell.scan import scene as scan_scene
+from cell.scan.scene import _occluders
 from cell.scanners.laser_area import LaserArea
-from cell.scene import load_scene
-from cell.world import World
-from cell.world import compile as compile_world
+from cell.scene.resolve import resolve
+from cell.scene.scene import load_scene
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 from planner.surface import decimate
 
 SCENE = """
@@ -84,7 +86,7 @@ def _sorted(pieces) -> np.ndarray:
 def test_what_occludes_is_what_occluded_the_plan(written: tuple[RunRecord, World]) -> None:
     """Triangle by triangle: post, pedestal, floor, box on the part, mast, true mesh; not the one that is of glass."""
     run, world = written
-    from cell.run_reader import resolved_scene
+    from cell.run.reader import resolved_scene
 
     planned = occluder_triangles(world)
     assert {piece.name for piece in planned} == {"post", "pedestal", "floor", "clamp", "mast", "horn"}

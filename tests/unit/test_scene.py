@@ -7,8 +7,8 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from cell.errors import SceneError
-from cell.robot import model_file
-from cell.scene import BoxFixture, CylinderFixture, MeshFixture, Plan, Scene, load_scene, pose
+from cell.robot.model import model_file
+from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Plan, Scene, load_scene, pose
 
 
 def _load(tmp_path: Path, text: str, **options: dict) -> Scene:

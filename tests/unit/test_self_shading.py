@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import self_shading
-from cell.embree import EmbreeRayCaster
-from cell.kinematics import Kr16Kinematics
-from cell.occluders import Occluder, arm_triangles, box
+from cell.rays import self_shading
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.occluders import Occluder, arm_triangles, box
+from cell.rays.self_shading import SHADED_SHARE, Look, OwnArm, visible_with_arm
+from cell.robot.kinematics import Kr16Kinematics
 from cell.scanners.laser_area import LaserArea
-from cell.scene import Scene
-from cell.self_shading import SHADED_SHARE, Look, OwnArm, visible_with_arm
-from cell.world import World
-from cell.world import compile as compile_world
+from cell.scene.scene import Scene
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 from planner import surface
 from planner.measurability import Measurability, fill
 from planner.reach import Reach, Verdict
@@ -167,7 +167,7 @@ def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.Monk
 
 def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
     """And equal where the arm is away."""
-    from cell.prediction import Prediction
+    from cell.rays.prediction import Prediction
 
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
     M, reached, views = _cell(world)

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell import sensors
 from cell.errors import FileError, SceneError
-from cell.resolve import resolve
-from cell.scanner_table import keys_of
-from cell.scene import Scene, load_scene
-from cell.workpiece import load as load_part
+from cell.part.workpiece import load as load_part
+from cell.scene import sensors
+from cell.scene.resolve import resolve
+from cell.scene.scanner_table import keys_of
+from cell.scene.scene import Scene, load_scene
 
 
 def _problems(**scanner) -> list[str]:
@@ -138,7 +138,7 @@ def test_laser_area_without_more_keys_stays_what_it_was() -> None:
 )
 def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
     """With the file, the key and what is wrong with it."""
-    from cell.robot import model_file
+    from cell.robot.model import model_file
 
     text = model_file("sensors/gocator-2350.toml").read_text(encoding="utf-8")
     assert old in text

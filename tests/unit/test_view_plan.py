@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from cell.view_plan import _covering
+from cell.plan.view_plan import _covering
 
 
 def covered(asked: float, share_of_view: list[float]) -> tuple[int, float]:

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from cell.errors import CellError, FileError, UsageError
-from cell.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
+from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
 from planner.surface import face_areas
 
 

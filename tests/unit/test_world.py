@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell import robot
 from cell.errors import SceneError
-from cell.occluders import arm_triangles, occluder_triangles
-from cell.scene import Scene, pose
-from cell.scene_limits import impossible
-from cell.world import World
-from cell.world import compile as compile_world
-from cell.world_files import write_mjcf
+from cell.rays.occluders import arm_triangles, occluder_triangles
+from cell.robot import model as robot
+from cell.scene.limits import impossible
+from cell.scene.scene import Scene, pose
+from cell.world.files import write_mjcf
+from cell.world.world import World
+from cell.world.world import compile as compile_world
 
 OFFSET = np.array([3.0, -2.0, 1.0])  # the object frame's origin is far from the part
 PART = np.array(trimesh.creation.icosphere(2, 0.1).vertices) * [1.0, 0.7, 1.5] + OFFSET

@@ -1,0 +1,164 @@
+"""The part: load, check, scale to metres (Section 3.1).
+
+The reference mesh keeps the file's own axes and origin (the object frame) and is scaled to metres, not moved. A part's
+*centre* is the middle of its bounding box; that point is what a placement places.
+"""
+
+import difflib
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError, UsageError
+from cell.part.mesh_checks import Finding, Kind, Severity, repair
+from planner.readonly import readonly
+from planner.surface import TriangleMesh
+
+__all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "load"]
+
+Floats = NDArray[np.float64]
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+"""Metres in one unit of the file."""
+
+_PLAUSIBLE = (1e-3, 3.0)  # m, longest side: below, no laser scanner on this arm resolves it; above, it fits no cell
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Workpiece:
+    """A part to be scanned.
+
+    Attributes:
+        name: the file's stem, or the built-in part's name.
+        reference: the mesh, metres, object frame.
+        sha256: of the file's bytes; of the arrays for a built-in part.
+        findings: what the checks found and did, in plain sentences.
+        bounds: (2, 3) lowest and highest corner of the bounding box [m], object frame.
+        centre: (3,) middle of the bounding box [m], object frame.
+        T_object_centre: (4, 4) the centre as a frame, axes parallel to the object's.
+    """
+
+    name: str
+    reference: TriangleMesh
+    sha256: str
+    findings: tuple[Finding, ...] = ()
+    bounds: Floats = field(init=False)
+    centre: Floats = field(init=False)
+    T_object_centre: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        vertices = self.reference.vertices[np.unique(self.reference.faces)]
+        bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        T_object_centre = np.eye(4)
+        T_object_centre[:3, 3] = bounds.mean(axis=0)
+        object.__setattr__(self, "bounds", readonly("bounds", bounds, (2, 3)))
+        object.__setattr__(self, "centre", readonly("centre", bounds.mean(axis=0), (3,)))
+        object.__setattr__(self, "T_object_centre", readonly("T_object_centre", T_object_centre, (4, 4)))
+
+    @property
+    def size(self) -> Floats:
+        """(3,) sides of the bounding box [m]."""
+        sides: Floats = self.bounds[1] - self.bounds[0]
+        return sides
+
+
+def load(source: str | Path, units: str | None = None) -> Workpiece:
+    """A part from a mesh file, or a built-in one by its name.
+
+    Args:
+        source: a mesh file (.stl, .obj, .ply, .off, .glb) or the name of a built-in part.
+        units: what the file's numbers are in: m, cm, mm, um or in. Never guessed; not given for a built-in part.
+
+    Raises:
+        UsageError: if the units are missing for a file, unknown, or given for a built-in part.
+        FileError: if the file cannot be used, in one sentence.
+    """
+    from cell import stand_ins
+
+    if isinstance(source, str) and source in stand_ins.NAMES:
+        if units is not None:
+            raise UsageError(f"the built-in part '{source}' has its own size; leave --units out")
+        mesh = stand_ins.build(source)
+        return Workpiece(source, mesh, _hash_of(mesh))
+
+    from cell.part import mesh_files
+
+    path = Path(source)
+    _check_name(path, stand_ins.NAMES)
+    content = mesh_files.read_bytes(path)
+    known = ", ".join(UNITS)
+    if units is None:
+        raise UsageError(f"{path} does not say what its numbers are in; pass --units with one of {known}")
+    if units not in UNITS:
+        close = difflib.get_close_matches(units.lower(), UNITS, n=1)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        raise UsageError(f"the units '{units}' are unknown; {hint}Valid are {known}")
+    vertices, faces = mesh_files.parse(path, content)
+    return from_mesh(path.stem, vertices, faces, units, hashlib.sha256(content).hexdigest())
+
+
+def from_mesh(name: str, vertices: Floats, faces: NDArray[np.integer], units: str, sha256: str) -> Workpiece:
+    """A checked part from arrays in the given units.
+
+    Args:
+        name: what to call it.
+        vertices: (V, 3) in `units`, file axes, equal ones merged.
+        faces: (F, 3).
+        units: a key of `UNITS`.
+        sha256: of where the arrays come from.
+
+    Raises:
+        FileError: if no face has an area.
+    """
+    faces, findings = repair(vertices, faces.astype(np.int64))
+    if not len(faces):
+        raise FileError(f"every face of {name} has zero area; export the mesh again, or check its scale")
+    used, compact = np.unique(faces, return_inverse=True)
+    metres = vertices[used] * UNITS[units]
+    mesh = TriangleMesh(metres, compact.reshape(-1, 3).astype(np.int32))
+    return Workpiece(name, mesh, sha256, (*findings, *_size_findings(np.ptp(metres, axis=0), units)))
+
+
+def _check_name(path: Path, names: tuple[str, ...]) -> None:
+    """A bare word that is neither a file nor a built-in part is most likely a misspelt part."""
+    if path.suffix or len(path.parts) != 1 or path.exists():
+        return
+    close = difflib.get_close_matches(path.name.lower(), names, n=1, cutoff=0.5)
+    hint = f"did you mean '{close[0]}'? " if close else ""
+    raise FileError(f"'{path}' is neither a file nor a built-in part; {hint}Built in are {', '.join(names)}")
+
+
+def _size_findings(size: Floats, units: str) -> list[Finding]:
+    """Doubts about the units, and parts without thickness."""
+    findings = []
+    longest = float(size.max())
+    if not _PLAUSIBLE[0] <= longest <= _PLAUSIBLE[1]:
+        in_file = longest / UNITS[units]
+        fitting = [
+            f"{_length(in_file * metres)} in {unit}"
+            for unit, metres in UNITS.items()
+            if 0.01 <= in_file * metres <= 1.5  # where the parts lie that an arm of 1.6 m reach scans
+        ]
+        hint = f" It would be {' or '.join(fitting)}." if fitting else ""
+        sentence = f"the part is {_length(longest)} long; are the units ({units}) right?{hint}"
+        findings.append(Finding(Kind.UNITS, sentence, Severity.WARNING))
+    if float(size.min()) < 1e-6 * longest:
+        sentence = (
+            f"the part is flat (its bounding box is {_length(float(size.min()))} thick); only one side is scanned"
+        )
+        findings.append(Finding(Kind.FLAT, sentence, Severity.WARNING))
+    return findings
+
+
+def _length(metres: float) -> str:
+    """A length with the unit that keeps its number short: 0.2 mm, 188 mm, 12 m."""
+    return f"{metres:.3g} m" if metres >= 1 else f"{metres * 1e3:.3g} mm"
+
+
+def _hash_of(mesh: TriangleMesh) -> str:
+    digest = hashlib.sha256(mesh.vertices.tobytes())
+    digest.update(mesh.faces.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""`cell plan`: the pipeline, its artefacts, its report."""

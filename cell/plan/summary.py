@@ -1,0 +1,197 @@
+"""What a plan amounts to: the summary that report.json, the page and the table are made of, and its pictures."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.part.workpiece import Workpiece
+from cell.plan import pictures
+from cell.plan.files import degrees
+from cell.plan.view_plan import ConnectedPlan
+from cell.rays.prediction import Prediction
+from cell.run.folder import RunFolder
+from cell.scene.resolve import Settings
+from cell.scene.scene import Scene
+from cell.world.world import World
+from planner.measurability import Measurability
+from planner.ports import Floats
+from planner.reach import Reach
+from planner.surface import TriangleMesh, face_areas
+from planner.timing import Motion
+from planner.viewpoints import Viewpoints
+
+
+def plan_summary(
+    scene: Scene,
+    settings: Settings,
+    part: Workpiece,
+    planning: TriangleMesh,
+    candidates: Viewpoints,
+    reached: Reach,
+    M: Measurability,
+    chosen: ConnectedPlan,
+    motion: Motion,
+    visible: float,
+    coverable: float,
+) -> dict[str, Any]:
+    """Everything that the report says, as JSON types; fractions of area, mm and deg as the names say.
+
+    Args:
+        scene: for the settings that were asked for.
+        settings: what they were settled to.
+        part: the part.
+        planning: its decimated copy.
+        candidates: the viewpoints.
+        reached: verdicts.
+        M: the matrix that the cover was solved on.
+        chosen: views and motion.
+        motion: timed.
+        visible: predicted visible coverage, fraction of the surface.
+        coverable: what reachable candidates can measure, fraction of the surface.
+    """
+    cover, tour = chosen.cover, chosen.tour
+    adds = dict(zip(cover.views.tolist(), (cover.marginal_area / cover.total_area).tolist(), strict=True))
+    leg = int(np.nanargmin(tour.clearance)) if len(tour.clearance) and np.isfinite(tour.clearance).any() else None
+    return {
+        "part": {
+            "name": part.name,
+            "faces": len(part.reference.faces),
+            "planning_faces": len(planning.faces),
+            "extents_mm": (part.size * 1000).round(6).tolist(),
+            "area_mm2": round(float(face_areas(part.reference).sum()) * 1e6, 3),
+            "findings": [finding.sentence for finding in part.findings],
+        },
+        "settings": {
+            "placement_mm": list(scene.placement.position_mm),
+            "placement_abc_deg": list(scene.placement.abc_deg),
+            "scanner": scene.scanner.type,
+            **({} if scene.scanner.sensor is None else {"sensor": scene.scanner.sensor}),
+            **{key: _plain(value) for key, value in settings.scanner.items()},
+            **sweep_summary(chosen),
+            "standoffs_mm": [round(standoff * 1000, 9) for standoff in settings.standoffs],
+            "rolls_deg": list(scene.plan.rolls_deg),
+            "candidates": scene.plan.candidates,
+            "fill": scene.plan.fill,
+            "coverage": scene.plan.coverage,
+            "required_visible": scene.plan.required_visible,
+            "seed": scene.plan.seed,
+        },
+        "n_views": len(cover.views),
+        "n_features": M.shape[0],
+        "coverage": {
+            "visible": visible,
+            "coverable": coverable,
+            "visible_of_coverable": visible / coverable if coverable > 0 else 0.0,
+            "visible_with_arm": chosen.visible_with_arm,
+            "target_on_features": chosen.target,
+            "planned_on_features": cover.covered_area / cover.total_area,
+            "coverable_on_features": cover.coverable_area / cover.total_area,
+        },
+        **({} if M.sigma is None else {"sigma": _sigma(M, cover.views, scene.plan.max_sigma_mm)}),
+        "solver": cover.solver,
+        "status": cover.sentence + _at_target(chosen.target, scene.plan.coverage),
+        "lower_bound": cover.lower_bound,
+        "gap": cover.gap,
+        "verdicts": {verdict.name.lower(): count for verdict, count in reached.counts().items()},
+        "blockers": reached.blockers(),
+        "dropped": [{"id": lost.candidate, "reason": lost.reason} for lost in chosen.dropped],
+        "views": [
+            {
+                "id": int(candidate),
+                "adds": adds[int(candidate)],
+                "source_in_base_mm": (chosen.T_base_scanner[stop, :3, 3] * 1000).round(3).tolist(),
+                "q_deg": degrees(tour.q[stop]),
+                "roll_deg": float(np.degrees(candidates.roll[candidate]).round(9)),
+                "clearance_on_the_way_mm": _mm_or_none(tour.clearance[stop]),
+            }
+            for stop, candidate in enumerate(chosen.candidate)
+        ],
+        "motion": {
+            "duration_s": motion.duration,
+            "baseline_duration_s": tour.baseline_duration,
+            "lower_bound_s": tour.lower_bound,
+            "via_points": len(motion.via_q),
+            "detours": int(tour.detour.sum()),
+            "speed_fraction": scene.robot.speed_scaling,
+            "minimum_clearance_mm": None if leg is None else _mm_or_none(tour.clearance[leg]),
+            "between": "" if leg is None else tour.between[leg],
+        },
+    }
+
+
+def draw(
+    folder: RunFolder,
+    scene: Scene,
+    part: Workpiece,
+    planning: TriangleMesh,
+    candidates: Viewpoints,
+    reached: Reach,
+    prediction: Prediction,
+    chosen: ConnectedPlan,
+    motion: Motion,
+    world: World,
+) -> None:
+    """The four pictures of the report; arguments as in `plan_summary`."""
+    cover = chosen.cover
+    measured_by = prediction.views_per_face(chosen.T_object_poses, len(planning.faces))
+    fov = np.deg2rad(scene.scanner.opening_deg)
+    pictures.part_and_views(
+        folder.path / "views.png", planning, measured_by, chosen.T_object_scanner, (float(fov[0]), float(fov[1]))
+    )
+    pictures.cover_curve(
+        folder.path / "cover.png", cover.marginal_area, cover.coverable_area, cover.total_area, cover.lower_bound
+    )
+    corners = np.array(np.meshgrid(*part.bounds.T)).reshape(3, -1).T
+    T = world.T_base_object
+    pictures.reach_map(
+        folder.path / "reach.png", T @ candidates.T_object_scanner[:, 0], reached.verdict,
+        corners @ T[:3, :3].T + T[:3, 3], chosen.candidate, envelope(world),
+    )  # fmt: skip
+    stops = motion.via_t[motion.view >= 0]
+    pictures.joint_motion(folder.path / "motion.png", motion.t, motion.q, motion.qd, motion.limits, stops)
+    for name in ("views.png", "cover.png", "reach.png", "motion.png"):
+        folder.adopt(name)
+
+
+def envelope(world: World) -> Floats:
+    """(E, 2) a grid of places that the wrist centre reaches in the plane of the arm: radius and height [m]."""
+    from cell.robot.model import dimensions
+
+    arm = dimensions(world.model)
+    (low2, low3), (high2, high3) = world.limits.lower[1:3], world.limits.upper[1:3]
+    a2, a3 = (grid.ravel() for grid in np.meshgrid(np.linspace(low2, high2, 110), np.linspace(low3, high3, 110)))
+    s = a2 + a3  # the closed form of cell.robot.kinematics at A1 = 0
+    r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(s) + arm.a3 * np.sin(s)
+    z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(s) + arm.a3 * np.cos(s)
+    return np.stack([r, z], axis=1)
+
+
+def _at_target(target: float, asked: float) -> str:
+    """What the status is about where the target on the matrix was raised above the coverage that was asked for."""
+    return (
+        "" if target == asked else f", at {100 * target:.2f} % of the coverable samples for the {100 * asked:g} % asked"
+    )
+
+
+def _sigma(M: Measurability, views: NDArray[np.int64], limit_mm: float | None) -> dict[str, Any]:
+    """Expected standard deviation of the plan's points, over the samples of the matrix that it measures [mm]."""
+    from planner.quality import best_sigma
+
+    best = 1000 * best_sigma(M, views)
+    median, most = np.quantile(best[np.isfinite(best)], [0.5, 0.95])
+    return {"median_mm": round(float(median), 6), "quantile_95_mm": round(float(most), 6), "limit_mm": limit_mm}
+
+
+def sweep_summary(chosen: ConnectedPlan) -> dict[str, Any]:
+    """What is said of views that sweep: how many poses, and that the motion does not hold them; else nothing."""
+    K = chosen.T_object_poses.shape[1]
+    return {} if K == 1 else {"sweep_poses": K, "sweep_in_motion": False}
+
+
+def _mm_or_none(metres: float) -> float | None:
+    return round(float(metres) * 1000, 6) if np.isfinite(metres) else None
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,242 @@
+"""Steps 6 to 8: choose views, order them, connect them; a view that cannot be connected is replaced or given up.
+
+Arm, bracket and housing hide as well, differently at every configuration: a view that its own arm shades (cell/
+self_shading.py) is taken with other joint solutions; where all of them do it, the cover is solved again with what they
+leave of the view.
+
+Less than full coverage is a promise about the surface, so it is kept on samples that the optimiser has not seen: where
+the cover falls short of it there, its target on the matrix is raised. The views are ordered and connected; a view to
+which no path is found is banned and the cover is solved again without it, until every view of the plan is connected.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.commands.narrator import ProgressCallback
+from cell.errors import SceneError, UnreachableError
+from cell.rays.prediction import Prediction
+from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
+from cell.world.world import World
+from planner import cover, sweeps, tour
+from planner.cover import Cover
+from planner.coverage import Coverage
+from planner.measurability import Measurability
+from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
+from planner.reach import Reach
+from planner.readonly import readonly
+from planner.tour import Tour, TourStatus
+from planner.viewpoints import Viewpoints
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedView:
+    """A candidate that was chosen and is not in the plan: it could not be connected, or its own arm shades it.
+
+    Attributes:
+        candidate: row of the viewpoints.
+        reason: one sentence.
+    """
+
+    candidate: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConnectedPlan:
+    """Chosen views with the motion through them.
+
+    Attributes:
+        cover: the selection, in order of the area that each view adds.
+        target: share of the coverable samples of the matrix that was asked of the cover.
+        tour: the motion; its views are indices into `cover.views`.
+        candidate: (n,) candidates in visiting order.
+        T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
+        T_base_scanner: (n, 4, 4) the same in base [m].
+        T_base_flange: (n, 4, 4) the same of the flange [m].
+        T_object_poses: (n, K, 4, 4) all poses of each view: `T_object_scanner`, and the rest of its sweep.
+        dropped: candidates that could not be connected, or that the arm shades.
+        visible: visible coverage of the views on the held-out samples.
+        visible_with_arm: visible coverage where each view's own arm hides as well, fraction of the surface; None for
+            views that sweep: where the arm stands during a sweep is not planned.
+    """
+
+    cover: Cover
+    target: float
+    tour: Tour
+    candidate: NDArray[np.int64]
+    T_object_scanner: Floats
+    T_base_scanner: Floats
+    T_base_flange: Floats
+    T_object_poses: Floats
+    dropped: tuple[DroppedView, ...]
+    visible: Coverage
+    visible_with_arm: float | None
+
+    def __post_init__(self) -> None:
+        n = len(self.candidate)
+        object.__setattr__(self, "candidate", readonly("candidate", self.candidate, (n,), np.int64))
+        for name in ("T_object_scanner", "T_base_scanner", "T_base_flange"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (n, 4, 4)))
+        object.__setattr__(self, "T_object_poses", readonly("T_object_poses", self.T_object_poses, (n, None, 4, 4)))
+
+    @property
+    def via_candidate(self) -> NDArray[np.int64]:
+        """(N,) candidate taken at each via point of the tour, -1 where none is."""
+        at = self.tour.view
+        return np.where(at >= 0, self.cover.views[np.maximum(at, 0)], -1)
+
+
+def select_and_connect(
+    M: Measurability,
+    reached: Reach,
+    candidates: Viewpoints,
+    world: World,
+    limits: JointLimits,
+    kinematics: Kinematics,
+    checker: CollisionChecker,
+    prediction: Prediction,
+    *,
+    coverage: float,
+    solver: str,
+    selection_rng: np.random.Generator,
+    motion_rng: np.random.Generator,
+    progress: ProgressCallback | None = None,
+) -> ConnectedPlan:
+    """Choose the views and the motion through them.
+
+    Args:
+        M: measurability with occluders applied.
+        reached: reachable candidates and their joint solutions.
+        candidates: the columns of M.
+        world: placement, mount and home.
+        limits: limits of the axes, scaled to the speed that is wanted.
+        kinematics: of the arm.
+        checker: of the cell.
+        prediction: held-out samples, on which a coverage below 1 is kept.
+        coverage: share of the coverable area that is asked for.
+        solver: a name of `planner.cover.SOLVERS`.
+        selection_rng: randomness of the selection.
+        motion_rng: randomness of order and paths.
+        progress: told about the edges of the tour as they become real.
+
+    Raises:
+        SceneError: if home itself is nearer to something than the clearance.
+        UnreachableError: if no view that measures anything can be connected.
+    """
+    banned: dict[int, str] = {}
+    arm = OwnArm(M, reached, candidates, world, prediction.scanner)
+    at_rest = candidates.T_object_scanner.shape[1] == 1
+    stale = True
+    while True:
+        if stale:
+            chosen, target = _covering(
+                arm.M,
+                reached,
+                candidates,
+                prediction,
+                coverage=coverage,
+                solver=solver,
+                banned=tuple(banned),
+                rng=selection_rng,
+            )
+            stale = False
+        if not len(chosen.views):
+            told = [f"candidate {view}: {reason}" for view, reason in (banned | arm.reasons).items()]
+            why = "; ".join(told[:_TOLD] + ([f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []))
+            raise UnreachableError(
+                "no view is left that measures the part and can be reached by a free motion"
+                + (f" ({why})" if why else "")
+                + "; change the placement, the standoff or the fixtures"
+            )
+        configurations = [arm.configurations(int(view)) for view in chosen.views]
+        if at_rest:  # a first look, before a motion is planned for nothing
+            stale = arm.look(chosen.views, np.stack([q[0] for q in configurations])) is Look.LESS_MEASURED
+            if stale:
+                continue
+            configurations = [arm.configurations(int(view)) for view in chosen.views]
+        motion = tour.plan_motion(
+            configurations,
+            world.home,
+            checker,
+            limits,
+            world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
+            motion_rng,
+            progress=progress,
+            T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
+        )
+        if motion.status is TourStatus.HOME_IN_COLLISION:
+            raise SceneError(
+                f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "
+                "the placement or the fixtures"
+            )
+        for lost in motion.dropped:
+            blocker = f" ({lost.blocker})" if lost.blocker else ""
+            banned[int(chosen.views[lost.view])] = lost.reason.sentence + blocker
+        if motion.dropped:
+            stale = True
+            continue
+        stops = chosen.views[motion.order]
+        shade = arm.look(stops, motion.q) if at_rest else Look.CLEAR
+        if shade is Look.CLEAR:
+            break
+        stale = shade is Look.LESS_MEASURED
+    T_base_flange = kinematics.forward(motion.q)
+    T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
+    T_object_poses = (
+        T_object_scanner[:, None] if at_rest else sweeps.begun_at(T_object_scanner, candidates.T_object_scanner[stops])
+    )
+    visible = prediction.visible(T_object_poses)
+    with_arm = None
+    if at_rest:
+        poses = zip(motion.q, T_object_scanner, strict=True)
+        arms = [arm_caster(world, q, T, prediction.scanner) for q, T in poses]
+        near = any(caster is not None for caster in arms)
+        with_arm = visible_with_arm(prediction, T_object_poses, arms) if near else visible.fraction
+    return ConnectedPlan(
+        cover=chosen,
+        target=target,
+        tour=motion,
+        candidate=chosen.views[motion.order],
+        T_object_scanner=T_object_scanner,
+        T_base_scanner=T_base_flange @ world.T_flange_scanner,
+        T_base_flange=T_base_flange,
+        dropped=tuple(
+            DroppedView(view, reason)
+            for view, reason in (banned | arm.reasons).items()
+            if view not in chosen.views  # a view that its arm shades in part may be in the plan with what is left of it
+        ),
+        T_object_poses=T_object_poses,
+        visible=visible,
+        visible_with_arm=with_arm,
+    )
+
+
+_TOLD = 3  # candidates whose reasons are given when none is left
+_RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
+_STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
+
+
+def _covering(
+    M: Measurability,
+    reached: Reach,
+    candidates: Viewpoints,
+    prediction: Prediction,
+    *,
+    coverage: float,
+    solver: str,
+    banned: tuple[int, ...],
+    rng: np.random.Generator,
+) -> tuple[Cover, float]:
+    """The cover that keeps the coverage on the held-out samples, and its target on the samples of the matrix."""
+    matrix, target, raises = M.matrix(), coverage, 0
+    while True:
+        chosen = cover.solve(
+            matrix, M.features.areas, reached.reachable, rng=rng, coverage=target, solver=solver, banned=banned
+        )
+        short = coverage - prediction.share_of_coverable(candidates.T_object_scanner[chosen.views])
+        if target >= 1 or short <= 0:  # full coverage of the matrix's samples is all that can be asked of it
+            return chosen, target
+        raises += 1
+        target = 1.0 if raises == _RAISES else min(1.0, target + short + _STEP)

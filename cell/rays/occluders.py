@@ -1,0 +1,180 @@
+"""Triangles of everything that can stand between scanner and part, for the ray caster.
+
+Cylinders become prisms that circumscribe them, the floor a large square. A mesh fixture gives its true triangles, not
+the convex hull that collides. Arm and scanner move and are left out; `arm_triangles` gives them at one configuration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cell.robot.model import LINKS
+from cell.world.world import World
+from planner.readonly import readonly
+
+if TYPE_CHECKING:
+    import mujoco
+
+Floats = NDArray[np.float64]
+
+_SIDES = 48  # of a prism around a cylinder: its corners stand off by 0.2 % of the radius
+_FLOOR_HALF = 10.0  # m
+
+_BOX_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+_BOX_FACES = np.array(
+    [
+        *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]),
+        *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
+    ],
+    dtype=np.int32,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Occluder:
+    """A named triangle mesh.
+
+    Attributes:
+        name: what a reader calls it.
+        vertices: (V, 3) [m], in the frame that the caller asked for.
+        faces: (F, 3) int32, outward.
+        attached_to: what it stands still with: "base" or "object".
+    """
+
+    name: str
+    vertices: Floats
+    faces: NDArray[np.int32]
+    attached_to: Literal["base", "object"]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", readonly("vertices", self.vertices, (None, 3)))
+        object.__setattr__(self, "faces", readonly("faces", self.faces, (None, 3), np.int32))
+
+
+def occluder_triangles(
+    world: World, T_base_object: ArrayLike | None = None, *, frame: Literal["base", "object"] = "object"
+) -> list[Occluder]:
+    """Post, pedestal, floor and the fixtures that occlude.
+
+    Args:
+        world: the compiled scene.
+        T_base_object: (4, 4) placement [m]; None is the scene's.
+        frame: in which the vertices are given.
+    """
+    T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
+    scene, model, floor = world.scene, world.model, world.floor
+    found: list[Occluder] = []
+    top = world.post_top(T)
+    if scene.post.enabled and top[2] > floor:
+        # No longer than to the floor, unlike its collision shape.
+        vertices, faces = prism(scene.post.diameter_mm / 2000.0, float(top[2] - floor))
+        middle = np.array([top[0], top[1], (top[2] + floor) / 2])
+        found.append(Occluder("post", vertices + middle, faces, "base"))
+    hidden = {fixture.name for fixture in scene.fixtures if not fixture.occludes}
+    attached = {fixture.name: fixture.attached_to for fixture in scene.fixtures}
+    data = world.data(T)
+    for geom, name in enumerate(world.entities):
+        if name in (*LINKS, "housing", "bracket", "part", "post", "floor") or name in hidden:
+            continue
+        if name in world.fixture_meshes:
+            mesh = world.fixture_meshes[name]
+            vertices = np.array(mesh.vertices)
+            if attached[name] == "object":
+                vertices = vertices @ T[:3, :3].T + T[:3, 3]
+            found.append(Occluder(name, vertices, mesh.faces, attached[name]))
+        else:
+            found.append(Occluder(name, *_shape(model, data, geom), attached.get(name, "base")))
+    found.append(Occluder("floor", *floor_square(floor), "base"))
+    if frame == "base":
+        return found
+    to_object = np.linalg.inv(T)
+    return [
+        Occluder(o.name, o.vertices @ to_object[:3, :3].T + to_object[:3, 3], o.faces, o.attached_to) for o in found
+    ]
+
+
+def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
+    """The enclosing shapes of base, arm and bracket at one configuration, base frame; of the housing where it can hide.
+
+    Args:
+        world: the compiled scene.
+        q: (6,) joint angles [rad], KUKA signs.
+        ends: (n, 3) where legs begin [m], scanner frame: source and sensor. A shape in or on which one of them stands
+            has a window there and is left out; the housing is one of the shapes then. With its front face in the plane
+            of the source (its default) no leg comes near it. None leaves the housing out and nothing else.
+    """
+    import mujoco
+
+    data = world.data()
+    data.qpos[:] = readonly("q", q, (6,))
+    mujoco.mj_kinematics(world.model, data)
+    names = (*LINKS, "bracket") if ends is None else (*LINKS, "bracket", "housing")
+    pieces = [
+        Occluder(name, *_shape(world.model, data, geom), "base")
+        for geom, name in enumerate(world.entities)
+        if name in names
+    ]
+    if ends is None:
+        return pieces
+    flange = data.site("flange")
+    R = flange.xmat.reshape(3, 3) @ world.T_flange_scanner[:3, :3]
+    origin = flange.xpos + flange.xmat.reshape(3, 3) @ world.T_flange_scanner[:3, 3]
+    in_base = readonly("ends", ends, (None, 3)) @ R.T + origin
+    return [piece for piece in pieces if not any(_holds(piece, end) for end in in_base)]
+
+
+def _holds(piece: Occluder, point: Floats) -> bool:
+    """Whether a point (3,) [m] is inside a convex piece, or on it within a micrometre."""
+    a, b, c = (piece.vertices[piece.faces[:, corner]] for corner in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return bool((np.einsum("ij,ij->i", normals, point - a) <= 1e-6).all())
+
+
+def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, NDArray[np.int32]]:
+    """A box or cylinder of the model as triangles, base frame."""
+    import mujoco
+
+    size = model.geom_size[geom]
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+        vertices, faces = box(size)
+    else:
+        vertices, faces = prism(float(size[0]), 2 * float(size[1]))
+    return vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], faces
+
+
+def box(half: Floats) -> tuple[Floats, NDArray[np.int32]]:
+    """A box of half sides (3,) [m], its middle at the origin; faces outward."""
+    return _BOX_CORNERS * half, _BOX_FACES
+
+
+def floor_square(height: float) -> tuple[Floats, NDArray[np.int32]]:
+    """A large square at a height [m], base frame."""
+    square = _FLOOR_HALF * np.array([[-1.0, -1.0, 0.0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    square[:, 2] = height
+    return square, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+
+
+def prism(radius: float, length: float) -> tuple[Floats, NDArray[np.int32]]:
+    """A prism around a cylinder along z, its middle at the origin; faces outward."""
+    angles = np.arange(_SIDES) * (2 * np.pi / _SIDES)
+    ring = radius / np.cos(np.pi / _SIDES) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    low = np.column_stack([ring, np.full(_SIDES, -length / 2)])
+    high = np.column_stack([ring, np.full(_SIDES, length / 2)])
+    ends = np.array([[0, 0, -length / 2], [0, 0, length / 2]])
+    i = np.arange(_SIDES)
+    j = (i + 1) % _SIDES
+    bottom, top = np.full(_SIDES, 2 * _SIDES), np.full(_SIDES, 2 * _SIDES + 1)
+    faces = np.concatenate(
+        [
+            np.stack([i, j, _SIDES + j], axis=1),
+            np.stack([i, _SIDES + j, _SIDES + i], axis=1),
+            np.stack([bottom, j, i], axis=1),
+            np.stack([top, _SIDES + i, _SIDES + j], axis=1),
+        ]
+    )
+    return np.concatenate([low, high, ends]), faces.astype(np.int32)

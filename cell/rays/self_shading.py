@@ -1,0 +1,193 @@
+"""Views that their own arm shades: links, bracket and housing at the joint angles of the final plan as occluders.
+
+Where the arm is depends on the joint solution, so it cannot be part of the matrix; only the views of a finished plan
+are asked. What a view is needed for are the samples that no other view of the plan measures. A view that loses more of
+them to its own arm than `SHADED_SHARE` is not kept as it is: other joint solutions are taken; where they all shade, the
+samples that the best of them hides are taken out of the view's column, and the cover has to be solved again. The arm's
+shapes are those that are checked for collision; they enclose the arm, so that it hides no more in reality. Object
+frame, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.occluders import Occluder, arm_triangles
+from cell.rays.prediction import Prediction
+from cell.world.world import World
+from planner.legs import Indices, Targets, legs_free
+from planner.measurability import Measurability, measured
+from planner.ports import Floats, RayCaster, Scanner
+from planner.reach import Reach
+from planner.viewpoints import Viewpoints
+
+SHADED_SHARE = 0.01
+"""Share of what a view alone is needed for that its own arm may hide; more, and it is not kept as it is."""
+
+
+_MARGIN = 0.001  # m, around the box of legs: rounding, and the lift of the points
+
+
+class Look(Enum):
+    """What a look at the views of a plan changed."""
+
+    CLEAR = "no view is shaded"
+    OTHER_SOLUTIONS = "some views have fewer joint solutions now"
+    LESS_MEASURED = "some views measure less now: the cover has to be solved again"
+
+
+class OwnArm:
+    """The matrix and the joint solutions as the arm leaves them; they shrink with every look that finds shade.
+
+    Attributes:
+        M: the matrix without the samples that a view's own arm hides at every joint solution.
+        reasons: for each view that lost samples, one sentence.
+    """
+
+    def __init__(
+        self, M: Measurability, reached: Reach, candidates: Viewpoints, world: World, scanner: Scanner
+    ) -> None:
+        """Begin without any shade.
+
+        Args:
+            M: measurability with occluders applied; its views are at rest (K = 1).
+            reached: joint solutions of the candidates.
+            candidates: the columns of M.
+            world: arm and placement.
+            scanner: where source and sensor are.
+        """
+        self.M = M
+        self.reasons: dict[int, str] = {}
+        self._reached, self._candidates, self._world, self._scanner = reached, candidates, world, scanner
+        self._left: dict[int, Floats] = {}
+        self._targets = Targets.of(M.features.points, M.features.normals)
+
+    def configurations(self, view: int) -> Floats:
+        """(m, 6) joint solutions of a candidate that are left [rad]."""
+        return self._left.get(view, self._reached.q_of(view))
+
+    def look(self, views: NDArray[np.int64], q: Floats) -> Look:
+        """Look for views that their own arm shades, and take out what does it.
+
+        Args:
+            views: (n,) candidates of a plan.
+            q: (n, 6) their joint angles [rad].
+        """
+        columns = self.M.matrix().tocsc()
+        areas = self.M.features.areas
+        seen = [columns.indices[columns.indptr[view] : columns.indptr[view + 1]].astype(np.int64) for view in views]
+        free = [self._free(int(view), at, rows) for view, at, rows in zip(views, q, seen, strict=True)]
+        if all(kept.all() for kept in free):
+            return Look.CLEAR
+        keepers = np.zeros(len(areas), dtype=np.int64)  # views that still measure a sample with their arm in the way
+        for rows, kept in zip(seen, free, strict=True):
+            keepers[rows[kept]] += 1
+        found = Look.CLEAR
+        for view, at, rows, kept in zip(views.tolist(), q, seen, free, strict=True):
+            needed = rows[keepers[rows] == kept]  # by no other view: 1 if the view keeps the sample itself, else 0
+            lost = rows[(keepers[rows] == 0) & ~kept]
+            share = float(areas[lost].sum() / areas[needed].sum()) if len(needed) else 0.0
+            if share <= SHADED_SHARE:
+                continue
+            found = Look.OTHER_SOLUTIONS if found is Look.CLEAR else found
+            if not self._other_solutions(view, needed):
+                by = self._hidden_by(view, at, lost)
+                self.reasons[view] = (
+                    f"its own arm shades it: {', '.join(by)} {'hides' if len(by) == 1 else 'hide'} {100 * share:.1f} % "
+                    f"of what only this view measured, and every joint solution more than {100 * SHADED_SHARE:g} %"
+                )
+                self._take_out(view, rows)
+                found = Look.LESS_MEASURED
+        return found
+
+    def _other_solutions(self, view: int, needed: Indices) -> bool:
+        """Keep the joint solutions that hide at most `SHADED_SHARE` of what is needed, if there are any."""
+        areas, configurations = self.M.features.areas[needed], self.configurations(view)
+        hidden = np.array([areas[~self._free(view, q, needed)].sum() for q in configurations])
+        good = hidden <= SHADED_SHARE * areas.sum()
+        if good.any():
+            self._left[view] = configurations[good]
+        return bool(good.any())
+
+    def _take_out(self, view: int, rows: Indices) -> None:
+        """Keep the joint solutions that hide least of a column, and take what they hide out of it."""
+        configurations = self.configurations(view)
+        free = [self._free(view, q, rows) for q in configurations]
+        best = free[int(np.argmin([self.M.features.areas[rows[~kept]].sum() for kept in free]))]
+        self._left[view] = configurations[[bool(kept[best].all()) for kept in free]]
+        self.M = _without(self.M, view, rows[~best])
+
+    def _hidden_by(self, view: int, q: Floats, rows: Indices) -> tuple[str, ...]:
+        """Names of the arm's shapes that hide any of the samples."""
+        pieces = arm_triangles(self._world, q, _ends(self._scanner))
+        hiding = [p.name for p in pieces if not self._past(view, _caster([p], self._world), rows).all()]
+        return tuple(dict.fromkeys(hiding))  # a link may have several shapes
+
+    def _free(self, view: int, q: Floats, rows: Indices) -> NDArray[np.bool_]:
+        """(n,) which samples the arm at (6,) joint angles [rad] does not hide from a view."""
+        arm = arm_caster(self._world, q, self._candidates.T_object_scanner[view, 0], self._scanner)
+        return np.ones(len(rows), dtype=np.bool_) if arm is None else self._past(view, arm, rows)
+
+    def _past(self, view: int, caster: RayCaster, rows: Indices) -> NDArray[np.bool_]:
+        pose = np.zeros(len(rows), dtype=np.int64)
+        poses = self._candidates.T_object_scanner[view, :1]
+        return legs_free(self._targets, poses, pose, rows, self._scanner, (caster,))
+
+
+def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scanner) -> EmbreeRayCaster | None:
+    """Casts on the arm, object frame; None where no leg of the view comes near any of it.
+
+    Every leg lies in the box, along the scanner's axes, around source, sensor and part: where no triangle of the arm
+    reaches into it, nothing has to be cast.
+
+    Args:
+        world: arm, part and placement.
+        q: (6,) joint angles [rad].
+        T_object_scanner: (4, 4) pose of the view [m].
+        scanner: where source and sensor are.
+    """
+    ends = _ends(scanner)
+    R, t = T_object_scanner[:3, :3], T_object_scanner[:3, 3]
+    legs = np.concatenate([ends, (world.part_hull.vertices - t) @ R])
+    low, high = legs.min(axis=0) - _MARGIN, legs.max(axis=0) + _MARGIN
+    to_scanner = np.linalg.inv(world.T_base_object @ T_object_scanner)
+    near = []
+    for piece in arm_triangles(world, q, ends):
+        corners = (piece.vertices @ to_scanner[:3, :3].T + to_scanner[:3, 3])[piece.faces]
+        if ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1).any():
+            near.append(piece)
+    return _caster(near, world) if near else None
+
+
+def visible_with_arm(prediction: Prediction, T_object_scanner: Floats, arms: Sequence[RayCaster | None]) -> float:
+    """Visible coverage of views (n, K, 4, 4) [m], each with its own arm as one more occluder; a fraction."""
+    covered = measured(T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own=arms)
+    areas = prediction.samples.areas
+    return float(areas[covered].sum() / areas.sum())
+
+
+def _without(M: Measurability, view: int, rows: Indices) -> Measurability:
+    """M without some entries of one column."""
+    hidden = np.zeros(M.shape[0], dtype=np.bool_)
+    hidden[rows] = True
+    kept = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
+    before = np.concatenate([[0], np.cumsum(kept)])
+    sigma = None if M.sigma is None else M.sigma[kept]
+    return Measurability(before[M.indptr], M.indices[kept], M.features, M.n_viewpoints, sigma)
+
+
+def _ends(scanner: Scanner) -> Floats:
+    return np.stack([scanner.source, scanner.sensor])
+
+
+def _caster(pieces: Sequence[Occluder], world: World) -> EmbreeRayCaster:
+    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
+    to_object = np.linalg.inv(world.T_base_object)
+    vertices = np.concatenate([piece.vertices for piece in pieces])
+    return EmbreeRayCaster(vertices @ to_object[:3, :3].T + to_object[:3, 3], np.concatenate(faces).astype(np.int32))

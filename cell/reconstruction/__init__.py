@@ -1,0 +1,1 @@
+"""From scans to a surface: registration, signed distance, marching cubes, deviation."""

@@ -1,0 +1,55 @@
+"""The merged cloud and the mesh as binary PLY: object frame, millimetres."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.reconstruction.cloud import PointCloud
+from planner.surface import TriangleMesh
+
+
+def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32]) -> Iterator[bytes]:
+    """Points with normals and the view that gave them.
+
+    Args:
+        cloud: merged scans.
+        stop: (N,) number of the view of each point, from 1 in visiting order: that of its file in scans/.
+
+    Yields:
+        the file, piece by piece.
+    """
+    kinds = [*((axis, "<f8") for axis in "xyz"), *((f"n{axis}", "<f4") for axis in "xyz"), ("view", "<i4")]
+    rows = np.empty(len(cloud), dtype=kinds)
+    for column, axis in enumerate("xyz"):
+        rows[axis] = cloud.points[:, column] * 1000.0
+        rows[f"n{axis}"] = cloud.normals[:, column]
+    rows["view"] = stop
+    yield (
+        "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres; view: from 1 in visiting order\n"
+        f"element vertex {len(rows)}\nproperty double x\nproperty double y\nproperty double z\n"
+        "property float nx\nproperty float ny\nproperty float nz\nproperty int view\nend_header\n"
+    ).encode()
+    yield rows.tobytes()
+
+
+def mesh_ply(mesh: TriangleMesh, closed: NDArray[np.bool_]) -> Iterator[bytes]:
+    """The reconstructed surface; `closed` is 1 for faces that close a hole: invented, not measured.
+
+    Args:
+        mesh: the surface, object frame [m].
+        closed: (F,) bool.
+
+    Yields:
+        the file, piece by piece.
+    """
+    vertices = np.ascontiguousarray(mesh.vertices * 1000.0, dtype="<f8")
+    faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
+    faces["n"], faces["v"], faces["closed"] = 3, mesh.faces, closed
+    yield (
+        "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres; closed 1: not measured\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nproperty uchar closed\nend_header\n"
+    ).encode()
+    yield vertices.tobytes()
+    yield faces.tobytes()

@@ -1,0 +1,265 @@
+"""Surface of a merged cloud: signed distance on a sparse grid, marching cubes, and nothing where nothing was measured.
+
+The grid is filled only along the surface: first the corners of the cells that hold a point, then from cell to cell
+across faces on which the sign changes, until no datum is near. Marching cubes (scikit-image) turns the filled cells
+into faces, each vertex is put on the implicit surface, and what is farther than two point spacings from any datum is
+cut away: holes stay holes. Up to that cut the surface does run on past the last data: the border of a sheet whose
+edges no ray met, and the rim of a hole, get a strip of surface up to two spacings wide that was not measured
+and is not marked. Object frame, metres.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.reconstruction import kdtree
+from cell.reconstruction.cloud import PointCloud, point_spacing
+from cell.reconstruction.holes import close_holes
+from cell.reconstruction.implicit import FieldValues, ImplicitSurface
+from planner.errors import PlannerError
+from planner.readonly import readonly
+from planner.surface import TriangleMesh
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+REACH = 2.0
+"""Surface farther than this many point spacings from any datum is cut away."""
+
+_GRID = 1.25  # of the point spacing: finer costs with its square and, measured, hardly gains
+_LARGEST_GRID = (
+    60_000_000  # nodes of the box round the part (4 bytes each, and a byte of mask); a larger one is coarsened
+)
+_FEWEST_POINTS = 12
+_LONELY = 3.0  # a point whose fourth neighbour is farther than so many spacings is an outlier
+_OFF_SURFACE = 5.0  # a point so many robust standard deviations off its neighbours' surface is an outlier
+_LEAST = 1e-3  # of a cell: nearer than this to a node or a wall counts as on it
+_SIXTEENTHS = np.array([[i, j, 4 - i - j] for i in range(5) for j in range(5 - i)]) / 4.0  # barycentric
+_CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+class ReconstructionStatus(Enum):
+    """How it went; the value is a sentence."""
+
+    DONE = "the surface was reconstructed"
+    TOO_FEW_POINTS = f"fewer than {_FEWEST_POINTS} usable points: no surface"
+    NO_SURFACE = "the points do not describe a surface: no cell of the grid changes sign near them"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """A reconstructed surface and how it came about.
+
+    Attributes:
+        status: DONE, or why there is no mesh.
+        mesh: the surface, object frame; None unless DONE.
+        closed: (F,) True for faces that close a hole: invented, not measured.
+        spacing: point spacing that chose the resolution [m]; NaN without points.
+        grid: edge of a grid cell [m]; larger than asked for where the box round the points would hold too many cells;
+            NaN without a grid.
+        nodes: grid nodes at which the distance was evaluated.
+        outliers: points left out because they lie alone or off their neighbours' surface.
+        holes: open boundary loops of the measured surface (closed ones included).
+    """
+
+    status: ReconstructionStatus
+    mesh: TriangleMesh | None
+    closed: NDArray[np.bool_]
+    spacing: float
+    grid: float
+    nodes: int
+    outliers: int
+    holes: int
+
+    def __post_init__(self) -> None:
+        count = 0 if self.mesh is None else len(self.mesh.faces)
+        object.__setattr__(self, "closed", readonly("closed", self.closed, (count,), np.bool_))
+
+
+def reconstruct(
+    cloud: PointCloud, *, grid: float | None = None, reach: float = REACH, close: bool = False
+) -> Reconstruction:
+    """Surface of a cloud.
+
+    Two faces of a sheet are kept apart where the sheet is thicker than one grid cell; pass a finer grid for a thinner
+    one.
+
+    Args:
+        cloud: merged scans with normals, object frame.
+        grid: edge of a cell [m]; None takes 1.25 point spacings.
+        reach: surface farther than so many point spacings from any datum is cut away, > 0.
+        close: whether to close the holes that remain; the faces that do are marked in `closed`.
+
+    Raises:
+        PlannerError: if `grid` or `reach` is not positive.
+    """
+    if not reach > 0:
+        raise PlannerError(f"reach is {reach}; it must be positive (in point spacings)")
+    if grid is not None and not grid > 0:
+        raise PlannerError(f"grid is {grid}; it must be positive (in metres)")
+    spacing = point_spacing(cloud.points, cloud.scan)
+    kept = without_outliers(cloud, spacing) if len(cloud) >= _FEWEST_POINTS and spacing > 0 else cloud
+    outliers = len(cloud) - len(kept)
+
+    def nothing(status: ReconstructionStatus, step: float = float("nan"), nodes: int = 0) -> Reconstruction:
+        return Reconstruction(status, None, np.empty(0, np.bool_), spacing, step, nodes, outliers, 0)
+
+    if len(kept) < _FEWEST_POINTS or not spacing > 0:
+        return nothing(ReconstructionStatus.TOO_FEW_POINTS)
+    surface = ImplicitSurface(kept)
+    cut = reach * spacing
+    volume = _Grid(kept.points, _GRID * spacing if grid is None else grid, cut)
+    volume.fill(surface, kept.points)
+    found = volume.contour()
+    if found is None:
+        return nothing(ReconstructionStatus.NO_SURFACE, volume.step, volume.nodes)
+    vertices, faces = _settle(surface, *found, cut, volume.step)
+    if not len(faces):
+        return nothing(ReconstructionStatus.NO_SURFACE, volume.step, volume.nodes)
+    mesh, closed, holes = close_holes(TriangleMesh(vertices, faces), close=close)
+    return Reconstruction(ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes)
+
+
+def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
+    """The cloud without points that lie alone or off the surface of their neighbours.
+
+    Args:
+        cloud: merged scans with normals, at least 12 points.
+        spacing: point spacing [m].
+    """
+    distance, index = kdtree.nearest(kdtree.build(cloud.points), cloud.points, min(9, len(cloud)), workers=2)
+    alone = distance[:, 4] > _LONELY * spacing
+    # The height over the neighbours' planes; the median is not moved by an outlier among the neighbours.
+    offset = cloud.points[:, None, :] - cloud.points[index[:, 1:]]
+    height = np.abs(np.median(np.einsum("nkj,nkj->nk", offset, cloud.normals[index[:, 1:]]), axis=1))
+    usual = 1.4826 * float(np.median(height))
+    # Edges stand off their neighbours' planes by nature, so nothing below a quarter of a spacing is called an outlier.
+    off = height > max(_OFF_SURFACE * usual, 0.25 * spacing)
+    keep = ~(alone | off)
+    return PointCloud(cloud.points[keep], cloud.normals[keep], cloud.scan[keep])
+
+
+class _Grid:
+    """A box of nodes of which only those along the surface are filled; indices are flat, C order."""
+
+    def __init__(self, points: Floats, step: float, cut: float) -> None:
+        low, high = points.min(axis=0), points.max(axis=0)
+        # Room for the surface to run on up to the cut, and one more cell.
+        while True:
+            self.step = step
+            margin = cut + 2 * step
+            self.shape = tuple(int(n) for n in np.ceil((high - low + 2 * margin) / step).astype(int) + 1)
+            if np.prod([float(n) for n in self.shape]) <= _LARGEST_GRID:
+                break
+            step *= 1.05
+        self.origin: Floats = low - margin
+        self._stride = np.array([self.shape[1] * self.shape[2], self.shape[2], 1], dtype=np.int64)
+        self._corner = _CORNERS @ self._stride
+        self._cut = cut + np.sqrt(3) * step  # nodes of a cell that the surface crosses within the cut
+        self._value = np.full(int(np.prod(self.shape)), np.nan, dtype=np.float32)
+        self._is_asked = np.zeros(len(self._value), dtype=np.bool_)
+        self._is_active = np.zeros(len(self._value), dtype=np.bool_)
+        self.nodes = 0
+
+    def fill(self, surface: ImplicitSurface, points: Floats) -> None:
+        """Evaluate the nodes along the surface, from the cells that hold a point outward."""
+        # A point on the wall between two cells belongs to both: rounding decides which of them the surface crosses.
+        place = (points - self.origin) / self.step
+        cells = _distinct(
+            np.concatenate(
+                [_distinct(np.floor(place + _LEAST * (2 * c - 1)).astype(np.int64) @ self._stride) for c in _CORNERS]
+            )
+        )
+        is_seen = np.zeros(len(self._value), dtype=np.bool_)
+        while len(cells):
+            is_seen[cells] = True
+            nodes = (cells[:, None] + self._corner).ravel()
+            nodes = _distinct(nodes[~self._is_asked[nodes]])
+            self._is_asked[nodes] = True
+            self._evaluate(surface, nodes)
+            corners = self._value[cells[:, None] + self._corner]
+            inside = corners < 0
+            complete = ~np.isnan(corners).any(axis=1)
+            crossed = complete & inside.any(axis=1) & ~inside.all(axis=1)
+            self._is_active[cells[crossed]] = True
+            cells = self._next(cells[crossed], inside[crossed])
+            cells = cells[~is_seen[cells]]
+
+    def _evaluate(self, surface: ImplicitSurface, nodes: Indices) -> None:
+        """Signed distance at nodes; NaN remains where no datum is near."""
+        index = np.stack(np.unravel_index(nodes, self.shape), axis=1)
+        field = surface.evaluate(self.origin + self.step * index)
+        # A surface through a node would make faces without area there; the vertices are put right at the end.
+        least = np.float32(_LEAST * self.step)
+        distance = np.where(field.distance < 0, np.minimum(field.distance, -least), np.maximum(field.distance, least))
+        self._value[nodes] = np.where(field.nearest <= self._cut, distance, np.float32(np.nan))
+        self.nodes += len(nodes)
+
+    def _next(self, cells: Indices, inside: NDArray[np.bool_]) -> Indices:
+        """Cells across those faces of active cells on which the sign changes."""
+        found = [np.empty(0, dtype=np.int64)]
+        for axis in range(3):
+            for side in (0, 1):
+                face = inside[:, _CORNERS[:, axis] == side]
+                changes = face.any(axis=1) & ~face.all(axis=1)
+                found.append(cells[changes] + (2 * side - 1) * self._stride[axis])
+        return _distinct(np.concatenate(found))
+
+    def contour(self) -> tuple[Floats, NDArray[np.int32]] | None:
+        """Vertices [m] and faces of the zero level; None when no cell is crossed."""
+        if not self._is_active.any():
+            return None
+        from skimage.measure import marching_cubes  # takes a third of a second to import
+
+        # scikit-image takes a cell when the mask is set at its far corner.
+        mask = np.zeros_like(self._is_active)
+        mask[self._corner[-1] :] = self._is_active[: -self._corner[-1]]
+        volume = np.where(np.isnan(self._value), np.float32(self.step), self._value).reshape(self.shape)
+        vertices, faces, _, _ = marching_cubes(volume, 0.0, mask=mask.reshape(self.shape), gradient_direction="descent")
+        return self.origin + self.step * vertices.astype(np.float64), faces.astype(np.int32)
+
+
+def _settle(
+    surface: ImplicitSurface, vertices: Floats, faces: NDArray[np.int32], cut: float, step: float
+) -> tuple[Floats, NDArray[np.int32]]:
+    """Put vertices on the implicit surface; drop faces beyond the cut and faces that look away from their data."""
+    field: FieldValues = surface.evaluate(vertices)
+    shift = np.clip(field.distance, -step / 2, step / 2)  # linear interpolation along an edge is never worse than that
+    vertices = vertices - (shift[:, None] * field.normal).astype(np.float64)
+    near = field.nearest <= cut
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    agrees = np.einsum("fj,fcj->f", cross, field.normal[faces].astype(np.float64)) > 0
+    faces = faces[near[faces].all(axis=1) & agrees]
+    faces = faces[_is_near_throughout(surface, vertices, faces, field.nearest + np.abs(shift), cut)]
+    is_used = np.zeros(len(vertices), dtype=np.bool_)
+    is_used[faces] = True
+    return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
+
+
+def _is_near_throughout(
+    surface: ImplicitSurface, vertices: Floats, faces: NDArray[np.int32], nearest: NDArray[np.float32], cut: float
+) -> NDArray[np.bool_]:
+    """Which faces are within the cut as a whole: a face may span a gap that its corners border.
+
+    A face is asked at the corners of its 16 equal parts; no point is farther from one of them than the longest edge of
+    a part over the root of three, so that much is kept off the cut (not where a grid far coarser than the points would
+    leave nothing).
+    """
+    corners = vertices[faces]
+    farthest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1) / np.sqrt(3)
+    is_near = np.ones(len(faces), dtype=np.bool_)
+    doubtful = np.flatnonzero(nearest[faces].max(axis=1) + farthest > cut)
+    asked = np.einsum("pc,fcj->fpj", _SIXTEENTHS, corners[doubtful])
+    distance = surface.evaluate(asked.reshape(-1, 3)).nearest.reshape(asked.shape[:2])
+    kept_off = np.minimum(farthest[doubtful] / 4, cut / 4)
+    is_near[doubtful] = (distance <= (cut - kept_off)[:, None]).all(axis=1)
+    return is_near
+
+
+def _distinct(values: Indices) -> Indices:
+    """Sorted, each once; NumPy's own `unique` hashes, which takes several times as long for millions of integers."""
+    ordered = np.sort(values)
+    return ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])] if len(ordered) else ordered

@@ -1,0 +1,1 @@
+"""`cell replay`: a run in the viewer, as frames or as one picture."""

@@ -1,0 +1,173 @@
+"""How the cell looks: colours, light, floor, sky, shapes for the eye alone, which take no part in collisions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cell.robot import model as robot
+from planner.ports import Floats
+from planner.surface import TriangleMesh, decimate
+
+if TYPE_CHECKING:
+    import mujoco
+
+VIEW_FACES = 200_000
+"""Faces above which the part is decimated for the view: finer than any pixel, and software rendering pays for each."""
+
+_VISUAL_GROUP, _ROBOT_GROUP, _HIDDEN_GROUP = 1, 3, 4
+_DARK = ("motor", "feet", "turntable", "flange", "collar", "front")  # pieces that are black on the machine
+_LOOK: dict[str, dict[str, Any]] = {
+    "orange": {"rgba": [0.95, 0.33, 0.02, 1], "specular": 0.35, "shininess": 0.45},
+    "anthracite": {"rgba": [0.13, 0.13, 0.145, 1], "specular": 0.4, "shininess": 0.4},
+    "aluminium": {"rgba": [0.66, 0.68, 0.71, 1], "specular": 0.6, "shininess": 0.6},
+    "painted": {"rgba": [0.36, 0.39, 0.43, 1], "specular": 0.15, "shininess": 0.2},
+    "fixture": {"rgba": [0.33, 0.47, 0.62, 1], "specular": 0.2, "shininess": 0.3},
+    "surface": {"rgba": [0.84, 0.80, 0.72, 1], "specular": 0.25, "shininess": 0.35},
+}
+
+
+def paint(spec: mujoco.MjSpec) -> None:
+    """Give every shape its material, and the robot's boxes their look."""
+    import mujoco
+
+    for name, look in _LOOK.items():
+        spec.add_material(name=name, **look)
+    links = {geom.name for body in spec.bodies if body.name in robot.LINKS for geom in body.geoms}
+    special = {"housing": "anthracite", "bracket": "aluminium", "pedestal": "painted", "post": "aluminium"}
+    for geom in list(spec.geoms):
+        if geom.name in links:
+            geom.group = _ROBOT_GROUP
+            geom.material = "anthracite" if any(word in geom.name for word in _DARK) else "orange"
+            if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+                _chamfer(spec, geom)
+        elif geom.name != "floor":
+            geom.material = special.get(geom.name, "surface" if geom.name == "part" else "fixture")
+        if geom.material:
+            geom.rgba = _LOOK[geom.material]["rgba"]
+
+
+def light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
+    """Sky, patterned floor, a key light that casts shadows and a fill light from the other side."""
+    import mujoco
+
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.97, 0.98, 1.0],
+        rgb2=[0.72, 0.78, 0.86],
+        width=512,
+        height=3072,
+    )
+    spec.add_texture(
+        name="grid",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=[0.86, 0.87, 0.88],
+        rgb2=[0.86, 0.87, 0.88],
+        markrgb=[0.72, 0.74, 0.77],
+        width=512,
+        height=512,
+    )
+    textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
+    # One square of the pattern is half a metre.
+    spec.add_material(
+        name="floor",
+        textures=textures,
+        texuniform=True,
+        texrepeat=[2, 2],
+        reflectance=0.0,
+        specular=0.0,
+        shininess=0.0,
+    )
+    floor = spec.geom("floor")
+    floor.material, floor.rgba = "floor", [1, 1, 1, 1]
+    floor.size = [0.0, 0.0, 0.1]  # drawn to the horizon; a plane is endless to collisions anyway
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.40] * 3, [0.22] * 3
+    spec.visual.headlight.specular = [0.05] * 3
+    lights: list[dict[str, Any]] = [
+        {"pos": [1.6, -2.6, 4.2], "diffuse": [0.62, 0.61, 0.58], "specular": [0.3] * 3, "castshadow": True},
+        {"pos": [-2.5, 3.0, 3.0], "diffuse": [0.20, 0.22, 0.26], "specular": [0.0] * 3, "castshadow": False},
+    ]
+    aim = np.array([0.5 * centre[0], 0.5 * centre[1], 0.4])
+    for light in lights:
+        direction = aim - light["pos"]
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=direction / np.linalg.norm(direction), **light
+        )
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = 0.01, 30.0, 1.2
+    spec.visual.rgba.haze = [0.93, 0.95, 0.97, 1.0]
+    spec.stat.extent, spec.stat.center = 2.0, aim
+
+
+def show_surface(spec: mujoco.MjSpec, reference: TriangleMesh) -> None:
+    """The part's true surface in place of its hull."""
+    import mujoco
+
+    shown = decimate(reference, VIEW_FACES) if len(reference.faces) > VIEW_FACES else reference
+    add_mesh(spec, "surface", shown, smooth=True)
+    spec.body("object").add_geom(
+        name="surface",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="surface",
+        material="surface",
+        group=_VISUAL_GROUP,
+        contype=0,
+        conaffinity=0,
+    )
+    spec.geom("part").group = _HIDDEN_GROUP
+
+
+def add_mesh(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, *, smooth: bool = False) -> None:
+    """A mesh for the eye alone: surface inertia, so that open and thin ones compile as well."""
+    import mujoco
+
+    # The engine asks for four vertices; a lone triangle gets one of its own again.
+    vertices = mesh.vertices if len(mesh.vertices) > 3 else np.concatenate([mesh.vertices, mesh.vertices[:1]])
+    spec.add_mesh(
+        name=name,
+        uservert=vertices.ravel(),
+        userface=mesh.faces.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        smoothnormal=smooth,
+    )
+
+
+def _chamfer(spec: mujoco.MjSpec, box: mujoco.MjsGeom) -> None:
+    """Show a box of the robot with its edges taken off, inside the checked box, which moves to a hidden group."""
+    import mujoco
+
+    half = np.array(box.size)
+    cut = min(0.022, 0.4 * float(half.min()))
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = np.concatenate([signs * (half - cut * (1 - np.eye(3)[axis])) for axis in range(3)])
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(corners)
+    outward = np.einsum("ij,ij->i", hull.equations[:, :3], _facing(corners, hull.simplices)) > 0
+    faces = np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
+    add_mesh(spec, f"{box.name}_look", TriangleMesh(corners, faces))
+    box.parent.add_geom(
+        name=f"{box.name}_look",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=f"{box.name}_look",
+        pos=box.pos,
+        quat=box.quat,
+        material=box.material,
+        group=_VISUAL_GROUP,
+        contype=0,
+        conaffinity=0,
+    )
+    box.group = _HIDDEN_GROUP
+
+
+def _facing(vertices: Floats, faces: np.ndarray[Any, np.dtype[np.int32]]) -> Floats:
+    """(F, 3) normals by the order of the corners, not of unit length."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return np.cross(b - a, c - a)

@@ -1,0 +1,186 @@
+"""The model that is looked at: the checked cell of a run folder, dressed for the eye.
+
+Made from the run's `cell.xml`, whose shapes, poses, joints and collision pairs stay as they were checked: colours,
+light, floor pattern and sky are added, the part's true surface (`reference.ply`) stands where its hull stands, and all
+that is added takes no part in collisions. The part's hull moves to a hidden group (key 4 in the viewer shows it). World
+frame = base frame, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cell import scanners
+from cell.errors import FileError
+from cell.replay.look import add_mesh, light, paint, show_surface
+from cell.replay.marks import GLYPH_SHARE
+from cell.robot import model as robot
+from cell.run.record import RunRecord, artefact, understood
+from planner.ports import Floats
+from planner.readonly import readonly
+from planner.surface import TriangleMesh
+
+if TYPE_CHECKING:
+    import mujoco
+
+_DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
+POINTS_SHOWN = 6_000
+"""Points of one scan that are shown; more cover the surface without a gap and cost time alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Theatre:
+    """The dressed model of a run and what is drawn into it.
+
+    Attributes:
+        model: compiled; the robot's joints are its only ones.
+        home: (6,) joint angles of the key `home` [rad].
+        T_flange_scanner: (4, 4) the mount [m]; the scanner's frame is where frustum and TCP path are drawn.
+        T_base_object: (4, 4) placement [m].
+        centre: (3,) middle of the part's bounding box, base frame [m].
+        part_radius: half the diagonal of the part's bounding box [m].
+        frustum_mesh: number of the mesh of the scanner's measuring volume, scanner frame.
+        glyph_mesh: number of the mesh of its first part, a pyramid with its tip in the source.
+        frustum_corners: (8, 3) its corners, near four and far four, scanner frame [m].
+        cloud_mesh: number of the mesh of each scan's points, object frame, by scan; -1 for a scan without points.
+        entities: for each geom, the name a reader knows ("link_4", "housing", "part").
+        clearance: distance that a free configuration keeps [m].
+    """
+
+    model: mujoco.MjModel
+    home: Floats
+    T_flange_scanner: Floats
+    T_base_object: Floats
+    centre: Floats
+    part_radius: float
+    frustum_mesh: int
+    glyph_mesh: int
+    frustum_corners: Floats
+    cloud_mesh: tuple[int, ...]
+    entities: tuple[str, ...]
+    clearance: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "home", readonly("home", self.home, (6,)))
+        object.__setattr__(self, "centre", readonly("centre", self.centre, (3,)))
+        object.__setattr__(self, "frustum_corners", readonly("frustum_corners", self.frustum_corners, (8, 3)))
+        for name in ("T_flange_scanner", "T_base_object"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
+
+
+def dress(
+    run: RunRecord,
+    scene: Mapping[str, Any],
+    reference: TriangleMesh | None,
+    clouds: Sequence[Floats] = (),
+    size: tuple[int, int] = (960, 720),
+) -> Theatre:
+    """Make the model that is looked at.
+
+    Args:
+        run: a run folder that holds cell.xml.
+        scene: its resolved scene.
+        reference: the part, object frame [m]; None shows the checked hull.
+        clouds: points of each scan, (P, 3) object frame [m].
+        size: (width, height) of the largest picture [pixels].
+
+    Raises:
+        FileError: if cell.xml is missing, changed, or is no model of this robot.
+    """
+    import mujoco
+
+    path = run.folder / "cell.xml"
+    text = artefact(run, "cell.xml").decode("utf-8", errors="replace")
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+    except ValueError as error:
+        raise FileError(f"{path} is damaged: {' '.join(str(error).split())[:160]}; plan again") from error
+    missing = [name for name in ("object", "housing", "link_6") if spec.body(name) is None]
+    if missing or spec.geom("part") is None:
+        raise FileError(f"{path} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again")
+    with understood(run.folder / "scene.resolved.json"):
+        T_flange_scanner = readonly("T_flange_scanner", scene["T_flange_scanner"], (4, 4))
+        T_base_object = readonly("T_base_object", scene["T_base_object"], (4, 4))
+        centre = (T_base_object @ readonly("T_object_centre", scene["T_object_centre"], (4, 4)))[:3, 3]
+        clearance = float(scene["clearance_mm"]) / 1000.0
+        scanner = scene["scanner"]
+        opening = np.radians(scanners.drawn_opening_deg(scanner))
+        corners = frustum(*opening, *(np.array(scanner.get("range_mm", _DRAWN_RANGE_MM)) / 1000.0))
+
+    entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
+    paint(spec)
+    light(spec, centre, size)
+    shown = reference if reference is not None else _hull(spec)
+    radius = float(np.linalg.norm(np.ptp(shown.vertices, axis=0))) / 2
+    if reference is not None:
+        show_surface(spec, reference)
+    add_mesh(spec, "frustum", corners)
+    add_mesh(spec, "glyph", _pyramid(GLYPH_SHARE * corners.vertices[4:]))
+    for number, points in enumerate(clouds):
+        if len(points):
+            add_mesh(spec, f"cloud_{number}", _specks(points, 0.010 * radius))
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise FileError(f"{path} cannot be shown: {' '.join(str(error).split())[:160]}; plan again") from error
+    mesh_of = {model.mesh(number).name: number for number in range(model.nmesh)}
+    return Theatre(
+        model=model,
+        home=robot.home(model),
+        T_flange_scanner=T_flange_scanner,
+        T_base_object=T_base_object,
+        centre=centre,
+        part_radius=radius,
+        frustum_mesh=mesh_of["frustum"],
+        glyph_mesh=mesh_of["glyph"],
+        frustum_corners=corners.vertices,
+        cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
+        entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
+        clearance=clearance,
+    )
+
+
+def frustum(fov_h: float, fov_v: float, nearest: float, farthest: float) -> TriangleMesh:
+    """The volume in which the scanner measures: both angles of the field of view, range as plane depth on the axis.
+
+    The farthest face is drawn flat through the middle of the range's end, as drawings of sensors do.
+
+    Args:
+        fov_h: full angle about the scanner's y, along the baseline [rad].
+        fov_v: full angle about the scanner's x [rad].
+        nearest: smallest range [m].
+        farthest: largest range [m].
+
+    Returns:
+        Eight corners (near four, far four), scanner frame [m].
+    """
+    x, y = np.tan(fov_h / 2), np.tan(fov_v / 2)
+    square = np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+    sides = [[i, (i + 1) % 4, (i + 1) % 4 + 4] for i in range(4)] + [[i, (i + 1) % 4 + 4, i + 4] for i in range(4)]
+    ends = [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]]
+    return TriangleMesh(np.concatenate([square * nearest, square * farthest]), np.array(sides + ends))
+
+
+def _pyramid(base: Floats) -> TriangleMesh:
+    """Tip in the origin, over a base of four corners (4, 3)."""
+    faces = [[0, 1 + (i + 1) % 4, 1 + i] for i in range(4)] + [[1, 2, 3], [1, 3, 4]]
+    return TriangleMesh(np.concatenate([np.zeros((1, 3)), base]), np.array(faces))
+
+
+def _hull(spec: mujoco.MjSpec) -> TriangleMesh:
+    mesh = spec.mesh(spec.geom("part").meshname)
+    vertices = np.asarray(mesh.uservert, dtype=np.float64).reshape(-1, 3)
+    return TriangleMesh(vertices, np.asarray(mesh.userface, dtype=np.int32).reshape(-1, 3))
+
+
+def _specks(points: Floats, size: float) -> TriangleMesh:
+    """A small octahedron [m] at each point, thinned evenly to POINTS_SHOWN."""
+    shown = points[np.linspace(0, len(points) - 1, min(len(points), POINTS_SHOWN)).astype(np.int64)]
+    star = size * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
+    faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
+    vertices = (shown[:, None] + star).reshape(-1, 3)
+    return TriangleMesh(vertices, (6 * np.arange(len(shown))[:, None, None] + faces).reshape(-1, 3))

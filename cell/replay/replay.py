@@ -1,0 +1,178 @@
+"""`cell replay`: a run folder as a moving arm, in the viewer, as frames or as one picture.
+
+Any run is shown as far as it got: with a motion, the arm follows it; a failed run (`.part`) that has only the checked
+cell shows the arm at home and the candidate viewpoints, coloured by what was found out about them.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cell.commands.narrator import Narrator
+from cell.errors import FileError, UsageError
+from cell.replay import timeline as replay_timeline
+from cell.replay.frames import require_empty, write_frames, write_picture
+from cell.replay.model import dress
+from cell.replay.offscreen import require_backend
+from cell.replay.show import Show
+from cell.replay.timeline import Timeline
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord, open_run
+from cell.scan.execution_reader import read_execution
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """What is wanted.
+
+    Attributes:
+        execution: id of an execution, or "latest"; None replays the plan.
+        view: number of the view, in visiting order from 1, at which the show begins; None is its start.
+        speed: seconds of the show for each second.
+        frames: folder for numbered pictures; None opens the viewer.
+        picture: file for one still of the whole tour; None draws none.
+        fps: frames for each second of film.
+        every: of so many frames one is drawn.
+        size: (width, height) of pictures [pixels].
+        once: close the viewer at the end.
+    """
+
+    execution: str | None = None
+    view: int | None = None
+    speed: float = 1.0
+    frames: Path | None = None
+    picture: Path | None = None
+    fps: float = 25.0
+    every: int = 1
+    size: tuple[int, int] = (960, 720)
+    once: bool = False
+
+
+def replay(
+    folder: Path,
+    options: ReplayOptions,
+    narrator: Narrator,
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> str:
+    """Show a run.
+
+    Args:
+        folder: the run folder.
+        options: what is wanted.
+        narrator: is told what is missing.
+        clock: seconds, rising; drives the viewer.
+        wait: lets seconds pass.
+
+    Returns:
+        One sentence about what was made; "" after the viewer.
+
+    Raises:
+        UsageError: for an impossible option, or where nothing can be drawn on.
+        FileError: if the run folder cannot be read.
+    """
+    _check(options)
+    drawing = options.frames is not None or options.picture is not None
+    if drawing:  # both are asked before the work, which takes seconds
+        require_backend()
+        if options.frames is not None:
+            require_empty(options.frames)
+    else:
+        from cell.replay.viewer import play, require_display
+
+        require_display()
+    with narrator.stage("set up the replay"):
+        show = load_show(open_run(folder), options.execution, options.size, narrator)
+    start = _start(show.timeline, options.view)
+    made = []
+    if options.picture is not None:
+        with narrator.stage("draw the picture"):
+            write_picture(show, options.picture, options.size, None if options.view is None else start)
+        made.append(f"picture in {options.picture}")
+    if options.frames is not None:
+        with narrator.stage("draw the frames") as progress:
+            count = write_frames(
+                show, options.frames, options.size, start=start, fps=options.fps, speed=options.speed,
+                every=options.every, progress=progress,
+            )  # fmt: skip
+        made.append(f"{count} frames in {options.frames}")
+    if not drawing:
+        play(show, clock=clock, wait=wait, speed=options.speed, start=start, once=options.once)
+    return "; ".join(made)
+
+
+def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narrator: Narrator) -> Show:
+    """What there is to show of a run.
+
+    Args:
+        run: the opened run.
+        execution: id of an execution, or "latest"; None for the plan.
+        size: (width, height) of pictures [pixels].
+        narrator: is told what is missing.
+
+    Raises:
+        FileError: if the run has no checked cell, or something in it is damaged.
+    """
+    if not run.has("cell.xml"):
+        raise FileError(
+            f"{run.folder} has no cell.xml, so there is no cell to show: the run {run.ended}; mend that and plan again"
+        )
+    if not run.finished:
+        narrator.note(f"this run {run.ended}; it is shown as far as it got")
+    scene = run_reader.resolved_scene(run)
+    reference = run_reader.mesh(run, "reference.ply") if run.has("reference.ply") else None
+    recorded = read_execution(run, execution) if execution is not None else None
+    if recorded is not None and not recorded.scans:
+        narrator.note(f"{recorded.folder} holds no scan that can be read")
+    clouds = [scan.points for scan in recorded.scans] if recorded is not None else []
+    theatre = dress(run, scene, reference, clouds, size)
+    planned = run_reader.motion(run) if run.has("motion.npz") else None
+    if recorded is not None:
+        timeline = replay_timeline.of_execution(recorded, planned, theatre.home)
+    elif planned is not None:
+        timeline = replay_timeline.of_plan(planned)
+    else:
+        timeline = replay_timeline.of_home(theatre.home)
+    for note in timeline.notes:
+        narrator.note(note)
+    if timeline.stops or planned is not None or not run.has("viewpoints.npz"):
+        return Show(theatre, timeline)
+    candidates = run_reader.candidates(run)
+    reachable = run_reader.reached(run).reachable if run.has("reach.npz") else None
+    narrator.note(
+        f"it has no motion: the arm stands at home beside {len(candidates)} candidate viewpoints"
+        + ("" if reachable is None else f", {int(np.count_nonzero(reachable))} of them reachable (green)")
+    )
+    return Show(theatre, timeline, theatre.T_base_object @ candidates.T_object_scanner[:, 0], reachable)
+
+
+def _start(timeline: Timeline, view: int | None) -> float:
+    if view is None:
+        return 0.0
+    numbers = [stop.number for stop in timeline.stops]
+    if view not in numbers:
+        listed = ", ".join(str(number) for number in numbers)
+        in_a_row = numbers == list(range(1, len(numbers) + 1))
+        valid = f"1 to {len(numbers)}, in visiting order" if in_a_row else f"{listed}, as scanned"
+        if not numbers:
+            valid = "none, it has no views to show"
+        raise UsageError(f"--view {view} is no view of this run; valid are {valid}")
+    return timeline.stops[numbers.index(view)].begin
+
+
+def _check(options: ReplayOptions) -> None:
+    width, height = options.size
+    if not (64 <= width <= 4096 and 64 <= height <= 4096):
+        raise UsageError(f"--size {width}x{height} must be between 64x64 and 4096x4096 pixels")
+    if not 0 < options.speed <= 1000:
+        raise UsageError(f"--speed {options.speed:g} must be above 0 and at most 1000")
+    if not 0 < options.fps <= 240:
+        raise UsageError(f"--fps {options.fps:g} must be above 0 and at most 240")
+    if options.every < 1:
+        raise UsageError(f"--every {options.every} must be 1 (each frame) or more")
+    if options.picture is not None and options.picture.suffix.lower() != ".png":
+        raise UsageError(f"--picture {options.picture} must end in .png")

@@ -1,0 +1,231 @@
+"""The show: a dressed model, a timeline, and what is to be seen at each moment. Viewer and pictures both play it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cell.replay import marks
+from cell.replay.model import Theatre
+from cell.replay.timeline import Timeline
+from cell.robot import model as robot
+from planner.ports import Floats
+from planner.readonly import readonly
+
+if TYPE_CHECKING:
+    import mujoco
+
+_PATH_RADIUS = 0.0022
+_PATH_SAMPLES = 400
+
+
+class Show:
+    """Holds the state (MjData) that is posed and drawn.
+
+    Attributes:
+        theatre: the dressed model.
+        timeline: what happens when.
+        data: the state; `pose` sets it.
+        T_base_scanner: (n, 4, 4) pose of the scanner at each stop [m].
+        path: (M, 3) the way of the scanner's source [m], base frame.
+        candidates: (C, 3) sources of candidate viewpoints where there is no motion to show [m].
+        reachable: (C,) whether each of them was found reachable; None where the run did not get so far.
+    """
+
+    def __init__(
+        self,
+        theatre: Theatre,
+        timeline: Timeline,
+        T_base_candidate: Floats | None = None,
+        reachable: np.ndarray[tuple[int], np.dtype[np.bool_]] | None = None,
+    ) -> None:
+        """Work out the poses.
+
+        Args:
+            theatre: the dressed model.
+            timeline: what happens when.
+            T_base_candidate: (C, 4, 4) candidate viewpoints to be shown [m]; None for a run with a motion.
+            reachable: (C,) what is known of them.
+        """
+        import mujoco
+
+        self.theatre, self.timeline = theatre, timeline
+        self.data = mujoco.MjData(theatre.model)
+        self._flange = theatre.model.site(robot.FLANGE).id
+        self.T_base_scanner = readonly(
+            "T_base_scanner",
+            np.array([self._scanner(timeline.at(stop.begin)) for stop in timeline.stops]).reshape(-1, 4, 4),
+            (None, 4, 4),
+        )
+        shown = np.linspace(0, len(timeline.t) - 1, min(len(timeline.t), _PATH_SAMPLES)).astype(int)
+        corners = np.searchsorted(timeline.t, [stop.begin for stop in timeline.stops])
+        rows = np.union1d(shown, corners)
+        self.path = readonly("path", [self._scanner(q)[:3, 3] for q in timeline.q[rows]], (None, 3))
+        self.T_base_candidate = np.zeros((0, 4, 4)) if T_base_candidate is None else T_base_candidate
+        self.reachable = reachable
+        self.pose(0.0)
+
+    def pose(self, t: float) -> None:
+        """Bring the arm to where it is at a time of the show [s]."""
+        import mujoco
+
+        self.data.qpos[:] = self.timeline.at(t)
+        mujoco.mj_kinematics(self.theatre.model, self.data)
+        mujoco.mj_comPos(self.theatre.model, self.data)
+        mujoco.mj_camlight(self.theatre.model, self.data)
+
+    def touches(self) -> tuple[marks.Touch, ...]:
+        """What is nearer than the clearance at the present pose."""
+        return marks.touches(self.theatre, self.data)
+
+    def draw_still(self, scene: mujoco.MjvScene) -> None:
+        """What does not change while the show runs: path, or the candidates of a run without one."""
+        if len(self.path) > 1:
+            marks.add_path(scene, self.path, _PATH_RADIUS)
+        for number, T in enumerate(self.T_base_candidate):
+            known = self.reachable is not None
+            free = known and self.reachable is not None and bool(self.reachable[number])
+            colour = marks.FRESH if free else marks.LOST if known else marks.EARLIER
+            marks.add_segment(scene, T[:3, 3], T[:3, 3] + 0.05 * T[:3, 2], 0.002, colour)
+            marks.add_ball(scene, T[:3, 3], 0.006, colour)
+
+    def draw_moment(self, scene: mujoco.MjvScene, t: float, touching: tuple[marks.Touch, ...] = ()) -> None:
+        """Frustum where the scanner is looking, points taken by then, contacts."""
+        row = self._row_at(t)
+        taken = self.timeline.reached(t)
+        if self.theatre.cloud_mesh:
+            marks.add_clouds(scene, self.theatre, range(taken), row)
+        if row is not None:
+            marks.add_frustum(scene, self.theatre, self.T_base_scanner[row])
+        elif self.timeline.stops:
+            marks.add_glyph(scene, self.theatre, self._scanner_now())
+        marks.add_touches(scene, touching)
+
+    def draw_tour(self, scene: mujoco.MjvScene, t: float) -> None:
+        """All at once: path, every view, all points, and the frustum of the present stop."""
+        self.draw_still(scene)
+        present = self._row_at(t)
+        for row, T in enumerate(self.T_base_scanner):
+            if row != present:
+                marks.add_glyph(scene, self.theatre, T)
+        marks.add_clouds(scene, self.theatre, range(len(self.theatre.cloud_mesh)), None)
+        if present is not None:
+            marks.add_frustum(scene, self.theatre, self.T_base_scanner[present])
+
+    def _row_at(self, t: float) -> int | None:
+        """Row of the stop at which the show rests; its number may be another one where views are missing."""
+        stop = self.timeline.stop_at(t)
+        return None if stop is None else self.timeline.stops.index(stop)
+
+    def caption(self, t: float, touching: tuple[marks.Touch, ...] = ()) -> str:
+        """Where the show is, in a line."""
+        stops = self.timeline.stops
+        if not stops:
+            return "home"
+        stop, taken = self.timeline.stop_at(t), self.timeline.reached(t)
+        if stop is not None:
+            where = f"view {stop.number} of {self.timeline.n_views} (candidate {stop.candidate})"
+        elif taken < len(stops):
+            where = f"to view {stops[taken].number} of {self.timeline.n_views}"
+        else:
+            where = "home" if t >= self.timeline.duration else "to home"
+        text = f"{where}   {self.timeline.moved(t):.1f} s"
+        return "   ".join([text, *(touch.sentence for touch in touching)])
+
+    def camera(self, aspect: float, times: Sequence[float] | None = None) -> mujoco.MjvCamera:
+        """A free camera beside the part that has robot, part and path in the picture.
+
+        Args:
+            aspect: width over height.
+            times: moments [s] at which the whole arm must be in it; None takes each stop and both ends.
+        """
+        import mujoco
+
+        camera = mujoco.MjvCamera()
+        mujoco.mjv_defaultFreeCamera(self.theatre.model, camera)
+        x, y, _ = self.theatre.centre
+        camera.azimuth = float(np.degrees(np.arctan2(y, x))) + _BESIDE_DEG
+        camera.elevation = _FROM_ABOVE_DEG
+        azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
+        forward = np.array(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+        )
+        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+        up = np.cross(right, forward)
+        seen = self._extent(times)
+        along = np.stack([seen @ right, seen @ up, seen @ forward], axis=1)
+        middle = (along.min(axis=0) + along.max(axis=0)) / 2
+        tangent = np.tan(np.radians(self.theatre.model.vis.global_.fovy) / 2) * np.array([aspect, 1.0]) / _MARGIN
+        for _ in range(4):  # the middle of the picture depends on the distance, a little
+            depth = along[:, 2] - middle[2]
+            distance = float((np.abs(along[:, :2] - middle[:2]) / tangent - depth[:, None]).max())
+            seen_at = (along[:, :2] - middle[:2]) / (distance + depth)[:, None]
+            middle[:2] += distance * (seen_at.min(axis=0) + seen_at.max(axis=0)) / 2
+        camera.lookat[:] = middle[0] * right + middle[1] * up + middle[2] * forward
+        camera.distance = distance
+        return camera
+
+    def best_stop(self) -> float:
+        """A time at which a still shows the arm beside the part: the stop whose scanner is farthest to the side."""
+        if not self.timeline.stops:
+            return 0.0
+        azimuth = np.arctan2(self.theatre.centre[1], self.theatre.centre[0]) + np.radians(_BESIDE_DEG)
+        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+        aside = np.abs((self.T_base_scanner[:, :3, 3] - self.theatre.centre) @ right)
+        height = self.T_base_scanner[:, 2, 3] - self.theatre.centre[2]
+        return self.timeline.stops[int(np.argmax(aside + height))].begin
+
+    def _extent(self, times: Sequence[float] | None) -> Floats:
+        """(N, 3) points that belong in the picture: the robot's shapes at each stop, the part, the path."""
+        model, points = self.theatre.model, [self.path]
+        radius = self.theatre.part_radius
+        points.append(self.theatre.centre + radius * np.concatenate([np.eye(3), -np.eye(3)]))
+        shapes = [
+            i
+            for i in range(model.ngeom)
+            if self.theatre.entities[i] in (*robot.LINKS, "housing")
+            and model.geom_contype[i] | model.geom_conaffinity[i]
+        ]
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        boxes = model.geom_aabb[shapes, None, :3] + signs * model.geom_aabb[shapes, None, 3:]
+        if times is None:
+            times = [0.0, *(stop.begin for stop in self.timeline.stops), self.timeline.duration]
+        for t in times:
+            self.pose(t)
+            turned = np.einsum("gij,gcj->gci", self.data.geom_xmat[shapes].reshape(-1, 3, 3), boxes)
+            points.append((self.data.geom_xpos[shapes, None] + turned).reshape(-1, 3))
+        self.pose(0.0)
+        if self.T_base_candidate.size:
+            points.append(self.T_base_candidate[:, :3, 3])
+        floor = model.geom("floor").pos[2]
+        feet = [[0.3, 0.3, floor], [-0.3, -0.3, floor], [0.3, -0.3, floor], [-0.3, 0.3, floor]]
+        points.append(np.array([*feet, [*self.theatre.centre[:2], floor]]))
+        return np.concatenate(points)
+
+    def _scanner(self, q: Floats) -> Floats:
+        """(4, 4) pose of the scanner at joint angles [m]."""
+        import mujoco
+
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.theatre.model, self.data)
+        return self._scanner_now()
+
+    def _scanner_now(self) -> Floats:
+        T = np.eye(4)
+        T[:3, :3] = self.data.site_xmat[self._flange].reshape(3, 3)
+        T[:3, 3] = self.data.site_xpos[self._flange]
+        T_base_scanner: Floats = T @ self.theatre.T_flange_scanner
+        return T_base_scanner
+
+
+_BESIDE_DEG = 127.0  # from the side of the part, a little from the front: arm and part next to each other
+_FROM_ABOVE_DEG = -20.0
+_MARGIN = 1.06
+
+
+def show_what_is_seen(option: mujoco.MjvOption) -> None:
+    """Surfaces and the robot are shown; hulls, the boxes inside the robot's look, and sites are not."""
+    option.geomgroup[:] = [1, 1, 1, 1, 0, 0]
+    option.sitegroup[:] = 0

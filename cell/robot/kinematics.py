@@ -1,0 +1,275 @@
+"""Closed-form forward and inverse kinematics of the KR 16, vectorised over poses.
+
+With KUKA angles A1..A6, s = A2 + A3 and the lengths of `cell.robot.model.Dimensions` (d1, a1, a2, a3, d4, d6):
+
+    r = a1 + a2 cos A2 + d4 cos s + a3 sin s            wrist centre, signed distance from the A1 axis
+    z = d1 - a2 sin A2 - d4 sin s + a3 cos s            wrist centre, height
+    w = (r cos A1, -r sin A1, z)
+    R = Rz(-A1) Ry(s) Rx(-A4) Ry(A5) Rx(-A6)
+    flange: origin w + d6 R[:, 0], axes R Ry(90 deg)
+
+The inverse is the decoupling of arm and spherical wrist (D. L. Pieper, "The kinematics of manipulators under computer
+control", Stanford 1968; for this family M. Brandstoetter, A. Angerer, M. Hofbaur, "An analytical solution of the
+inverse kinematics problem of industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014).
+With L = hypot(d4, a3), phi = atan2(-a3, d4) and psi = A3 + phi the arm is a planar two-bar chain of lengths a2 and L.
+
+The eight branches have fixed places, slot = 4 shoulder + 2 elbow + wrist:
+
+    shoulder  0: r >= 0, wrist centre in front of A1     1: r < 0, overhead
+    elbow     0: psi >= 0 (A3 >= -2.99 deg)              1: psi < 0
+    wrist     0: A5 >= 0                                 1: A5 < 0
+
+Singular poses keep an exact solution, by these conventions: wrist centre on the A1 axis: A1 = 0 (slots 0..3) or 180 deg
+(slots 4..7); A5 = 0: A4 = 0 (wrist 0) or 180 deg (wrist 1); arm stretched or folded: both elbow slots coincide. Poses
+beyond the stretched arm by no more than 1e-10 m count as stretched; the solution then misses the pose by that much.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.robot.model import Dimensions, dimensions, limits, load
+from planner.errors import PlannerError
+from planner.ports import JointLimits
+
+if TYPE_CHECKING:
+    import mujoco
+
+Floats = NDArray[np.float64]
+
+BRANCHES = 8
+
+# Poses handled at once: the intermediate arrays (about 150 doubles a pose) then stay in the cache.
+_CHUNK = 2048
+# Distance by which a pose may lie beyond the stretched (or inside the folded) arm and still count as stretched [m].
+STRETCH_TOLERANCE = 1e-10
+# Nearer to A1 than this [m], the direction of the wrist centre is rounding noise.
+_ON_A1 = 1e-12
+# Below this |sin A5| A4 and A6 are rounding noise one by one; the convention A5 = 0, A4 = 0 costs 1e-12 rad at most.
+_WRIST_SINGULAR = 1e-12
+# Below this |sin A5| A6 is taken from what A4 leaves over: A4's noise, 1e-16 / sin A5, then cancels out.
+_WRIST_NEAR_SINGULAR = 1e-3
+# How far a rotation may be from orthonormal before it is refused.
+_ROTATION_TOLERANCE = 1e-6
+
+
+class Kr16Kinematics:
+    """`planner.ports.Kinematics` of an arm of the KR 16's family.
+
+    Args:
+        arm: lengths of the arm.
+        joint_limits: limits of A1..A6; they are handed out, `inverse` does not apply them.
+    """
+
+    def __init__(self, arm: Dimensions, joint_limits: JointLimits) -> None:
+        self._arm = arm
+        self._limits = joint_limits
+
+    @classmethod
+    def from_model(cls, model: mujoco.MjModel) -> Kr16Kinematics:
+        """Kinematics of a compiled model of the robot alone (its world is the base frame)."""
+        return cls(dimensions(model), limits(model))
+
+    @classmethod
+    def load(cls) -> Kr16Kinematics:
+        """Kinematics of models/kr16.xml."""
+        return cls.from_model(load())
+
+    @property
+    def limits(self) -> JointLimits:
+        """Limits of the axes."""
+        return self._limits
+
+    @property
+    def arm(self) -> Dimensions:
+        """Lengths of the arm."""
+        return self._arm
+
+    def forward(self, q: Floats) -> Floats:
+        """Flange poses.
+
+        Args:
+            q: (N, 6) joint angles [rad], KUKA signs.
+
+        Returns:
+            (N, 4, 4) T_base_flange [m].
+
+        Raises:
+            PlannerError: if the shape is wrong.
+        """
+        q = np.asarray(q, dtype=np.float64)
+        if q.ndim != 2 or q.shape[1] != 6:
+            raise PlannerError(f"q has shape {q.shape}; it must be (N, 6)")
+        T = np.zeros((len(q), 4, 4))
+        for start in range(0, len(q), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            _forward(self._arm, q[chunk].T, T[chunk])
+        return T
+
+    def inverse(self, T_base_flange: Floats) -> Floats:
+        """All eight branches of each pose, in the slot order of the module's docstring, not limited to the joint range.
+
+        Args:
+            T_base_flange: (N, 4, 4) [m].
+
+        Returns:
+            (N, 8, 6) joint angles [rad] in (-pi, pi]; NaN where a branch has no real solution.
+
+        Raises:
+            PlannerError: if the shape is wrong or a pose is not a rigid transform.
+        """
+        T = np.asarray(T_base_flange, dtype=np.float64)
+        if T.ndim != 3 or T.shape[1:] != (4, 4):
+            raise PlannerError(f"T_base_flange has shape {T.shape}; it must be (N, 4, 4)")
+        q = np.empty((len(T), BRANCHES, 6))
+        for start in range(0, len(T), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            _inverse(self._arm, T[chunk], q[chunk], start)
+        return q
+
+
+def _forward(arm: Dimensions, q: Floats, T: Floats) -> None:
+    """Fill T (n, 4, 4) with the flange poses of q (6, n)."""
+    a1, a2, a4, a5, a6 = q[0], q[1], q[3], q[4], q[5]
+    s = q[1] + q[2]
+    c1, s1, cs, ss = np.cos(a1), np.sin(a1), np.cos(s), np.sin(s)
+    c4, s4, c5, s5, c6, s6 = np.cos(a4), np.sin(a4), np.cos(a5), np.sin(a5), np.cos(a6), np.sin(a6)
+    r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * cs + arm.a3 * ss
+    z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * ss + arm.a3 * cs
+    # Columns of the wrist Rx(-A4) Ry(A5) Rx(-A6), each turned by Ry(s), then by Rz(-A1).
+    wrist = (
+        (c5, -s4 * s5, -c4 * s5),
+        (-s5 * s6, c4 * c6 - s4 * c5 * s6, -s4 * c6 - c4 * c5 * s6),
+        (s5 * c6, c4 * s6 + s4 * c5 * c6, -s4 * s6 + c4 * c5 * c6),
+    )
+    # The flange's axes (x, y, z) are R's columns (-2, 1, 0).
+    for column, (x, y, up), sign in ((2, wrist[0], 1.0), (1, wrist[1], 1.0), (0, wrist[2], -1.0)):
+        ahead = cs * x + ss * up
+        T[:, 0, column] = sign * (c1 * ahead + s1 * y)
+        T[:, 1, column] = sign * (c1 * y - s1 * ahead)
+        T[:, 2, column] = sign * (cs * up - ss * x)
+    T[:, 0, 3] = r * c1 + arm.d6 * T[:, 0, 2]
+    T[:, 1, 3] = -r * s1 + arm.d6 * T[:, 1, 2]
+    T[:, 2, 3] = z + arm.d6 * T[:, 2, 2]
+    T[:, 3, 3] = 1.0
+
+
+def _inverse(arm: Dimensions, T: Floats, q: Floats, first: int) -> None:
+    """Fill q (n, 8, 6) with the branches of T (n, 4, 4); `first` is the number of T[0] for messages."""
+    # Contiguous rows, one per matrix element: R = flange axes Ry(-90 deg) = (z, y, -x).
+    e = np.ascontiguousarray(T[:, :3, :].reshape(len(T), 12).T)
+    R = np.stack((e[2], e[6], e[10], e[1], e[5], e[9], -e[0], -e[4], -e[8])).reshape(3, 3, -1)  # [column][row]
+    _require_rigid(R, e, T, first)
+    w = e[3::4] - arm.d6 * R[0]
+
+    # Shoulder (2, n): A1, and the wrist centre in the plane of the arm.
+    radius = np.hypot(w[0], w[1])
+    aside = radius > _ON_A1
+    reach = np.where(aside, radius, 1.0)
+    c1 = np.where(aside, w[0] / reach, 1.0)
+    s1 = np.where(aside, -w[1] / reach, 0.0)
+    a1 = np.arctan2(s1, c1)
+    x = np.stack((radius, -radius)) - arm.a1
+    y = arm.d1 - w[2]
+    # Every axis of the wrist's rotation in the plane of the arm: forward, sideways (turned by +A1).
+    ahead = np.stack((c1 * R[:, 0] - s1 * R[:, 1], s1 * R[:, 1] - c1 * R[:, 0]))  # (2, 3 columns, n)
+    aside_y = s1 * R[:, 0] + c1 * R[:, 1]
+    sideways = np.stack((aside_y, -aside_y))
+    up = R[:, 2]
+
+    # Elbow (2 shoulder, 2 elbow, n): the two-bar chain a2, L to the point (x, y), y down.
+    forearm = np.hypot(arm.d4, arm.a3)
+    phi = np.arctan2(-arm.a3, arm.d4)
+    square = x * x + y * y
+    rho = np.sqrt(square)
+    longest, shortest = arm.a2 + forearm, abs(arm.a2 - forearm)
+    real = (rho <= longest + STRETCH_TOLERANCE) & (rho >= shortest - STRETCH_TOLERANCE) & (rho > 0.0)
+    # 16 times the squared area of the triangle (Heron), factored so that it loses no digits near the stretched arm.
+    heron = np.maximum((longest - rho) * (longest + rho) * (rho - shortest) * (rho + shortest), 0.0)
+    sine = np.sqrt(heron)  # 2 a2 L sin psi
+    cosine = square - (arm.a2 * arm.a2 + forearm * forearm)  # 2 a2 L cos psi
+    psi = np.arctan2(sine, cosine)
+    psi = np.stack((psi, -psi), axis=1)
+    # Angle between upper arm and the line to the wrist centre: atan2(L sin psi, a2 + L cos psi), times 2 a2.
+    along = square + (arm.a2 * arm.a2 - forearm * forearm)
+    lean = np.arctan2(sine, along)
+    line = np.arctan2(y, x)
+    a2 = np.stack((line - lean, line + lean), axis=1)
+    a3 = psi - phi
+    s = a2 + a3
+    cs, ss = np.cos(s), np.sin(s)
+
+    # Wrist (2, 2, 3 columns, n): M = Ry(-s) Rz(A1) R = Rx(-A4) Ry(A5) Rx(-A6); its first row and first column.
+    row = cs[:, :, None] * ahead[:, None] - ss[:, :, None] * up
+    m20 = ss * ahead[:, None, 0] + cs * up[0]
+    m10 = np.broadcast_to(sideways[:, None, 0], m20.shape)
+    s5 = np.hypot(m10, m20)
+    a4 = np.arctan2(-m10, -m20)
+    a5 = np.arctan2(s5, row[:, :, 0])
+    a6 = np.arctan2(-row[:, :, 1], row[:, :, 2])
+    near = s5 < _WRIST_NEAR_SINGULAR
+    if near.any():
+        _near_singular_wrist(near, s5, (ahead, sideways, up), (cs, ss), a4, a5, a6)
+
+    for shoulder in (0, 1):
+        turned = a1 if shoulder == 0 else _opposite(a1)
+        for elbow in (0, 1):
+            slot = 4 * shoulder + 2 * elbow
+            u4, u5, u6 = (angle[shoulder, elbow] for angle in (a4, a5, a6))
+            for wrist, angles in ((0, (u4, u5, u6)), (1, (_opposite(u4), -u5, _opposite(u6)))):
+                for axis, angle in enumerate((turned, a2[shoulder, elbow], a3[shoulder, elbow], *angles)):
+                    q[:, slot + wrist, axis] = angle
+    np.add(q, 2.0 * np.pi, out=q, where=q <= -np.pi)
+    np.subtract(q, 2.0 * np.pi, out=q, where=q > np.pi)
+    for shoulder in (0, 1):
+        q[~real[shoulder], 4 * shoulder : 4 * shoulder + 4] = np.nan
+
+
+def _opposite(angle: Floats) -> Floats:
+    """Half a turn further, in (-pi, pi]."""
+    return np.where(angle > 0.0, angle - np.pi, angle + np.pi)
+
+
+def _near_singular_wrist(
+    near: NDArray[np.bool_],
+    s5: Floats,
+    axes: tuple[Floats, Floats, Floats],
+    direction: tuple[Floats, Floats],
+    a4: Floats,
+    a5: Floats,
+    a6: Floats,
+) -> None:
+    """Where A5 is nearly 0 or 180 deg: A6 from the rotation that A4 leaves over; where exactly, A4 = 0. In place.
+
+    Ry(A5) Rx(-A6) = Rx(A4) M has the second row (0, cos A6, sin A6).
+    """
+    shoulder, elbow, n = np.nonzero(near)
+    ahead, sideways, up = axes[0][shoulder, :, n], axes[1][shoulder, :, n], axes[2][:, n].T
+    cs, ss = (part[shoulder, elbow, n][:, None] for part in direction)
+    side, top = sideways, ss * ahead + cs * up  # rows 1 and 2 of M, (k, 3)
+    singular = s5[near] < _WRIST_SINGULAR
+    first = np.where(singular, 0.0, a4[near])
+    c4, s4 = np.cos(first), np.sin(first)
+    a4[near] = first
+    a5[near] = np.where(singular, np.where(a5[near] < 1.0, 0.0, np.pi), a5[near])
+    a6[near] = np.arctan2(c4 * side[:, 2] - s4 * top[:, 2], c4 * side[:, 1] - s4 * top[:, 1])
+
+
+def _require_rigid(R: Floats, e: Floats, T: Floats, first: int) -> None:
+    """Raise PlannerError, naming the pose, unless every pose is a rigid transform."""
+    u, v, t = R
+    cross = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+    miss = np.abs(u[0] * u[0] + u[1] * u[1] + u[2] * u[2] - 1.0) + np.abs(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+    miss += np.abs(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] - 1.0)
+    miss += np.abs(cross[0] - t[0]) + np.abs(cross[1] - t[1]) + np.abs(cross[2] - t[2])
+    miss += np.abs(T[:, 3, :] - (0.0, 0.0, 0.0, 1.0)).sum(axis=1)
+    good = (miss <= _ROTATION_TOLERANCE) & np.isfinite(e[3] + e[7] + e[11])  # a NaN fails both
+    if not good.all():
+        pose = first + int(np.argmin(good))
+        raise PlannerError(
+            f"pose {pose} of T_base_flange is not a rigid transform (orthonormal, right-handed, finite) to "
+            f"{_ROTATION_TOLERANCE:g}; give transforms whose rotation part is a rotation"
+        )

@@ -1,0 +1,1 @@
+"""`cell scan`: execute a plan on a controller, scan, report."""

@@ -1,0 +1,52 @@
+"""The driver of an execution, and the clock by which its events are told."""
+
+from urllib.parse import parse_qsl, urlsplit
+
+from cell.errors import DriverFailureError, UsageError
+from cell.scan.options import ScanOptions
+from drivers.clock import Clock, RealTimeClock, SimulatedClock
+from drivers.contract import Driver
+from drivers.errors import DriverError
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
+from drivers.setpoints import from_rad, to_deg
+from drivers.sim import SimDriver
+from planner.timing import Motion
+
+
+def prepare(options: ScanOptions, motion: Motion, speed: float) -> tuple[Driver, Clock]:
+    """The driver, not yet connected, and the clock that tells its time.
+
+    The simulated controller gets the limits and accelerations of the plan, stands at its beginning, and jumps in time
+    unless real time was asked for.
+
+    Args:
+        options: URL, and whether in real time.
+        motion: of the plan, with the limits that it was timed with.
+        speed: fraction of the axis speeds in these limits.
+
+    Raises:
+        UsageError: if real time is asked of a controller that is not simulated.
+        DriverFailureError: if the URL names no driver, or has an option that its driver does not have.
+    """
+    try:
+        parts = urlsplit(options.driver)
+        query = dict(parse_qsl(parts.query, keep_blank_values=True))
+    except ValueError as error:
+        raise DriverFailureError(f"driver URL '{options.driver}' cannot be read: {error}") from error
+    url, simulated = options.driver, parts.scheme == "sim"
+    if options.realtime and not simulated:
+        raise UsageError(f"--realtime is for sim://; {options.driver} takes the time that it takes")
+    own_clock = not simulated or query.get("realtime", "0").lower() not in ("0", "false", "no", "off")
+    if simulated and "start" not in query and "://" in url:
+        start = ",".join(f"{angle:.4f}" for angle in to_deg(from_rad(motion.via_q[0])))
+        url += ("&" if "?" in url else "?") + f"start={start}"
+    lim = motion.limits
+    limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / speed, lim.acceleration)
+    given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
+    try:
+        driver = open_driver(url, Context(clock=given, limits=limits))
+        # A simulated controller has one clock, with its time_scale; of another one only real time is known.
+        return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
+    except DriverError as error:
+        raise DriverFailureError(str(error)) from error

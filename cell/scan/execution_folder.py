@@ -1,0 +1,162 @@
+"""One execution on disk: `executions/<number>/` of a run folder, written so that a killed execution can be read.
+
+The manifest stands from the first moment, every event is on disk when it happens, and every scan before the next move.
+The plan beside it is never touched. docs/run_folder.md is the contract.
+"""
+
+import io
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError
+from cell.run import process
+from cell.run.folder import SCHEMA, RunFolder, versions
+from cell.run.record import RunRecord
+from cell.scan.execution_reader import FOLDER
+
+EVENTS = "events.jsonl"
+EXECUTING = "execute and scan"
+"""The stage that a report made later does not repeat."""
+
+
+class ExecutionFolder(RunFolder):
+    """The folder of an execution while it is written; stages, writers, `finish` and `fail` are those of a run folder.
+
+    Unlike a run folder it has its final name from the beginning: a stopped execution is an execution.
+    """
+
+    @classmethod
+    def make(
+        cls, run: RunRecord, argv: list[str], seed: int, options: Mapping[str, Any], now: datetime
+    ) -> "ExecutionFolder":
+        """Make the next execution of a run.
+
+        Args:
+            run: the run that is executed.
+            argv: the command line, kept in the manifest.
+            seed: seed of noise and pose errors.
+            options: what was asked for, kept in the manifest; a report made later reads it there.
+            now: time of the start (UTC).
+
+        Raises:
+            FileError: if it cannot be made.
+        """
+        root = run.folder / FOLDER
+        try:
+            root.mkdir(exist_ok=True)
+            while True:
+                taken = [int(path.name) for path in root.iterdir() if path.name.isdecimal()]
+                path = root / f"{max(taken, default=0) + 1:04d}"
+                try:
+                    path.mkdir()
+                    break
+                except FileExistsError:
+                    continue  # another execution took the number in between
+            (path / "scans").mkdir()
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise FileError(
+                f"an execution cannot be made in {root}: {reason}; the run folder must be writable"
+            ) from error
+        folder = cls(
+            path,
+            path,
+            {
+                "schema": SCHEMA,
+                "status": "running",
+                "stage": "start",
+                "started": now.isoformat(timespec="seconds"),
+                "argv": argv,
+                "seed": seed,
+                "options": dict(options),
+                "plan": run.manifest.get("artefacts", {}).get("plan.json", ""),
+                "versions": versions(),
+                "seconds": {},
+                **process.this_process(),
+            },
+        )
+        folder._write_manifest()
+        return folder
+
+    @classmethod
+    def reopen(cls, path: Path, manifest: Mapping[str, Any]) -> "ExecutionFolder":
+        """An execution that was made before, to make its report anew."""
+        seconds = {name: took for name, took in manifest.get("seconds", {}).items() if name == EXECUTING}
+        entries = {"schema": SCHEMA, **manifest, "seconds": seconds}
+        return cls(path, path, entries, "start", dict(manifest.get("artefacts", {})))
+
+    def note(self, **entries: Any) -> None:
+        """Put entries into the manifest."""
+        self.manifest.update(entries)
+        self._write_manifest()
+
+    def event(self, seconds: float, name: str, **details: Any) -> None:
+        """Append an event to events.jsonl; it is on disk when this returns.
+
+        Args:
+            seconds: the controller's clock since the start [s].
+            name: what happened.
+            details: more about it, as JSON types.
+        """
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        line = json.dumps({"t_s": round(seconds, 6), "utc": now, "event": name, **details}, allow_nan=False) + "\n"
+
+        def append(path: Path) -> None:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(line)
+                file.flush()
+                os.fsync(file.fileno())
+
+        self._on_disk(EVENTS, append)
+
+    def write_scan(self, name: str, **arrays: NDArray[Any]) -> None:
+        """Write scans/`name`: whole or not at all, and on disk when this returns."""
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
+
+        def write(path: Path) -> None:
+            temporary = path.with_name(path.name + ".tmp")
+            with temporary.open("wb") as file:
+                file.write(buffer.getbuffer())
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+            _sync_folder(path.parent)
+
+        self._on_disk(f"scans/{name}", write)
+        self.adopt(f"scans/{name}")
+
+    def write_bytes(self, name: str, pieces: Iterable[bytes]) -> None:
+        """Write a binary artefact."""
+        self._write(name, b"".join(pieces))
+
+    def remove(self, name: str) -> None:
+        """Take away an artefact that an earlier report made and this one has no data for."""
+        (self.path / name).unlink(missing_ok=True)
+        self._artefacts.pop(name, None)
+
+    def _close(self, status: str, exit_code: int | None) -> None:
+        for name in process.KEYS:  # only while it is written
+            self.manifest.pop(name, None)
+        RunFolder._close(self, status, exit_code)
+
+    def _on_disk(self, name: str, write: Callable[[Path], None]) -> None:
+        with self._writing(name):
+            write(self.path / name)
+
+
+def _sync_folder(path: Path) -> None:
+    """A renamed file survives a power failure only when its folder is on disk as well; Windows has no such call."""
+    if os.name == "posix":
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

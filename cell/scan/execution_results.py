@@ -1,0 +1,279 @@
+"""Step 11: what an execution's scans amount to: merged cloud, registration, coverage achieved beside predicted.
+
+Everything is calculated from what stands on disk, so a report can be made anew, and of a stopped execution as well.
+Object frame, metres.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError
+from cell.rays.prediction import held_out
+from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
+from cell.reconstruction.nearest import NearestSurface
+from cell.reconstruction.registration import Registration, register
+from cell.run.reader import RecordedView
+from cell.run.record import file_bytes, understood
+from cell.scan.execution_reader import RecordedExecution, RecordedScan
+from cell.scan.scene import ScanScene
+from planner import coverage, measurability
+from planner.ports import Floats, Rejection
+from planner.readonly import readonly
+from planner.surface import SurfaceSamples
+
+_CLOUD_SAMPLES = 40_000  # points whose distance to the reference stands for that of all
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExecutedScan:
+    """One readable scan of an execution.
+
+    Attributes:
+        stop: number of the view, from 1 in visiting order.
+        view: its candidate, row of viewpoints.npz.
+        q_commanded: (6,) [rad].
+        q_reported: (6,) [rad].
+        T_reported: (4, 4) T_object_scanner by the controller's report [m].
+        T_true: (4, 4) from where the rays were traced [m].
+        points: (P, 3) as the data tell them [m].
+        counts: rays by `Rejection`.
+    """
+
+    stop: int
+    view: int
+    q_commanded: Floats
+    q_reported: Floats
+    T_reported: Floats
+    T_true: Floats
+    points: Floats
+    counts: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        # A sentence names the array as the file does.
+        for name, stored in (("T_reported", "T_object_scanner"), ("T_true", "T_object_scanner_true")):
+            object.__setattr__(self, name, readonly(stored, getattr(self, name), (4, 4)))
+        if not 0 < len(self.counts) <= len(Rejection):  # reasons are appended: an older scan has fewer
+            raise ValueError(f"it has {len(self.counts)} counts of rays; there must be 1 to {len(Rejection)}")
+        object.__setattr__(self, "counts", (*self.counts, *[0] * (len(Rejection) - len(self.counts))))
+
+    @property
+    def cloud(self) -> ScanCloud:
+        """The points, seen from the reported source."""
+        return ScanCloud(self.points, self.T_reported[:3, 3])
+
+
+def usable(
+    recorded: RecordedExecution, planned: Sequence[RecordedView]
+) -> tuple[tuple[ExecutedScan, ...], tuple[str, ...]]:
+    """The scans that can be used, in driving order, and a sentence about each file that cannot.
+
+    Args:
+        recorded: what the execution left.
+        planned: the plan's views in visiting order.
+    """
+    left_out = list(recorded.unreadable)
+    scans: list[ExecutedScan] = []
+    known = recorded.manifest.get("artefacts", {})
+    for scan in recorded.scans:
+        try:
+            _require_unchanged(recorded, scan, known.get(f"scans/{scan.name}"))
+            scans.append(_of_the_plan(recorded, _executed(recorded, scan), scan.name, planned))
+        except FileError as error:
+            left_out.append(str(error))
+    here = f"{recorded.folder}/"
+    return tuple(scans), tuple(sentence.replace(here, "") for sentence in left_out)
+
+
+def _executed(recorded: RecordedExecution, scan: RecordedScan) -> ExecutedScan:
+    with understood(recorded.folder / "scans" / scan.name):
+        stored = scan.stored
+        return ExecutedScan(
+            int(stored["stop"]), scan.view, scan.q_commanded, scan.q_reported, stored["T_object_scanner"],
+            stored["T_object_scanner_true"], scan.points, tuple(int(count) for count in stored["counts"]),
+        )  # fmt: skip
+
+
+def _of_the_plan(
+    recorded: RecordedExecution, scan: ExecutedScan, name: str, planned: Sequence[RecordedView]
+) -> ExecutedScan:
+    """The scan, if it is that of the view that its file is named after; a stop has one file name, so none repeats."""
+    path = recorded.folder / "scans" / name
+    if not 1 <= scan.stop <= len(planned):
+        raise FileError(f"{path} is of view {scan.stop}, and the plan has the views 1 to {len(planned)}")
+    if name != scan_name(scan.stop):
+        raise FileError(f"{path} is of view {scan.stop}, whose file is {scan_name(scan.stop)}")
+    if scan.view != planned[scan.stop - 1].id:
+        raise FileError(
+            f"{path} is of candidate {scan.view}, and view {scan.stop} of the plan is candidate "
+            f"{planned[scan.stop - 1].id}"
+        )
+    return scan
+
+
+def scan_name(stop: int) -> str:
+    """Name of the file of a view, by its number from 1 in visiting order."""
+    return f"{stop:04d}.npz"
+
+
+def _require_unchanged(recorded: RecordedExecution, scan: RecordedScan, expected: str | None) -> None:
+    import hashlib
+
+    path = recorded.folder / "scans" / scan.name
+    if expected is not None and hashlib.sha256(file_bytes(path)).hexdigest() != expected:
+        raise FileError(f"{path} is not what the execution wrote (its sha256 is not the manifest's); scan again")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Merged:
+    """All scans in the object frame.
+
+    Attributes:
+        cloud: merged, with normals.
+        stop: (N,) number of the view of each point.
+        poses: one (4, 4) T_object_scanner per scan, after registration [m].
+        registration: None where it was not asked for.
+        rms_before: of the points' distances to the reference by the reported poses [m]; NaN without points.
+        rms_after: the same after registration [m].
+    """
+
+    cloud: PointCloud
+    stop: NDArray[np.int32]
+    poses: tuple[Floats, ...]
+    registration: Registration | None
+    rms_before: float
+    rms_after: float
+
+
+def merged(scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered: bool) -> Merged:
+    """Bring the scans into the object frame by their reported poses, and register them if asked.
+
+    Args:
+        scans: of one execution.
+        nearest: the reference.
+        registered: whether to correct the reported poses by registration.
+    """
+    clouds = [scan.cloud for scan in scans]
+    before = _rms_to(nearest, clouds)
+    after, registration = before, None
+    poses = [scan.T_reported for scan in scans]
+    if registered and clouds:
+        registration = register(clouds, nearest)
+        corrections = [result.T_correction for result in registration.scans]
+        clouds = [cloud.moved(T) for cloud, T in zip(clouds, corrections, strict=True)]
+        poses = [T @ pose for T, pose in zip(corrections, poses, strict=True)]
+        after = _rms_to(nearest, clouds)
+    cloud = merge(clouds)
+    stop = np.array([scan.stop for scan in scans], dtype=np.int32)[cloud.scan]
+    return Merged(cloud, stop, tuple(poses), registration, before, after)
+
+
+def _rms_to(nearest: NearestSurface, clouds: Sequence[ScanCloud]) -> float:
+    points = np.concatenate([np.empty((0, 3)), *(cloud.points for cloud in clouds)])
+    if not len(points):
+        return float("nan")
+    chosen = points[np.linspace(0, len(points) - 1, min(len(points), _CLOUD_SAMPLES)).astype(np.int64)]
+    return float(np.sqrt(np.mean(nearest.closest(chosen).distance ** 2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Achieved:
+    """Coverage of an execution, as fractions of the surface.
+
+    Attributes:
+        visible: measured from at least one executed pose.
+        predicted: the same from the planned poses of the views that were scanned.
+        sampled: within `radius` of a scan point.
+        radius: of sampled coverage [m].
+        adds: (n,) what each scan adds to visible coverage, in driving order.
+        largest_first: (n,) what each adds when the one that adds most comes first.
+        views_per_face: (F,) number of scans that measure a planning face, averaged over its samples.
+    """
+
+    visible: float
+    predicted: float
+    sampled: float
+    radius: float
+    adds: Floats
+    largest_first: Floats
+    views_per_face: Floats
+
+
+def achieved(
+    scans: Sequence[ExecutedScan],
+    planned: Sequence[RecordedView],
+    planned_visible: float,
+    cloud: PointCloud,
+    scene: ScanScene,
+    plan_seed: int,
+) -> Achieved:
+    """Measure coverage on the samples on which the plan predicted it.
+
+    Args:
+        scans: of one execution.
+        planned: the plan's views in visiting order.
+        planned_visible: what the plan predicted for all of them, fraction.
+        cloud: merged scans.
+        scene: part, surroundings and scanner.
+        plan_seed: seed of the plan, from which its held-out samples were drawn.
+    """
+    samples = held_out(scene.reference, scene.planning, plan_seed)
+    measured = _measured([scan.T_true for scan in scans], samples, scene)
+    predicted = planned_visible
+    if sorted(scan.stop for scan in scans) != list(range(1, len(planned) + 1)):
+        poses = [planned[scan.stop - 1].T_object_scanner for scan in scans]
+        predicted = _share(_measured(poses, samples, scene), samples)
+    radius = coverage.sampling_radius(scene.reference)
+    faces = len(scene.planning.faces)
+    n_samples = np.bincount(samples.planning_face, minlength=faces)
+    total = np.bincount(samples.planning_face, weights=measured.sum(axis=1), minlength=faces)
+    order = _largest_first(measured)
+    return Achieved(
+        visible=_share(measured, samples),
+        predicted=predicted,
+        sampled=coverage.sampled(cloud.points, samples, radius).fraction,
+        radius=radius,
+        adds=_added(measured),
+        largest_first=_added(measured[:, order]),
+        views_per_face=np.divide(total, n_samples, out=np.full(faces, np.nan), where=n_samples > 0),
+    )
+
+
+def _measured(poses: Sequence[Floats], samples: SurfaceSamples, scene: ScanScene) -> NDArray[np.bool_]:
+    """(S, n) which sample is measured from which pose."""
+    if not poses:
+        return np.zeros((len(samples), 0), dtype=np.bool_)
+    casters = (scene.part_caster, scene.occluder_caster)
+    return measurability.measured(np.stack(poses)[:, None], samples, scene.scanner, casters, each=True)
+
+
+def _share(measured: NDArray[np.bool_], samples: SurfaceSamples) -> float:
+    covered = np.any(measured, axis=1)
+    return float(samples.areas[covered].sum()) / float(samples.areas.sum())
+
+
+def _added(measured: NDArray[np.bool_]) -> Floats:
+    """(n,) share of samples that each column adds to those before it; the samples stand for equal areas."""
+    before = np.logical_or.accumulate(measured, axis=1)
+    added: Floats = np.diff(before.sum(axis=0), prepend=0) / len(measured)
+    return added
+
+
+def _largest_first(measured: NDArray[np.bool_]) -> list[int]:
+    left = list(range(measured.shape[1]))
+    still_open = np.ones(len(measured), dtype=np.bool_)
+    order = []
+    while left:
+        best = max(left, key=lambda column: int((measured[:, column] & still_open).sum()))
+        left.remove(best)
+        order.append(best)
+        still_open &= ~measured[:, best]
+    return order
+
+
+def counts_by_reason(counts: Sequence[int]) -> dict[str, Any]:
+    """Rays by the name of what became of them."""
+    return {reason.name.lower(): int(counts[reason]) for reason in Rejection}

@@ -1,0 +1,1 @@
+"""What the user describes: scene file, scanner keys, real sensors, defaults."""

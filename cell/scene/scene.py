@@ -1,0 +1,353 @@
+"""The scene file: what stands in the cell, what the scanner is and how to plan; TOML in, one frozen `Scene` out.
+
+Every key carries its unit (`_mm`, `_deg`); poses are x, y, z and KUKA's A, B, C. A key whose value is None takes the
+part's default (standoff, baseline, planning faces) or follows from another key (range from the standoff, the housing's
+place from the baseline). `models/scene.toml` is the built-in scene with every key explained; `Scene()` equals it.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from cell.errors import SceneError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Fov = Annotated[float, Field(gt=0, lt=180)]
+Grazing = Annotated[float, Field(ge=0, le=90)]
+# TOML has lists only: lenient about the container, strict about what is in it.
+Triple = Annotated[tuple[float, float, float], Field(strict=False)]
+Units = Literal["mm", "cm", "m", "um", "in"]
+
+RESERVED_NAMES = (
+    *("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6"),
+    *("bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
+)
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Posed(_Table):
+    """A pose: position x, y, z and angles A, B, C (R = Rz(A) Ry(B) Rx(C))."""
+
+    position_mm: Triple = (0.0, 0.0, 0.0)
+    abc_deg: Triple = (0.0, 0.0, 0.0)
+
+    @property
+    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
+        """(4, 4) the pose as a transform [m]."""
+        return pose(self.position_mm, self.abc_deg)
+
+
+def pose(position_mm: tuple[float, float, float], abc_deg: tuple[float, float, float]) -> "NDArray[np.float64]":
+    """(4, 4) transform [m] of a position [mm] and KUKA's angles A, B, C [deg]."""
+    import numpy as np
+
+    from cell.robot.frames import pose_from_kuka_abc
+
+    return pose_from_kuka_abc(np.array(position_mm) / 1000.0, np.deg2rad(abc_deg))
+
+
+class Robot(_Table):
+    """The arm and what it stands on."""
+
+    home_deg: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] = (0, -90, 90, 0, 90, 0)
+    pedestal_height_mm: NotNegative = 600.0
+    pedestal_size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)] = (600.0, 600.0)
+    speed_scaling: Share = 1.0
+    acceleration_scaling: Share = 1.0
+
+
+class Scanner(_Table):
+    """The scanner's law; the keys are those of the plug-in that `type` names, a foreign one's own keys among them."""
+
+    model_config = ConfigDict(extra="allow")  # `_keys_of_its_type` refuses what the plug-in does not know
+
+    type: str = "laser-area"
+    sensor: str | None = None
+    fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] = (60.0, 60.0)
+    resolution_deg: Annotated[tuple[Positive, Positive], Field(strict=False)] = (0.25, 0.25)
+    planning_resolution_deg: Positive = 1.0
+    range_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
+    baseline_mm: NotNegative | None = None
+    grazing_max_deg: Grazing = 75.0
+    sensor_grazing_max_deg: Grazing = 90.0
+    sensor_fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] | None = None
+    sensor_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] | None = None
+    depth_of_field_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
+    sigma_angle_mdeg: NotNegative = 1.5
+    fan_deg: Fov = 28.0
+    sweep_mm: Positive | None = None
+    sweep_deg: Fov | None = None
+    sweep_steps: Annotated[int, Field(ge=1)] = 8
+    line_points: Annotated[int, Field(ge=1)] = 640
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keys_of_its_type(cls, table: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        from cell.scene.scanner_table import validated
+
+        return validated(table, handler, cls.model_fields["type"].default)
+
+    @field_validator("type")
+    @classmethod
+    def _installed(cls, name: str) -> str:
+        from cell import scanners
+        from cell.scene.problems import did_you_mean
+
+        known = scanners.names()
+        if name not in known:
+            raise ValueError(f"is '{name}'; {did_you_mean(name, known)}installed are: {', '.join(known) or 'none'}")
+        return name
+
+    @field_validator("range_mm", "depth_of_field_mm")
+    @classmethod
+    def _ordered(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        if limits is not None and not limits[0] < limits[1]:
+            raise ValueError(f"is {list(limits)}; it must be [min, max] with min < max")
+        return limits
+
+    @property
+    def opening_deg(self) -> tuple[float, float]:
+        """Angles across and along a line [deg], for outlines and pictures: the field of view, or the thin fan."""
+        from cell import scanners
+
+        known = scanners.keys(self.type) or ()
+        return (0.5, self.fan_deg) if "fan_deg" in known and "fov_deg" not in known else self.fov_deg
+
+
+class Mount(_Posed):
+    """The scanner frame (origin at the laser source, +z viewing direction, +x to the sensor) in the flange frame."""
+
+    position_mm: Triple = (0.0, 0.0, 120.0)
+
+
+class Housing(_Table):
+    """The scanner's body, a box, and the bracket between it and the flange.
+
+    With `position_mm` None the box is centred over the baseline (x) and the viewing axis (y), and its front face lies
+    in the plane of the source, so that no ray starts inside it.
+    """
+
+    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] = (160.0, 80.0, 60.0)
+    position_mm: Triple | None = None
+    abc_deg: Triple = (0.0, 0.0, 0.0)
+    bracket_diameter_mm: NotNegative = 78.0
+
+    def T_scanner_housing(self, baseline_mm: float) -> "NDArray[np.float64]":
+        """(4, 4) the middle of the box in the scanner frame [m]."""
+        return pose(self.position_mm or (baseline_mm / 2, 0.0, -self.size_mm[2] / 2), self.abc_deg)
+
+
+class Part(_Table):
+    """The part: a built-in one by `name`, or a mesh file and its units."""
+
+    name: Literal["mseke", "mug", "robinet", "petanque", "humerus", "st-jean"] = "mseke"
+    path: str | None = None
+    units: Annotated[Units | None, Field(validate_default=True)] = None
+
+    @field_validator("path")
+    @classmethod
+    def _found(cls, path: str | None, info: ValidationInfo) -> str | None:
+        return None if path is None else _file(path, info)
+
+    @field_validator("units")
+    @classmethod
+    def _given_for_a_file(cls, units: str | None, info: ValidationInfo) -> str | None:
+        path = info.data.get("path", "given, but wrong")
+        if path is not None and units is None:
+            raise ValueError("is missing; say what the file's numbers are in: mm, cm, m, um or in")
+        if path is None and units is not None:
+            raise ValueError("is given for a built-in part, which has its own size; leave it out, or give part.path")
+        return units
+
+    @property
+    def source(self) -> str:
+        """What to load: the file's path, or the built-in part's name."""
+        return self.path if self.path is not None else self.name
+
+
+class Placement(_Posed):
+    """Where the middle of the part's bounding box stands in the robot's base frame."""
+
+    position_mm: Triple = (1200.0, 500.0, 0.0)
+
+
+class Post(_Table):
+    """The round post on which the part stands, from the floor to the height of the part's lowest point."""
+
+    enabled: bool = True
+    diameter_mm: Positive = 40.0
+
+
+class _Fixture(_Posed):
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$")]
+    attached_to: Literal["base", "object"] = "base"
+    occludes: bool = True
+
+    @field_validator("name")
+    @classmethod
+    def _not_reserved(cls, name: str) -> str:
+        if name in RESERVED_NAMES:
+            raise ValueError(f"is '{name}', which the cell uses itself; choose another name")
+        return name
+
+
+class BoxFixture(_Fixture):
+    """A box, `position_mm` at its middle."""
+
+    shape: Literal["box"]
+    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
+
+
+class CylinderFixture(_Fixture):
+    """An upright cylinder (axis z), `position_mm` at its middle; size is diameter and height."""
+
+    shape: Literal["cylinder"]
+    size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)]
+
+
+class MeshFixture(_Fixture):
+    """A mesh file: its true triangles occlude, its convex hull collides."""
+
+    shape: Literal["mesh"]
+    path: str
+    units: Units
+
+    @field_validator("path")
+    @classmethod
+    def _found(cls, path: str, info: ValidationInfo) -> str:
+        return _file(path, info)
+
+
+Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discriminator="shape")]
+
+
+class Plan(_Table):
+    """How to plan; None takes the part's default."""
+
+    candidates: Literal["optimal-scanning-zone", "view-sphere", "targeted"] = "optimal-scanning-zone"
+    view_sphere_step_deg: Annotated[
+        tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
+    ] = (15.0, 15.0)
+    standoffs_mm: Annotated[tuple[Positive, ...], Field(strict=False, min_length=1)] | None = None
+    rolls_deg: Annotated[tuple[float, ...], Field(strict=False, min_length=1)] = (0.0, 90.0)
+    faces: Annotated[int, Field(ge=4)] | None = None
+    percent_kept: Annotated[float, Field(gt=0, le=100)] | None = None
+    samples_per_face: Annotated[int, Field(ge=1)] = 4
+    fill: Literal["aimed", "rays"] = "aimed"
+    solver: Literal["auto", "greedy", "meta-raps", "local-search", "exact"] = "auto"
+    coverage: Share = 1.0
+    required_visible: Annotated[float, Field(ge=0, le=1)] = 0.0
+    max_sigma_mm: Positive | None = None
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+
+    @field_validator("fill")
+    @classmethod
+    def _aimed_at_samples(cls, fill: str, info: ValidationInfo) -> str:
+        if fill == "rays" and info.data.get("candidates") == "targeted":
+            raise ValueError("is 'rays', and candidates = 'targeted' aims at surface samples; choose fill = 'aimed'")
+        return fill
+
+    @field_validator("percent_kept")
+    @classmethod
+    def _one_size(cls, percent: float | None, info: ValidationInfo) -> float | None:
+        if percent is not None and info.data.get("faces") is not None:
+            raise ValueError("and plan.faces both set the size of the planning mesh; give one of them")
+        return percent
+
+
+class Scene(_Table):
+    """A whole scene; `Scene()` is the built-in one."""
+
+    clearance_mm: NotNegative = 10.0
+    robot: Robot = Robot()
+    scanner: Scanner = Scanner()
+    mount: Mount = Mount()
+    housing: Housing = Housing()
+    part: Part = Part()
+    placement: Placement = Placement()
+    post: Post = Post()
+    fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
+    plan: Plan = Plan()
+
+    @field_validator("fixtures")
+    @classmethod
+    def _distinct(cls, fixtures: tuple[_Fixture, ...]) -> tuple[_Fixture, ...]:
+        names = [fixture.name for fixture in fixtures]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"hold the name '{twice[0]}' more than once; every fixture needs its own name")
+        return fixtures
+
+
+def load_scene(path: Path | None, options: Mapping[str, Mapping[str, Any]] | None = None) -> Scene:
+    """Read and check a scene file.
+
+    Args:
+        path: the TOML file; None is the built-in scene. Paths inside it are relative to its folder.
+        options: tables of keys that go before the file's (the command line's). A `part` with a name or a path replaces
+            the file's whole part.
+
+    Raises:
+        SceneError: with every problem of the file on a line of its own: the key, what is wrong, what would be valid.
+    """
+    from cell.scene.problems import sentences
+
+    content: dict[str, Any] = {} if path is None else _parse(path)
+    for table, keys in (options or {}).items():
+        below = content.get(table, {})
+        replaces = table == "part" and ("name" in keys or "path" in keys)
+        if keys and isinstance(below, dict):
+            content[table] = dict(keys) if replaces else {**below, **keys}
+    folder = Path.cwd() if path is None else path.absolute().parent
+    try:
+        return Scene.model_validate(content, context={"folder": folder})
+    except ValidationError as error:
+        problems = sentences(error, Scene)
+    where = "the scene" if path is None else f"the scene {path}"
+    count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+    raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        raise SceneError(
+            f"the scene {path} cannot be read: {error.strerror or error}; give the path of a TOML file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise SceneError(
+            f"the scene {path} is not UTF-8 text (byte {error.start}); save it as a UTF-8 TOML file"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"the scene {path} is not valid TOML: {error}; correct that line") from error
+
+
+def _file(path: str, info: ValidationInfo) -> str:
+    """The absolute path of a file that a scene names."""
+    folder = Path((info.context or {}).get("folder", Path.cwd()))
+    full = folder / Path(path).expanduser()
+    if not full.is_file():
+        raise ValueError(f"is '{path}', and there is no file {full}; give a mesh file, relative to the scene file")
+    return str(full)

@@ -1,0 +1,202 @@
+"""Real sensors by name: models/sensors/*.toml, what is known of each and where that is from.
+
+A file holds the data sheet's figures; the keys of the scene's `[scanner]` follow from them. The laser line of a sensor
+grows with the distance, so its fan has an apex, the source of the scanner frame:
+
+    fan  = 2 atan((width_far - width_near) / (2 depth))
+    near = width_near / (2 tan(fan / 2)), far = near + depth     range, from the apex
+
+The apex lies `near - clearance` behind the housing's window. A figure that is not known stands in no file: nothing is
+guessed in its place, and a scene that needs it must give it.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cell.errors import FileError, SceneError
+
+REQUIRED = {"laser-line": {"fan_deg": "fan", "range_mm": "range", "baseline_mm": "baseline"}}
+"""By type of scanner: the keys that describe a sensor, without which it is not the sensor of that name."""
+
+_TEXTS = ("maker", "model", "type")
+_FIGURES = ("clearance_mm", "reference_mm", "depth_mm", "width_near_mm", "width_far_mm", "baseline_mm", "body_mm")
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One sensor of the library.
+
+    Attributes:
+        name: how a scene and the command line call it.
+        maker: who makes it.
+        model: what its maker calls it.
+        type: the scanner plug-in that models it.
+        figures: what its source states [mm].
+        source: of each figure.
+    """
+
+    name: str
+    maker: str
+    model: str
+    type: str
+    figures: Mapping[str, Any]
+    source: Mapping[str, str]
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """Keys of the scene's `[scanner]` that follow from the figures."""
+        keys: dict[str, Any] = {}
+        known = self.figures
+        if {"depth_mm", "width_near_mm", "width_far_mm"} <= set(known):
+            half = (known["width_far_mm"] - known["width_near_mm"]) / known["depth_mm"] / 2
+            near = known["width_near_mm"] / half / 2
+            keys["fan_deg"] = math.degrees(2 * math.atan(half))
+            keys["range_mm"] = [near, near + known["depth_mm"]]
+        if "baseline_mm" in known:
+            keys["baseline_mm"] = known["baseline_mm"]
+        return keys
+
+    @property
+    def apex_behind_window_mm(self) -> float | None:
+        """How far behind the housing's window (its reference plane) the fan's apex lies [mm]; None: not known."""
+        near, known = self.keys.get("range_mm", [None])[0], self.figures
+        if near is None:
+            return None
+        if "clearance_mm" in known:
+            return float(near - known["clearance_mm"])
+        return float(near + known["depth_mm"] / 2 - known["reference_mm"]) if "reference_mm" in known else None
+
+    @property
+    def not_stated(self) -> dict[str, str]:
+        """Scene keys that the scene itself must give, with what each is called."""
+        return {key: word for key, word in REQUIRED.get(self.type, {}).items() if key not in self.keys}
+
+    def summary(self) -> dict[str, Any]:
+        """Everything about it as JSON types."""
+        return {
+            "name": self.name,
+            "maker": self.maker,
+            "model": self.model,
+            "type": self.type,
+            "figures": dict(self.figures),
+            "scanner_keys": self.keys,
+            "apex_behind_window_mm": self.apex_behind_window_mm,
+            "to_be_given": list(self.not_stated),
+            "source": dict(self.source),
+        }
+
+
+def names() -> tuple[str, ...]:
+    """Names of the library's sensors, sorted."""
+    return tuple(sorted(path.stem for path in _folder().glob("*.toml")))
+
+
+def load(name: str) -> Sensor:
+    """One sensor.
+
+    Args:
+        name: such as "gocator-2350".
+
+    Raises:
+        SceneError: if there is none of that name.
+        FileError: if its file is not a sensor's.
+    """
+    from cell.scene.problems import did_you_mean
+
+    known = names()
+    if name not in known:
+        raise SceneError(f"the sensor '{name}' is unknown; {did_you_mean(name, known)}valid are: {', '.join(known)}")
+    return read(_folder() / f"{name}.toml")
+
+
+def read(path: Path) -> Sensor:
+    """A sensor's file.
+
+    Raises:
+        FileError: with what is wrong in it: nothing but texts, known figures above 0, and a source for each figure.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FileError(f"the sensor file {path} cannot be read: {error}") from error
+    texts, figures, source = {}, content.get("figures"), content.get("source")
+    for name in _TEXTS:
+        if not isinstance(content.get(name), str):
+            raise FileError(f"the sensor file {path} lacks '{name}', a text")
+        texts[name] = str(content[name])
+    if not isinstance(figures, dict) or not isinstance(source, dict):
+        raise FileError(f"the sensor file {path} lacks its tables [figures] and [source]")
+    unknown = [*(set(content) - {*_TEXTS, "figures", "source"}), *(set(figures) - set(_FIGURES))]
+    if unknown:
+        raise FileError(f"the sensor file {path} has the unknown key '{min(unknown)}'; figures: {', '.join(_FIGURES)}")
+    for name, value in figures.items():
+        lengths = value if name == "body_mm" and isinstance(value, list) and len(value) == 3 else [value]
+        if not all(type(length) in (int, float) and 0 < length < math.inf for length in lengths):
+            raise FileError(f"the sensor file {path} has {name} = {value!r}; it must be a length above 0")
+    if set(figures) != set(source):
+        lone = min(set(figures) ^ set(source))
+        raise FileError(f"the sensor file {path} must have a source for each figure and no other; see '{lone}'")
+    if figures.get("width_far_mm", math.inf) <= figures.get("width_near_mm", 0):
+        raise FileError(f"the sensor file {path} has a line that does not grow with the distance; see 'width_far_mm'")
+    return Sensor(path.stem, texts["maker"], texts["model"], texts["type"], figures, source)
+
+
+def table_rows() -> list[tuple[str, ...]]:
+    """Heading and one row per sensor, for the terminal; "-" where nothing is stated."""
+    heading = ("sensor", "distance mm", "line mm", "fan deg", "range mm", "you give")
+    rows: list[tuple[str, ...]] = [heading]
+    for sensor in map(load, names()):
+        known, keys = sensor.figures, sensor.keys
+        rows.append(
+            (
+                sensor.name,
+                _distance(known),
+                f"{known['width_near_mm']:g}..{known['width_far_mm']:g}" if "width_near_mm" in known else "-",
+                f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
+                "{:.1f}..{:.1f}".format(*keys["range_mm"]) if "range_mm" in keys else "-",
+                ", ".join(sensor.not_stated),
+            )
+        )
+    return rows
+
+
+def print_table() -> None:
+    """The library on stdout, and what its columns mean."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    heading, *rows = table_rows()
+    table = Table(
+        title="Sensors", title_justify="left", box=SIMPLE_HEAD, padding=0, collapse_padding=True, pad_edge=False
+    )
+    for name in heading:
+        table.add_column(name, overflow="fold", no_wrap=name != "you give")
+    for row in rows:
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    console.print(
+        "distance: from the housing; line: its length at the near and the far end; range: depth from the laser source "
+        "(the fan's apex); you give: keys of scanner that no source states. cell sensors --json has the sources.",
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def _distance(known: Mapping[str, Any]) -> str:
+    """From housing to measuring range, as the source puts it."""
+    if "clearance_mm" in known:
+        return f"{known['clearance_mm']:g}..{known['clearance_mm'] + known['depth_mm']:g}"
+    half = f"+-{known['depth_mm'] / 2:g}" if "depth_mm" in known else ""
+    return f"{known['reference_mm']:g}{half}" if "reference_mm" in known else "-"
+
+
+def _folder() -> Path:
+    from cell.robot.model import model_file
+
+    return model_file("scene.toml").parent / "sensors"

@@ -1,0 +1,311 @@
+"""The single changes that `cell why` tries for what a plan leaves open; docs/why.md lists them.
+
+Each becomes a `planner.what_if.WhatIf`: candidates that the arm reaches under the change (inverse kinematics and
+collision asked again), the scanner's law and the casters under it. Nothing is estimated. Object frame, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cell import scanners
+from cell.errors import SceneError
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.occluders import Occluder, occluder_triangles
+from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from cell.robot.kinematics import Kr16Kinematics
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from planner import reach, what_if
+from planner.legs import Indices, Targets
+from planner.ports import Floats, RayCaster, Scanner
+from planner.quality import Limited
+from planner.viewpoints import Viewpoints
+from planner.what_if import Kind, WhatIf
+
+_ROLLS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
+_STANDOFFS = (0.9, 1.1, 0.8, 1.2, 0.7, 1.3, 0.6, 1.4, 0.5, 1.5)  # of the present one, inside the range
+_TILTS_DEG = (0.0, 20.0, 40.0, 60.0)  # of new views from the normal, below the grazing limit
+_AZIMUTHS = 8
+_FARTHER = (1.1, 1.25, 1.5, 2.0)
+_NEARER = (0.9, 0.75, 0.5, 0.25)
+_FOV_DEG = (10.0, 20.0, 30.0, 40.0, 60.0, 90.0)  # added to both axes
+_BASELINES = (0.75, 0.5, 0.25)
+_SIGMAS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0)
+_LAST_GRAZING_DEG = 89
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Changes:
+    """What the changes start from.
+
+    Attributes:
+        world: the cell that was checked.
+        world_without: compiles the cell without one fixture.
+        removable: names of what may be taken out.
+        candidates: the plan's candidates; those of the plan's views at the poses that will be executed.
+        usable: (n,) candidates that are reachable and to which a path leads.
+        scanner: the plan's law, with its limit on sigma where it has one.
+        parameters: what defines the scanner.
+        max_sigma: limit on sigma [m], or None.
+        targeted: whether the plan's candidates were aimed at what stayed open already.
+        part_caster: casts on the part.
+        occluder_caster: casts on everything else.
+    """
+
+    world: World
+    world_without: Callable[[str], World]
+    removable: tuple[str, ...]
+    candidates: Viewpoints
+    usable: Indices
+    scanner: Scanner
+    parameters: Mapping[str, Any]
+    max_sigma: float | None
+    targeted: bool
+    part_caster: RayCaster
+    occluder_caster: RayCaster
+
+    @property
+    def casters(self) -> tuple[RayCaster, RayCaster]:
+        """The part's and everything else's, as they were."""
+        return self.part_caster, self.occluder_caster
+
+    def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
+        """Every change except further views, in ladders.
+
+        Args:
+            aims: (n, 3) points [m] and (n, 3) normals that new views are aimed at.
+
+        Yields:
+            changes of one kind, the smallest first.
+        """
+        yield from self._of_the_plan(aims)
+        yield [self._turned(axis, angle) for axis, angle in ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))]
+        for name in self.removable:
+            yield [self._without(name)]
+        yield from self._of_the_scanner()
+
+    def views(self, targets: Targets, rows: Indices) -> list[WhatIf]:
+        """One candidate more, and the few that measure nearly all of the rows that candidates can measure."""
+        T = self.candidates.T_object_scanner[self.usable]
+        pairs = what_if.measures(targets, rows, T, self.scanner, self.casters, each=True).pairs
+        chosen = what_if.few_views(pairs, len(rows))
+        found = []
+        for count in sorted({1, len(chosen)} if chosen else ()):
+            names = ", ".join(str(int(self.usable[view])) for view in chosen[:count])
+            sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
+            poses = T[np.array(chosen[:count])]
+            found.append(WhatIf(Kind.VIEW, count, sentence, "", poses, self.scanner, self.casters))
+        return found
+
+    def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
+        view = self.candidates
+        rolls_deg = _distinct(np.degrees(view.roll) % 360)
+        few = len(rolls_deg) <= 4
+        base = _pick(view, np.flatnonzero(np.isclose(np.degrees(view.roll) % 360, rolls_deg[0]))) if few else view
+        apart = {roll: min(abs((roll - have + 180) % 360 - 180) for have in rolls_deg) for roll in _ROLLS_DEG}
+        listed = ",".join(f"{roll:g}" for roll in rolls_deg)
+        yield [
+            self._reached(
+                Kind.ROLL, apart[roll], f"a roll of {roll:g} deg", f"--roll {listed},{roll:g}" if few else "",
+                what_if.rolled(base, np.radians(roll)),
+            )
+            for roll in sorted(_ROLLS_DEG, key=lambda roll: (apart[roll], roll)) if apart[roll] > 1
+        ]  # fmt: skip
+
+        standoffs = _distinct(view.standoff * 1000)
+        few = len(standoffs) <= 4
+        now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
+        base = _pick(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
+        listed = ",".join(f"{standoff:g}" for standoff in standoffs)
+        near, far = self.parameters.get("range_mm", (0.0, np.inf))
+        yield [
+            self._reached(
+                Kind.STANDOFF, abs(factor - 1), f"standoff {other:g} mm beside {now:g}" if few
+                else f"standoff {other:g} mm for all candidates",
+                f"--standoff {listed},{other:g}" if few else f"--standoff {other:g}",
+                what_if.backed_off(base, other / 1000),
+            )
+            for factor in _STANDOFFS if near < (other := _round_mm(factor * now)) < far and other not in standoffs
+        ]  # fmt: skip
+
+        limit = float(self.parameters.get("grazing_max_deg", 90.0))
+        sweep = np.linalg.inv(what_if.middle(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
+        setting = "" if self.targeted else "--candidates targeted"
+        rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
+        yield [
+            self._reached(
+                Kind.AIMED, tilt,
+                "new candidates aimed at it along the normal" if tilt == 0
+                else f"new candidates aimed at it, tilted {tilt:g} deg from the normal",
+                setting, what_if.tilted_at(*aims, np.radians(tilt), _AZIMUTHS, now / 1000, rolls, sweep),
+            )
+            for tilt in _TILTS_DEG if tilt <= limit - 2 and len(aims[0])
+        ]  # fmt: skip
+
+    def _turned(self, axis: int, angle_deg: float) -> WhatIf:
+        """The part turned about its centre: a second set-up, in which everything is asked again."""
+        world = self.world
+        turn = np.zeros(3)
+        turn[2 - axis] = np.radians(angle_deg)  # KUKA's angles are about z, y, x
+        T_base_centre = np.array(world.T_base_object @ world.T_object_centre)
+        T_base_centre[:3, :3] = pose_from_kuka_abc(np.zeros(3), turn)[:3, :3] @ T_base_centre[:3, :3]
+        T_base_object = world.placed(T_base_centre)
+        position, abc = kuka_abc_from_pose(T_base_centre)
+        place = ",".join(f"{value:g}" for value in [*(position * 1000).round(3), *(np.degrees(abc).round(3) + 0.0)])
+        how = "turned upside down" if axis != 2 else f"turned by {angle_deg:g} deg about the vertical"
+        reached = _reach(self.candidates, world, T_base_object)
+        return WhatIf(
+            Kind.TURN, abs(angle_deg) + 360 * (axis != 2), f"a second set-up with the part {how}", f"--place {place}",
+            self.candidates.T_object_scanner[reached], self.scanner,
+            (self.part_caster, one_caster(occluder_triangles(world, T_base_object))),
+        )  # fmt: skip
+
+    def _without(self, name: str) -> WhatIf:
+        world = self.world_without(name)
+        reached = _reach(self.candidates, world)
+        what = "without the post (the part held in another way)" if name == "post" else f"without fixture {name}"
+        return WhatIf(
+            Kind.FIXTURE, float(name == "post"), what, "", self.candidates.T_object_scanner[reached], self.scanner,
+            (self.part_caster, one_caster(occluder_triangles(world))),
+        )  # fmt: skip
+
+    def _of_the_scanner(self) -> Iterator[list[WhatIf]]:
+        limits = self.parameters
+        for name, last, of in (
+            ("grazing_max_deg", _LAST_GRAZING_DEG, "grazing limit"),
+            ("sensor_grazing_max_deg", 90, "sensor's grazing limit"),
+        ):
+            if name in limits:
+                now = float(limits[name])
+                yield [
+                    self._law(Kind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", {name: float(value)})
+                    for value in range(int(np.floor(now)) + 1, last + 1)
+                ]
+        for name in ("range_mm", "depth_of_field_mm"):
+            if limits.get(name) is not None:
+                near, far = limits[name]
+                of = name.removesuffix("_mm").replace("_", " ")
+                for end, values in (("to", [far * f for f in _FARTHER]), ("from", [near * f for f in _NEARER])):
+                    now = far if end == "to" else near
+                    yield [
+                        self._law(
+                            Kind.RANGE, abs(np.log(max(value, 1e-3) / max(now, 1e-3))),
+                            f"{of} {end} {value:g} instead of {now:g} mm",
+                            {name: [near, value] if end == "to" else [value, far]},
+                        )
+                        for value in map(_round_mm, values) if value != now
+                    ]  # fmt: skip
+        for name, of in (("fov_deg", "field of view"), ("sensor_fov_deg", "sensor's field of view")):
+            if limits.get(name) is not None:
+                now_h, now_v = limits[name]
+                yield [
+                    self._law(
+                        Kind.FOV, more, f"{of} {now_h + more:g} x {now_v + more:g} deg, not {now_h:g} x {now_v:g}",
+                        {name: [now_h + more, now_v + more]},
+                    )
+                    for more in _FOV_DEG if max(now_h, now_v) + more < 180
+                ]  # fmt: skip
+        if "fan_deg" in limits:
+            now = float(limits["fan_deg"])
+            yield [
+                self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", {"fan_deg": now + more})
+                for more in _FOV_DEG if now + more < 180
+            ]  # fmt: skip
+        if self.max_sigma is not None:
+            now = self.max_sigma * 1000
+            yield [
+                self._law(Kind.SIGMA, factor, f"sigma up to {factor * now:.3g} instead of {now:g} mm", {}, factor)
+                for factor in _SIGMAS
+            ]
+        if float(limits.get("baseline_mm", 0.0)) > 0:
+            now = float(limits["baseline_mm"])
+            yield [
+                self._law(
+                    Kind.BASELINE, 1 - share, f"baseline {share * now:.3g} instead of {now:g} mm",
+                    {"baseline_mm": share * now},
+                )
+                for share in _BASELINES
+            ]  # fmt: skip
+
+    def _law(self, kind: Kind, change: float, sentence: str, changed: Mapping[str, Any], sigmas: float = 1.0) -> WhatIf:
+        """Another law, the same reachable candidates."""
+        parameters = {key: value for key, value in {**self.parameters, **changed}.items() if key != "type"}
+        scanner: Scanner = scanners.load(str(self.parameters["type"]))(**parameters)
+        if self.max_sigma is not None:
+            scanner = Limited(scanner, sigmas * self.max_sigma)  # type: ignore[arg-type]  # it had a limit before
+        setting = "; ".join(f"scanner.{name} = {_toml(value)}" for name, value in changed.items())
+        if sigmas != 1.0 and self.max_sigma is not None:
+            setting = f"--max-sigma {sigmas * self.max_sigma * 1000:.3g}"
+        poses = self.candidates.T_object_scanner[self.usable]
+        return WhatIf(kind, change, sentence, setting, poses, scanner, self.casters)
+
+    def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:
+        """Other candidates, of which those that the arm takes up count."""
+        reached = _reach(made, self.world)
+        return WhatIf(kind, change, sentence, setting, made.T_object_scanner[reached], self.scanner, self.casters)
+
+
+def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Indices) -> list[np.ndarray[Any, Any]]:
+    """(n,) which rows each change of a ladder measures.
+
+    A limit that is opened farther never loses a point, so there each step is asked only about what the last step of all
+    measures and no smaller one does.
+    """
+    if not ladder:
+        return []
+    nested = ladder[0].kind in (Kind.GRAZING, Kind.RANGE, Kind.SIGMA, Kind.FOV)
+    if not nested:
+        return [step.measures(targets, rows) for step in ladder]
+    final = ladder[-1].measures(targets, rows)
+    found = np.zeros(len(rows), dtype=np.bool_)
+    masks = []
+    for step in ladder[:-1]:
+        ask = np.flatnonzero(final & ~found)
+        if len(ask):
+            found[ask[step.measures(targets, rows[ask])]] = True
+        masks.append(found.copy())
+    return [*masks, final]
+
+
+def one_caster(pieces: Sequence[Occluder]) -> EmbreeRayCaster:
+    """One ray caster over several meshes."""
+    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
+    return EmbreeRayCaster(np.concatenate([piece.vertices for piece in pieces]), np.concatenate(faces))
+
+
+def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None) -> Indices:
+    """Views that the arm takes up."""
+    T = world.T_base_object if T_base_object is None else T_base_object
+    kinematics = Kr16Kinematics.from_model(world.model)
+    checker = MujocoCollisionChecker(world, T)
+    return np.flatnonzero(reach.solve(views, T, world.T_flange_scanner, kinematics, checker).reachable)
+
+
+def _pick(views: Viewpoints, which: Indices) -> Viewpoints:
+    return Viewpoints(views.T_object_scanner[which], views.face[which], views.standoff[which], views.roll[which])
+
+
+def _distinct(values: Floats) -> Floats:
+    found: Floats = np.unique(values.round(6))
+    return found
+
+
+def _round_mm(length: float) -> float:
+    """A length that a person would name: two digits, or whole tens above 100 mm."""
+    if length >= 100:
+        return float(round(length, -1))
+    return float(f"{length:.2g}")
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(f"{item:g}" for item in value) + "]"
+    if isinstance(value, float):
+        return f"{value:g}"
+    raise SceneError(f"the scanner's {value!r} cannot be changed; it must be a number or a pair of them")

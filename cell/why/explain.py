@@ -1,0 +1,231 @@
+"""`cell why`: why parts of the surface stay open in a finished plan, and the smallest single change that measures them.
+
+`answer_of` shows the whole on one screen: the held-out samples that the plan's views leave open get a reason each
+(`planner.why`), samples of one reason make a group and connected ones a patch, changes are tried on representatives
+(`cell.why.changes`), and those that are named are asked about every sample that they are named for. The plan is never
+touched; files go to `why/` in the run folder. Object frame, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError, UsageError
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.occluders import occluder_triangles
+from cell.rays.prediction import held_out
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord, open_run, understood
+from cell.run.world import world_of
+from cell.scan import scene as scan_scene
+from cell.why import files as why_files
+from cell.why.changes import Changes, one_caster
+from cell.why.groups import detail, grouped
+from cell.why.search import Named, search
+from planner import coverage, why
+from planner.legs import Indices, Targets
+from planner.ports import Scanner
+from planner.quality import Limited
+from planner.reasons import OF_VERDICT, Reason
+from planner.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints import Viewpoints
+from planner.what_if import WhatIf
+from planner.why import Diagnosis
+
+if TYPE_CHECKING:
+    from cell.commands.narrator import Narrator
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """Connected samples of one group.
+
+    Attributes:
+        rows: its samples.
+        named: the change for it, or None; only the largest patches are asked.
+    """
+
+    rows: Indices
+    named: Named | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Samples that stay open for one reason.
+
+    Attributes:
+        reason: at which the closest candidate fails.
+        what: in the way, or in collision with what; "" where the reason has none.
+        detail: what there is to add about the closest candidates ("76 to 84 deg from the normal, limit 75").
+        rows: samples.
+        patches: largest first.
+        named: changes that would measure it, the one to prefer first; verified on all rows.
+    """
+
+    reason: Reason
+    what: str
+    detail: str
+    rows: Indices
+    patches: tuple[Patch, ...]
+    named: tuple[Named, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """All that `cell why` found.
+
+    Attributes:
+        samples: held-out samples of the reference.
+        covered: (S,) what the plan measures.
+        diagnosis: of the open samples.
+        open_rows: (n,) the open samples.
+        groups: largest area first.
+        rest: the open samples that no reachable candidate measures.
+        overall: changes that gain most of `rest`, verified on all of it.
+        tried: (change, share of the area of `rest` that it gains, from representatives) of everything that was tried.
+        planning: the planning mesh.
+        part_name: for titles.
+    """
+
+    samples: SurfaceSamples
+    covered: NDArray[np.bool_]
+    diagnosis: Diagnosis
+    open_rows: Indices
+    groups: tuple[Group, ...]
+    rest: Indices
+    overall: tuple[Named, ...]
+    tried: tuple[tuple[WhatIf, float], ...]
+    planning: TriangleMesh
+    part_name: str
+
+    def share(self, rows: NDArray[Any]) -> float:
+        """Area of some samples over the area of all."""
+        return float(self.samples.areas[rows].sum() / self.samples.areas.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhyOutcome:
+    """What `cell why` leaves.
+
+    Attributes:
+        folder: of its files.
+        summary: content of why.json.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+
+
+def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None) -> WhyOutcome:
+    """Say why a finished plan leaves parts of the surface open, and write the files.
+
+    Args:
+        run_folder: of a finished plan.
+        narrator: is told what goes on.
+        samples: how many held-out samples; None takes those of the definition.
+
+    Raises:
+        CellError: with one sentence and the exit code.
+    """
+    if samples is not None and samples < 1:
+        raise UsageError(f"--samples {samples} is not possible; at least 1 sample is needed")
+    run = open_run(run_folder)
+    if not run.finished:
+        raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
+    answer = answer_of(run, narrator, coverage.SAMPLES if samples is None else samples)
+    with narrator.stage("write"):
+        summary = why_files.summary(answer, run)
+        folder = why_files.write(run, answer, summary)
+    return WhyOutcome(folder, summary)
+
+
+def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
+    """The whole on one screen."""
+    with narrator.stage("read the run"):
+        resolved = run_reader.resolved_scene(run)
+        scene = scan_scene.load(run)
+        candidates = _as_executed(run)
+        fails, blockers = _failing(run, len(candidates))
+        world = world_of(run, resolved, scene.reference.vertices)
+        pieces = occluder_triangles(world)
+        scanner, max_sigma = _law(run, resolved, scene.scanner)
+        part_caster, occluder_caster = scene.part_caster, one_caster(pieces)
+    with narrator.stage("what stays open"):
+        samples = held_out(scene.reference, scene.planning, int(run.manifest["seed"]), count)
+        targets = Targets.of(samples.points, samples.normals)
+        views = np.stack([view.T_object_scanner for view in run_reader.views(run)])[:, None]
+        if candidates.T_object_scanner.shape[1] > 1:
+            views = candidates.T_object_scanner[[view.id for view in run_reader.views(run)]]
+        covered = coverage.visible(views, samples, scanner, (part_caster, occluder_caster)).covered
+        rows = np.flatnonzero(~covered)
+    with narrator.stage("reasons") as progress:
+        diagnosis = why.diagnose(
+            targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
+        )
+        casters = {piece.name: EmbreeRayCaster(piece.vertices, piece.faces) for piece in pieces}
+        what = why.names_in_the_way(targets, rows, diagnosis, candidates, scanner, casters)
+        K = candidates.T_object_scanner.shape[1]
+        of_robot = (diagnosis.reason >= Reason.OUT_OF_REACH) & (diagnosis.reason < Reason.NOT_SELECTED)
+        for i in np.flatnonzero(of_robot):
+            what[i] = blockers[diagnosis.pose[i] // K]
+    with narrator.stage("changes") as progress:
+        removable = tuple(f["name"] for f in resolved["fixtures"] if not f["built_in"] or f["name"] == "post")
+        changes = Changes(
+            world, lambda name: world_of(run, resolved, scene.reference.vertices, without=(name,)), removable,
+            candidates, np.flatnonzero(fails == Reason.NOT_SELECTED), scanner, scene.scanner_parameters, max_sigma,
+            resolved["plan"]["candidates"] == "targeted", part_caster, occluder_caster,
+        )  # fmt: skip
+        open_groups = grouped(samples, rows, diagnosis, what, scene.planning)
+        found = search(changes, targets, samples, open_groups, progress)
+    groups = tuple(
+        Group(
+            group.reason, group.what,
+            detail(group.reason, diagnosis, np.isin(rows, group.rows), scene.scanner_parameters), group.rows,
+            tuple(Patch(piece, named) for piece, named in zip(group.patches, of_patch, strict=True)), of_group,
+        )
+        for group, of_group, of_patch in zip(open_groups, found.of_group, found.of_patch, strict=True)
+    )  # fmt: skip
+    return Answer(
+        samples, covered, diagnosis, rows, groups, found.rest, found.overall, found.tried, scene.planning,
+        scene.part_name,
+    )  # fmt: skip
+
+
+def _as_executed(run: RunRecord) -> Viewpoints:
+    """The candidates, those of the plan's views at the poses of the rounded joint angles, as coverage takes them."""
+    candidates = run_reader.candidates(run)
+    T = np.array(candidates.T_object_scanner)
+    if T.shape[1] == 1:
+        for view in run_reader.views(run):
+            T[view.id, 0] = view.T_object_scanner
+    return Viewpoints(T, candidates.face, candidates.standoff, candidates.roll)
+
+
+def _failing(run: RunRecord, count: int) -> tuple[NDArray[np.uint8], list[str]]:
+    """At what each candidate fails even for a point that it would measure, and what is in its way."""
+    reached = run_reader.reached(run)
+    fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
+    blockers = list(reached.blocker)
+    dropped = run_reader.plan_json(run)["dropped"]
+    with understood(run.folder / "plan.json"):
+        if len(fails) != count:
+            raise ValueError(f"reach.npz has {len(fails)} verdicts and viewpoints.npz {count} candidates")
+        for view in dropped:
+            fails[view["id"]], blockers[view["id"]] = Reason.NO_PATH, str(view["reason"])
+    return fails, blockers
+
+
+def _law(run: RunRecord, resolved: Mapping[str, Any], scanner: Scanner) -> tuple[Scanner, float | None]:
+    """The scanner's law with the plan's limit on sigma, and that limit [m]."""
+    with understood(run.folder / "scene.resolved.json"):
+        limit_mm = resolved["plan"].get("max_sigma_mm")
+        if limit_mm is None:
+            return scanner, None
+        limited = scanner if isinstance(scanner, Limited) else Limited(scanner, limit_mm / 1000)  # type: ignore[arg-type]
+        return limited, limit_mm / 1000

@@ -1,0 +1,200 @@
+"""Which change would measure what stays open: tried on representatives, named, and verified on every sample.
+
+Representatives are spread over each group; a change that is named for a group, for a patch or for all together is then
+asked about every sample that it is named for, so that no printed share is an estimate. Object frame, metres.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.commands.narrator import ProgressCallback
+from cell.why.changes import Changes, ladder_masks
+from cell.why.groups import OpenGroup
+from planner import what_if
+from planner.legs import Indices, Targets
+from planner.ports import Floats
+from planner.reasons import Reason
+from planner.surface import SurfaceSamples
+from planner.what_if import Kind, WhatIf
+
+_REPRESENTATIVES = 700
+_FEWEST = 8  # representatives of a group
+_VIEWS_FROM = 160  # samples that further views are chosen by
+_AIMS = 64  # points at which new candidates are aimed
+_PATCHES = 24  # patches that get a change of their own
+_NAMED = 3  # changes that are named for a group
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Named:
+    """A change, and what it measures.
+
+    Attributes:
+        change: the change.
+        gained: (S,) bool samples that it measures of those it was verified on.
+    """
+
+    change: WhatIf
+    gained: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """What was found.
+
+    Attributes:
+        of_group: changes for each group, the one to prefer first.
+        of_patch: for each group the change for each of its patches, None where none helps or none was asked for.
+        rest: samples that no reachable candidate measures.
+        overall: changes that gain most of `rest`.
+        tried: (change, share of the area of `rest` that it gains, from representatives) of all that was tried.
+    """
+
+    of_group: tuple[tuple[Named, ...], ...]
+    of_patch: tuple[tuple[Named | None, ...], ...]
+    rest: Indices
+    overall: tuple[Named, ...]
+    tried: tuple[tuple[WhatIf, float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """Every change with the representatives that it measures: gains (W, r) bool, place (S,) column or -1."""
+
+    changes: tuple[WhatIf, ...]
+    gains: NDArray[np.bool_]
+    place: Indices
+
+    def best(self, rows: Indices, reason: Reason, most: int) -> list[int]:
+        """Changes for some samples. A view that was only not selected needs no change but being selected."""
+        own = self.place[rows]
+        own = own[own >= 0]
+        if not len(own):
+            return []
+        apt = [(change.kind is Kind.VIEW) == (reason is Reason.NOT_SELECTED) for change in self.changes]
+        return self.choose(self.gains[:, own].mean(axis=1) * apt, most)
+
+    def choose(self, share: Floats, most: int) -> list[int]:
+        kinds, sizes = [change.kind for change in self.changes], [change.change for change in self.changes]
+        return what_if.choose(share, kinds, sizes, most=most)
+
+
+def search(
+    changes: Changes,
+    targets: Targets,
+    samples: SurfaceSamples,
+    groups: Sequence[OpenGroup],
+    progress: ProgressCallback,
+) -> Findings:
+    """Try every change and name the best.
+
+    Args:
+        changes: what to try.
+        targets: the samples as targets.
+        samples: held-out samples.
+        groups: of the open ones.
+        progress: called with (steps done, steps in all).
+    """
+    if not groups:
+        return Findings((), (), np.empty(0, dtype=np.int64), (), ())
+    trial = _try(changes, targets, samples, groups, progress)
+    # What a reachable candidate measures already is no gain of another change.
+    closed = [group for group in groups if group.reason is not Reason.NOT_SELECTED]
+    rest = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *(group.rows for group in closed)]))
+    in_rest = trial.gains.astype(np.float64) @ _weights(trial.place, closed, samples)
+    overall = trial.choose(in_rest, _NAMED)
+    pieces = sorted((piece for group in groups for piece in group.patches), key=lambda piece: -len(piece))
+    asked = {int(piece[0]) for piece in pieces[:_PATCHES]}
+    of_group = [trial.best(group.rows, group.reason, _NAMED) for group in groups]
+    of_patch = [
+        [
+            next(iter(trial.best(piece, group.reason, 1)), -1) if int(piece[0]) in asked else -1
+            for piece in group.patches
+        ]
+        for group in groups
+    ]
+    verify = [(index, rest) for index in overall]
+    for group, named, patches in zip(groups, of_group, of_patch, strict=True):
+        verify += [(index, group.rows) for index in named]
+        verify += [(index, piece) for index, piece in zip(patches, group.patches, strict=True) if index >= 0]
+    verified = _verify(trial, verify, targets, progress)
+    return Findings(
+        tuple(
+            tuple(verified[index] for index in named if verified[index].gained[group.rows].any())
+            for group, named in zip(groups, of_group, strict=True)
+        ),
+        tuple(
+            tuple(
+                verified[index] if index >= 0 and verified[index].gained[piece].any() else None
+                for index, piece in zip(patches, group.patches, strict=True)
+            )
+            for group, patches in zip(groups, of_patch, strict=True)
+        ),
+        rest,
+        tuple(verified[index] for index in overall),
+        tuple(sorted(zip(trial.changes, in_rest.tolist(), strict=True), key=lambda item: -item[1])),
+    )
+
+
+def _try(
+    changes: Changes,
+    targets: Targets,
+    samples: SurfaceSamples,
+    groups: Sequence[OpenGroup],
+    progress: ProgressCallback,
+) -> _Trial:
+    rows = np.sort(np.concatenate([group.rows for group in groups]))
+    wanted = [max(_FEWEST, round(_REPRESENTATIVES * len(group.rows) / len(rows))) for group in groups]
+    spread = [_spread(group.rows, count) for group, count in zip(groups, wanted, strict=True)]
+    representatives = np.unique(np.concatenate(spread))
+    aims = _spread(rows, _AIMS)
+    tried: list[WhatIf] = []
+    masks: list[NDArray[np.bool_]] = []
+    for done, ladder in enumerate(changes.ladders((samples.points[aims], samples.normals[aims]))):
+        masks.extend(ladder_masks(ladder, targets, representatives))
+        tried.extend(ladder)
+        progress(min(done + 1, 14), 20)
+    for group in groups:
+        if group.reason is Reason.NOT_SELECTED:
+            views = changes.views(targets, _spread(group.rows, _VIEWS_FROM))
+            masks.extend(view.measures(targets, representatives) for view in views)
+            tried.extend(views)
+    place = np.full(len(targets), -1, dtype=np.int64)
+    place[representatives] = np.arange(len(representatives))
+    return _Trial(tuple(tried), np.array(masks).reshape(len(tried), len(representatives)), place)
+
+
+def _verify(
+    trial: _Trial, asked: Sequence[tuple[int, Indices]], targets: Targets, progress: ProgressCallback
+) -> dict[int, Named]:
+    """Each change asked about every sample that it is named for."""
+    rows_of: dict[int, list[Indices]] = {}
+    for index, rows in asked:
+        rows_of.setdefault(index, []).append(rows)
+    verified: dict[int, Named] = {}
+    for done, (index, pieces) in enumerate(sorted(rows_of.items())):
+        every = np.unique(np.concatenate(pieces))
+        gained = np.zeros(len(targets), dtype=np.bool_)
+        gained[every] = trial.changes[index].measures(targets, every)
+        verified[index] = Named(trial.changes[index], gained)
+        progress(14 * len(rows_of) + 6 * (done + 1), 20 * len(rows_of))
+    return verified
+
+
+def _spread(rows: Indices, count: int) -> Indices:
+    """At most so many of the rows, evenly over their order, which is that of a space-filling curve."""
+    return rows[np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)]
+
+
+def _weights(place: Indices, groups: Sequence[OpenGroup], samples: SurfaceSamples) -> Floats:
+    """(r,) share of the groups' area that each representative stands for; 0 for those of other groups."""
+    weight = np.zeros(int(place.max()) + 1)
+    total = sum(float(samples.areas[group.rows].sum()) for group in groups)
+    for group in groups:
+        own = place[group.rows]
+        own = own[own >= 0]
+        weight[own] = float(samples.areas[group.rows].sum()) / total / len(own)
+    return weight

@@ -1,0 +1,1 @@
+"""The cell as a MuJoCo model: shapes, guarded pairs, collision, clearance."""

@@ -1,0 +1,221 @@
+"""`cell check`: compile a scene and say what stands where, what touches at home, how far it reaches, what is wrong."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from cell import scanners
+from cell.part import workpiece
+from cell.robot.model import AXES, Dimensions, dimensions
+from cell.scene.limits import impossible
+from cell.scene.resolve import resolve
+from cell.scene.scene import Scene
+from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+
+Triple = tuple[float, float, float]
+
+_GRID_DEG = 0.5  # of A2 and A3 in the envelope: the wrist's outline is then exact to 0.1 mm
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """Where the wrist centre gets within the limits of A2 and A3, and how far the laser source stands from it [mm].
+
+    Attributes:
+        wrist_reach_mm: farthest from the A1 axis.
+        wrist_lowest_mm: lowest height, base frame.
+        wrist_highest_mm: greatest height, base frame.
+        wrist_to_source_mm: from wrist centre to laser source, for every joint angle.
+    """
+
+    wrist_reach_mm: float
+    wrist_lowest_mm: float
+    wrist_highest_mm: float
+    wrist_to_source_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """What `cell check` found.
+
+    Attributes:
+        problems: what is wrong, one sentence each; empty for a scene that can be planned.
+        findings: what the part's checks noted.
+        part: its name.
+        part_size_mm: sides of its bounding box.
+        placement_mm: its centre in the base frame.
+        home_deg: A1..A6.
+        contacts_at_home: pairs nearer than the clearance and their distance [mm], negative in contact, nearest first.
+        nearest_at_home: the nearest guarded pair, "" beyond 300 mm.
+        nearest_at_home_mm: its distance.
+        joint_limits_deg: lowest and highest angle of each axis.
+        envelope: how far the arm reaches.
+        mount_mm: laser source in the flange frame.
+        housing_size_mm: the scanner's box.
+        housing_mm: its middle in the flange frame.
+        bracket_length_mm: from flange to housing; 0: none.
+        baseline_mm: from source to sensor.
+        obstacles: names of everything that arm and tool keep clear of.
+        clearance_mm: by how much.
+        guarded_pairs: pairs of shapes that are looked at.
+    """
+
+    problems: tuple[str, ...]
+    findings: tuple[str, ...]
+    part: str
+    part_size_mm: Triple
+    placement_mm: Triple
+    home_deg: tuple[float, ...]
+    contacts_at_home: tuple[tuple[str, float], ...]
+    nearest_at_home: str
+    nearest_at_home_mm: float
+    joint_limits_deg: dict[str, tuple[float, float]]
+    envelope: Envelope
+    mount_mm: Triple
+    housing_size_mm: Triple
+    housing_mm: Triple
+    bracket_length_mm: float
+    baseline_mm: float
+    obstacles: tuple[str, ...]
+    clearance_mm: float
+    guarded_pairs: int
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 2 where something is wrong with the scene."""
+        return 2 if self.problems else 0
+
+    def summary(self) -> dict[str, Any]:
+        """The result as JSON values."""
+        contacts = [{"pair": pair, "distance_mm": distance} for pair, distance in self.contacts_at_home]
+        return {"schema": 1, "ok": not self.problems, **asdict(self), "contacts_at_home": contacts}
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The result as a table of two columns."""
+        contacts = "; ".join(f"{pair} ({distance:.1f} mm)" for pair, distance in self.contacts_at_home)
+        nearest = f"{self.nearest_at_home}, {self.nearest_at_home_mm:.1f} mm" if self.nearest_at_home else "none"
+        limits = ", ".join(f"{axis} {low:g}..{high:g}" for axis, (low, high) in self.joint_limits_deg.items())
+        reach = self.envelope
+        bracket = f", bracket {self.bracket_length_mm:g} mm" if self.bracket_length_mm else ", no bracket"
+        return [
+            ("part", f"{self.part}, {_by(self.part_size_mm)} mm"),
+            ("part's centre", f"{_list(self.placement_mm)} mm in base"),
+            ("home", f"{_list(self.home_deg)} deg"),
+            ("contacts at home", contacts or "none"),
+            ("nearest at home", nearest if nearest != "none" else f"nothing within {1000 * DISTANCE_CAP:g} mm"),
+            ("joint limits", f"{limits} deg"),
+            (
+                "reach",
+                f"wrist to {reach.wrist_reach_mm:.1f} mm from the A1 axis, z {reach.wrist_lowest_mm:.1f} to "
+                f"{reach.wrist_highest_mm:.1f} mm; the source {reach.wrist_to_source_mm:.1f} mm from the wrist",
+            ),
+            ("laser source", f"{_list(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
+            ("housing", f"{_by(self.housing_size_mm)} mm, middle at {_list(self.housing_mm)} mm in flange{bracket}"),
+            ("keeps clear of", f"{', '.join(self.obstacles)} by {self.clearance_mm:g} mm"),
+            ("guarded pairs", f"{self.guarded_pairs} pairs of shapes"),
+            *[("note", finding) for finding in self.findings],
+        ]
+
+
+def check_scene(scene: Scene) -> CheckResult:
+    """Load the part, compile the scene and look at it.
+
+    Args:
+        scene: a scene that `load_scene` accepted.
+
+    Raises:
+        FileError: if the part or a fixture cannot be read.
+        SceneError: if there is nothing to compile; what can be compiled but not be is in `problems`.
+    """
+    part = workpiece.load(scene.part.source, scene.part.units)
+    settings = resolve(scene, part)
+    scanner = scanners.make(scene.scanner.type, settings.scanner)
+    baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
+    world = compile_world(scene, part.reference.vertices, baseline_mm=baseline_mm, refuse=False)
+    checker = MujocoCollisionChecker(world)
+    contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
+    distance, nearest = checker.distance(world.home[None])
+    arm = dimensions(world.model)
+    envelope = _envelope(world, arm)
+    problems = impossible(world)
+    beyond = _beyond_reach(world, envelope, max(settings.standoffs))
+    if beyond:
+        problems.append(beyond)
+    lower, upper = np.rad2deg(world.limits.lower).round(6), np.rad2deg(world.limits.upper).round(6)
+    names = [name for name in dict.fromkeys(world.entities) if _is_obstacle(world, name)]
+    return CheckResult(
+        problems=tuple(problems),
+        findings=tuple(finding.sentence for finding in part.findings),
+        part=part.name,
+        part_size_mm=_triple(part.size),
+        placement_mm=_triple((world.T_base_object @ world.T_object_centre)[:3, 3]),
+        home_deg=scene.robot.home_deg,
+        contacts_at_home=contacts,
+        nearest_at_home=nearest[0],
+        nearest_at_home_mm=_mm(distance[0]),
+        joint_limits_deg={axis: (float(lower[i]), float(upper[i])) for i, axis in enumerate(AXES)},
+        envelope=envelope,
+        mount_mm=_triple(world.T_flange_scanner[:3, 3]),
+        housing_size_mm=scene.housing.size_mm,
+        housing_mm=_triple(world.T_flange_housing[:3, 3]),
+        bracket_length_mm=_mm(2 * world.model.geom("bracket").size[1]) if "bracket" in world.entities else 0.0,
+        baseline_mm=baseline_mm,
+        obstacles=tuple(names),
+        clearance_mm=scene.clearance_mm,
+        guarded_pairs=len(world.pairs),
+    )
+
+
+def _envelope(world: World, arm: Dimensions) -> Envelope:
+    """The wrist centre over the whole range of A2 and A3 (planar two-link arm, KUKA's signs)."""
+    lower, upper = world.limits.lower, world.limits.upper
+    a2, a3 = np.meshgrid(
+        *(np.linspace(lower[i], upper[i], int(np.rad2deg(upper[i] - lower[i]) / _GRID_DEG) + 1) for i in (1, 2)),
+        indexing="ij",
+    )
+    forearm = a2 + a3
+    out = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(forearm) + arm.a3 * np.sin(forearm)
+    up = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(forearm) + arm.a3 * np.cos(forearm)
+    source = world.T_flange_scanner[:3, 3] + np.array([0.0, 0.0, arm.d6])
+    return Envelope(
+        _mm(np.abs(out).max(), 1), _mm(up.min(), 1), _mm(up.max(), 1), _mm(float(np.linalg.norm(source)), 1)
+    )
+
+
+def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
+    """A sentence where not even the nearest point of the part comes within the standoff; a necessary condition only."""
+    centre = (world.T_base_object @ world.T_object_centre)[:3, 3]
+    radius = float(np.linalg.norm(world.part_hull.vertices - world.T_object_centre[:3, 3], axis=1).max())
+    farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + standoff
+    gap = float(np.hypot(centre[0], centre[1])) - radius - farthest
+    if gap <= 0:
+        return ""
+    return (
+        f"the part is out of reach: it stands {1000 * gap:.0f} mm beyond what the laser sees from the arm's farthest "
+        f"reach; its centre must be within {1000 * (farthest + radius):.0f} mm of the A1 axis"
+    )
+
+
+def _is_obstacle(world: World, name: str) -> bool:
+    fixtures = [fixture.name for fixture in world.scene.fixtures]
+    return name in ("part", "post", "pedestal", "floor", *fixtures)
+
+
+def _mm(metres: float, digits: int = 3) -> float:
+    return round(1000 * float(metres), digits)
+
+
+def _triple(metres: np.ndarray) -> Triple:
+    x, y, z = (_mm(value) + 0.0 for value in metres)  # + 0.0 turns -0 into 0
+    return x, y, z
+
+
+def _list(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def _by(values: tuple[float, ...]) -> str:
+    return " x ".join(f"{value:.4g}" for value in values)

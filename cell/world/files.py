@@ -1,0 +1,80 @@
+"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose.
+
+MuJoCo writes six digits, which moves the flange of this arm by micrometres and turns the home pose by 4e-6 rad. So its
+text is taken for the structure, and every length, angle and mesh in it is written again from the specification, with
+all digits of a float64.
+"""
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cell.world.shapes import quaternion
+from cell.world.world import World
+from planner.readonly import readonly
+
+FILE_NAME = "cell.xml"
+
+
+def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = None) -> tuple[str, ...]:
+    """Write `cell.xml` into a folder; meshes are inside it.
+
+    Part and post are mocap bodies in it, as in the checked model: whoever loads it may move them.
+
+    Args:
+        world: the compiled scene.
+        folder: an existing folder.
+        T_base_object: (4, 4) placement [m]; None is the scene's.
+
+    Returns:
+        The names of the files written.
+    """
+    T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
+    spec = world.spec.copy()
+    spec.body("object").pos, spec.body("object").quat = T[:3, 3], quaternion(T[:3, :3])
+    spec.body("post").pos = world.post_top(T)
+    home = spec.key("home")
+    home.qpos = world.home
+    home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
+    model = spec.compile()
+    root = ElementTree.fromstring(spec.to_xml())
+    for element in root.iter():
+        _write_exactly(element, spec, model)
+    for key in root.iter("key"):
+        for name in ("mpos", "mquat"):
+            key.attrib.pop(name, None)
+    ElementTree.indent(root)
+    (folder / FILE_NAME).write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+    return (FILE_NAME,)
+
+
+def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
+    """Replace the rounded numbers of one element by those of the specification."""
+    name = element.get("name")
+    exact: dict[str, Any] = {}
+    if name is None:
+        return
+    if element.tag == "body":
+        exact = {"pos": model.body(name).pos, "quat": model.body(name).quat}
+    elif element.tag == "geom" and element.get("mesh") is None:
+        geom = model.geom(name)
+        exact = {"pos": geom.pos, "quat": geom.quat, "margin": geom.margin, "size": geom.size}
+    elif element.tag == "geom":  # the compiled pose of a mesh is that of its principal axes
+        exact = {"pos": spec.geom(name).pos, "margin": spec.geom(name).margin}
+    elif element.tag == "site":
+        exact = {"pos": model.site(name).pos, "quat": model.site(name).quat}
+    elif element.tag == "joint":
+        exact = {"range": model.joint(name).range, "axis": model.joint(name).axis, "pos": model.joint(name).pos}
+    elif element.tag == "key":
+        exact = {"qpos": spec.key(name).qpos}
+    elif element.tag == "mesh":
+        exact = {"vertex": spec.mesh(name).uservert}
+    for attribute, values in exact.items():
+        present = element.get(attribute)
+        if present is not None:
+            count = len(present.split())  # a cylinder's size is written with two numbers, kept with three
+            numbers = np.atleast_1d(np.asarray(values, dtype=np.float64)).ravel()[:count]
+            element.set(attribute, " ".join(repr(float(number)) for number in numbers))

@@ -1,0 +1,150 @@
+"""How far any point of arm and scanner can move along a straight joint segment: an upper bound that always holds.
+
+On the segment q(t) = q_0 + t d, t in [0, 1], a point p of link k moves with a speed of at most
+
+    sum over joints i <= k of |d_i| rho_i(p, t),        rho_i = distance of p from axis i,
+
+because each joint turns p about its own axis. With R_ik >= rho_i(p, t) for all p of link k and all t, no point of
+link k is displaced by more than sum_i |d_i| R_ik between any two configurations of the segment. Two bounds give R_ik:
+
+1. *Segment.* Seen from the body that carries axis i, joint i leaves rho_i as it is and only the joints i < j <= k move
+   p, so |rho_i(p, t) - rho_i(p, 0)| <= t D_ik and |rho_i(p, t) - rho_i(p, 1)| <= (1 - t) D_ik with
+   D_ik = sum_{i<j<=k} |d_j| R_jk. The smaller of the two upper bounds is at most their mean:
+   rho_i(p, t) <= (rho_i(p, 0) + rho_i(p, 1) + D_ik) / 2. The maximum over p of each term keeps it a bound. R_kk is
+   constant; the others follow from i = k - 1 down to 1.
+2. *Chain.* From axis i to the anchor of joint i + 1 (a constant distance), from anchor to anchor (constant lengths),
+   and from anchor k to the farthest point of link k. It holds for all joint angles and caps the first on long segments.
+
+Points of a link are the corners of its boxes, and the end centres of its cylinders with their radius added: the
+distance from an axis is convex, so it is largest there. The scanner belongs to link 6. Metres and radians.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.robot.model import AXES
+from cell.world.world import World
+
+if TYPE_CHECKING:
+    import mujoco
+
+Floats = NDArray[np.float64]
+
+_N = len(AXES)
+_ROUNDING = 1e-7  # m; the squared distances below cancel digits, which a root turns into at most 5e-8 m
+_CHUNK = 512  # configurations a pass, so that its arrays stay in the processor's cache
+
+
+class TravelBound:
+    """The bound for one world; call it with (N, 6) and (N, 6) joint angles [rad], get (N,) lengths [m]."""
+
+    def __init__(self, world: World) -> None:
+        import mujoco
+
+        model = world.model
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)  # at A1..A6 = 0
+        joints = [model.joint(axis).id for axis in AXES]
+        self._anchors, self._axes = data.xanchor[joints].copy(), data.xaxis[joints].copy()
+        bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
+        links: list[list[tuple[Floats, float]]] = [[] for _ in range(_N)]
+        for geom in range(model.ngeom):
+            link = _link_of(model, int(model.geom_bodyid[geom]), bodies)
+            if link is not None:
+                links[link].append(_corners(model, data, geom))
+        sizes = [sum(len(corners) for corners, _ in link) for link in links]
+        self._starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+        self._link_of = np.repeat(np.arange(_N), sizes)
+        self._points = np.concatenate([corners for link in links for corners, _ in link])
+        self._radii = np.concatenate([np.full(len(corners), radius) for link in links for corners, radius in link])
+        # Product of exponentials: how each joint turns space about its axis where that stands at A1..A6 = 0.
+        x, y, z = self._axes.T
+        zero = np.zeros(_N)
+        self._cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(_N, 3, 3)
+        self._caps = self._chain_caps()
+
+    def __call__(self, q_from: Floats, q_to: Floats) -> Floats:
+        """(N,) upper bound on the displacement [m] of any point, for (N, 6) configurations [rad]."""
+        pieces = [
+            self._bound(q_from[start : start + _CHUNK], q_to[start : start + _CHUNK])
+            for start in range(0, len(q_from), _CHUNK)
+        ]
+        return np.concatenate(pieces) if pieces else np.zeros(0)
+
+    def _bound(self, q_from: Floats, q_to: Floats) -> Floats:
+        count = len(q_from)
+        steps = np.abs(q_to - q_from)
+        radii = self._radii_about_axes(np.concatenate([q_from, q_to]))
+        mean = (radii[:count] + radii[count:]) / 2
+        moved = np.zeros((count, _N))  # of each link, by joints i + 1 .. k
+        for i in range(_N - 1, -1, -1):
+            bound = np.minimum(mean[:, i, i:] + moved[:, i:] / 2, self._caps[i, i:])
+            moved[:, i:] += steps[:, i, None] * bound
+        longest: Floats = moved.max(axis=1)
+        return longest
+
+    def _radii_about_axes(self, q: Floats) -> Floats:
+        """(N, 6, 6) largest distance of a point of link k from axis i [m]; meaningful for i <= k."""
+        rotations, shifts = self._link_transforms(q)
+        placed = np.einsum("npij,pj->npi", rotations[:, self._link_of], self._points) + shifts[:, self._link_of]
+        # The axis where it has been carried to: by its own link, which its own turn leaves in place.
+        axes = np.einsum("nkij,kj->nki", rotations, self._axes)
+        anchors = np.einsum("nkij,kj->nki", rotations, self._anchors) + shifts
+        across = np.einsum("npj,npj->np", placed, placed)[:, None] - 2 * anchors @ np.swapaxes(placed, 1, 2)
+        across += np.einsum("nij,nij->ni", anchors, anchors)[:, :, None]
+        along = axes @ np.swapaxes(placed, 1, 2) - np.einsum("nij,nij->ni", axes, anchors)[:, :, None]
+        distance = np.sqrt(np.maximum(across - along * along, 0.0)) + (self._radii + _ROUNDING)
+        radii: Floats = np.maximum.reduceat(distance, self._starts, axis=2)
+        return radii
+
+    def _link_transforms(self, q: Floats) -> tuple[Floats, Floats]:
+        """Where each link is carried from A1..A6 = 0: (N, 6, 3, 3) and (N, 6, 3) [m]."""
+        sin, cos = np.sin(q)[..., None, None], np.cos(q)[..., None, None]
+        turns = np.eye(3) + sin * self._cross + (1 - cos) * (self._cross @ self._cross)  # Rodrigues
+        offsets = self._anchors - np.einsum("nkij,kj->nki", turns, self._anchors)
+        rotations, shifts = turns.copy(), offsets.copy()
+        for i in range(1, _N):
+            rotations[:, i] = rotations[:, i - 1] @ turns[:, i]
+            shifts[:, i] = shifts[:, i - 1] + (rotations[:, i - 1] @ offsets[:, i, :, None])[..., 0]
+        return rotations, shifts
+
+    def _chain_caps(self) -> Floats:
+        """(6, 6) bound 2: largest distance of a point of link k from axis i over all joint angles [m]."""
+        caps = np.zeros((_N, _N))
+        for k in range(_N):
+            piece = self._link_of == k
+            offset = self._points[piece] - self._anchors[k]
+            caps[k, k] = (np.linalg.norm(np.cross(offset, self._axes[k]), axis=1) + self._radii[piece]).max()
+            beyond = (np.linalg.norm(offset, axis=1) + self._radii[piece]).max()  # from anchor k
+            for i in range(k - 1, -1, -1):
+                step = self._anchors[i + 1] - self._anchors[i]
+                caps[i, k] = np.linalg.norm(np.cross(step, self._axes[i])) + beyond
+                beyond += np.linalg.norm(step)
+        return caps
+
+
+def _link_of(model: mujoco.MjModel, body: int, bodies: list[int]) -> int | None:
+    """Index of the link that carries a body, itself or rigidly; None where none of the arm does."""
+    while body > 0:
+        if body in bodies:
+            return bodies.index(body)
+        body = int(model.body_parentid[body])
+    return None
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, float]:
+    """Points (P, 3) and a radius whose swept hull contains a geom, base frame at A1..A6 = 0 [m]."""
+    import mujoco
+
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    R, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        return position + (signs * size) @ R.T, 0.0
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return position + np.array([[0, 0, -size[1]], [0, 0, size[1]]]) @ R.T, float(size[0])
+    return position[None].copy(), float(model.geom_rbound[geom])

@@ -1,0 +1,235 @@
+"""The scene as a MuJoCo model: robot on its pedestal, scanner on its flange, part, post, fixtures and floor.
+
+The model is *kinematic*: only `mj_kinematics` and `mj_collision` are ever run on it; no actuator, no gravity, no step.
+Part and post are mocap bodies, so a placement is data and needs no new model. World frame = base frame (KUKA $ROBROOT).
+Which pairs are guarded, and why the others are not, stands in `cell.world.shapes`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cell.errors import SceneError
+from cell.robot import model as robot
+from cell.scene.scene import Scene
+from cell.world import shapes as cell_shapes
+from cell.world.solid_hull import solid_hull
+from planner.ports import JointLimits
+from planner.readonly import readonly
+from planner.surface import TriangleMesh
+
+if TYPE_CHECKING:
+    import mujoco
+
+Floats = NDArray[np.float64]
+
+# "housing with link_2", never the other way round: the more mobile of the two comes first.
+_RANK = ("housing", "bracket", *reversed(robot.LINKS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """A compiled scene.
+
+    Attributes:
+        scene: what it was made from.
+        model: the compiled kinematic model; treat as read-only.
+        grown: the same with every box larger by half the clearance instead of a margin (see `cell.world.collision`).
+        T_base_object: (4, 4) the scene's placement [m].
+        T_object_centre: (4, 4) middle of the part's bounding box, axes parallel to the object's [m].
+        T_flange_scanner: (4, 4) the mount [m].
+        T_flange_housing: (4, 4) middle of the housing [m].
+        baseline: from source to sensor [m].
+        home: (6,) joint angles [rad].
+        limits: of the axes, at full speed and acceleration.
+        clearance: distance that a free configuration keeps [m].
+        part_hull: the part's collision shape, object frame [m].
+        fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
+        entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
+        pairs: (P, 2) geom ids of every guarded pair.
+    """
+
+    scene: Scene
+    model: mujoco.MjModel
+    grown: mujoco.MjModel
+    spec: mujoco.MjSpec
+    T_base_object: Floats
+    T_object_centre: Floats
+    T_flange_scanner: Floats
+    T_flange_housing: Floats
+    baseline: float
+    home: Floats
+    limits: JointLimits
+    clearance: float
+    part_hull: TriangleMesh
+    fixture_meshes: dict[str, TriangleMesh]
+    entities: tuple[str, ...]
+    pairs: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        for name in ("T_base_object", "T_object_centre", "T_flange_scanner", "T_flange_housing"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
+        object.__setattr__(self, "home", readonly("home", self.home, (6,)))
+        object.__setattr__(self, "pairs", readonly("pairs", self.pairs, (None, 2), np.int32))
+
+    @property
+    def floor(self) -> float:
+        """Height of the floor [m], base frame."""
+        return -self.scene.robot.pedestal_height_mm / 1000.0
+
+    def placed(self, T_base_centre: ArrayLike) -> Floats:
+        """T_base_object (4, 4) that puts the part's centre at `T_base_centre` (4, 4) [m]."""
+        T: Floats = readonly("T_base_centre", T_base_centre, (4, 4)) @ np.linalg.inv(self.T_object_centre)
+        return T
+
+    def post_top(self, T_base_object: ArrayLike) -> Floats:
+        """(3,) top of the post [m], base frame: under the part's centre, at the height of its lowest point."""
+        T = readonly("T_base_object", T_base_object, (4, 4))
+        top: Floats = (T @ self.T_object_centre)[:3, 3]
+        top[2] = (self.part_hull.vertices @ T[2, :3]).min() + T[2, 3]
+        return top
+
+    def data(self, T_base_object: ArrayLike | None = None, model: mujoco.MjModel | None = None) -> mujoco.MjData:
+        """A fresh state with the robot at home and the part at a placement.
+
+        Args:
+            T_base_object: (4, 4) [m]; None is the scene's placement.
+            model: `grown` for a state of that one.
+        """
+        import mujoco
+
+        model = self.model if model is None else model
+
+        T = self.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
+        data = mujoco.MjData(model)
+        data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
+        data.mocap_quat[model.body("object").mocapid] = cell_shapes.quaternion(T[:3, :3])
+        data.mocap_pos[model.body("post").mocapid] = self.post_top(T)
+        data.qpos[:] = self.home
+        mujoco.mj_kinematics(model, data)
+        return data
+
+    def pair_name(self, geom_a: int, geom_b: int) -> str:
+        """What a reader calls a pair of geoms: "housing with part"."""
+        names = self.entities[geom_a], self.entities[geom_b]
+        first, second = sorted(names, key=lambda name: _RANK.index(name) if name in _RANK else len(_RANK))
+        return f"{first} with {second}"
+
+
+def compile(  # noqa: A001 - the field's word; callers write world.compile
+    scene: Scene, part_vertices: ArrayLike, *, baseline_mm: float | None = None, refuse: bool = True
+) -> World:
+    """Build and compile the model of a scene.
+
+    Args:
+        scene: what stands in the cell.
+        part_vertices: (N, 3) vertices of the part, or of its convex hull [m], object frame.
+        baseline_mm: the scanner's baseline where the scene leaves it to the part; the housing is centred over it.
+        refuse: raise for a scene that cannot be (False: `cell check` lists what is wrong instead).
+
+    Raises:
+        SceneError: if the part or a fixture has no solid, the baseline is not known, or the scene cannot be.
+    """
+    baseline = scene.scanner.baseline_mm if scene.scanner.baseline_mm is not None else baseline_mm
+    if baseline is None:
+        raise SceneError("the scanner's baseline is not known here; set scanner.baseline_mm")
+    vertices = np.asarray(part_vertices, dtype=np.float64)
+    hull = solid_hull(vertices)
+    T_object_centre = np.eye(4)
+    T_object_centre[:3, 3] = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    T_flange_scanner = scene.mount.T
+    T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline)
+
+    spec = robot.spec()
+    cell_shapes.prepare_robot(spec)
+    entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
+    cell_shapes.add_tool(spec, scene, T_flange_housing)
+    cell_shapes.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
+    cell_shapes.add_ground(spec, scene)
+    placed_body = spec.worldbody.add_body(name="object", mocap=True)
+    post_body = spec.worldbody.add_body(name="post", mocap=True)
+    cell_shapes.add_mesh(spec, placed_body, "part", hull)
+    if scene.post.enabled:
+        radius = scene.post.diameter_mm / 2000.0
+        cell_shapes.add_cylinder(
+            post_body,
+            "post",
+            radius,
+            cell_shapes.POST_LENGTH,
+            cell_shapes.shift(0.0, 0.0, -cell_shapes.POST_LENGTH / 2),
+        )
+    _require_new_names(scene, {geom.name for geom in spec.geoms})
+    fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
+    for geom in spec.geoms:
+        geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
+
+    model = _compiled(spec)
+    world = World(
+        scene=scene,
+        model=model,
+        grown=_compiled(_grown(spec, scene.clearance_mm / 2000.0)),
+        spec=spec,
+        T_base_object=scene.placement.T @ np.linalg.inv(T_object_centre),
+        T_object_centre=T_object_centre,
+        T_flange_scanner=T_flange_scanner,
+        T_flange_housing=T_flange_housing,
+        baseline=baseline / 1000.0,
+        home=np.deg2rad(scene.robot.home_deg),
+        limits=robot.limits(model),
+        clearance=scene.clearance_mm / 1000.0,
+        part_hull=hull,
+        fixture_meshes=fixture_meshes,
+        entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
+        pairs=_guarded_pairs(model),
+    )
+    if refuse:
+        from cell.scene.limits import require_possible
+
+        require_possible(world)
+    return world
+
+
+def _require_new_names(scene: Scene, taken: set[str]) -> None:
+    for i, fixture in enumerate(scene.fixtures):
+        if fixture.name in taken:
+            raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
+
+
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise SceneError(f"the scene does not compile as a MuJoCo model: {reason}; check sizes and meshes") from error
+    if model.nq != len(robot.AXES):
+        raise SceneError(f"the robot model has {model.nq} joint values; it must be the six axes A1..A6 alone")
+    return model
+
+
+def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
+    """A copy in which boxes are larger by `by` [m] to every side and have no margin."""
+    import mujoco
+
+    copy = spec.copy()
+    for geom in copy.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+            geom.size, geom.margin = np.asarray(geom.size) + by, 0.0
+    return copy
+
+
+def _guarded_pairs(model: mujoco.MjModel) -> NDArray[np.int32]:
+    """(P, 2) the pairs that `mj_collision` looks at: classes meet, not one rigid piece, not excluded."""
+    excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
+    pairs = []
+    for a in range(model.ngeom):
+        for b in range(a + 1, model.ngeom):
+            meet = model.geom_contype[a] & model.geom_conaffinity[b] | model.geom_contype[b] & model.geom_conaffinity[a]
+            bodies = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
+            rigid = model.body_weldid[bodies[0]] == model.body_weldid[bodies[1]]
+            if meet and not rigid and bodies not in excluded and bodies[::-1] not in excluded:
+                pairs.append((a, b))
+    return np.array(pairs, dtype=np.int32).reshape(-1, 2)
