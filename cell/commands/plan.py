@@ -1,0 +1,169 @@
+"""`cell plan` as the command line gives it: options in, a table or one JSON object out."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cell.commands import options
+from cell.errors import UsageError
+
+_PART = "Part and place"
+_VIEWS = "Views"
+_OUTPUT = "Output"
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell plan --place 1200,500,0\n\n"
+    "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95\n\n"
+    "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial\n\n"
+    "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, "
+    "130 Ctrl-C."
+)
+
+
+def plan(
+    part: Annotated[
+        str | None,
+        typer.Argument(
+            help="Mesh file (STL, OBJ, PLY, OFF, GLB) or a built-in part: mseke, mug, robinet, petanque, humerus, "
+            "st-jean. Default: the scene's, which is mseke.",
+            show_default=False,
+        ),
+    ] = None,
+    place: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z[,A,B,C]",
+            help="Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
+            rich_help_panel=_PART,
+        ),
+    ] = None,
+    units: Annotated[
+        str | None,
+        typer.Option(help="Unit of the mesh file: mm, cm, m, um or in. Never guessed.", rich_help_panel=_PART),
+    ] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option(help="Scene file (TOML). Default: the built-in scene.", rich_help_panel=_PART),
+    ] = None,
+    faces: Annotated[
+        int | None, typer.Option(help="Faces of the planning mesh (one candidate normal each).", rich_help_panel=_VIEWS)
+    ] = None,
+    percent: Annotated[
+        float | None,
+        typer.Option(help="In place of --faces: percentage of the faces that is KEPT.", rich_help_panel=_VIEWS),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(help="A real sensor by name, see cell sensors; in place of scanner.type.", rich_help_panel=_VIEWS),
+    ] = None,
+    baseline: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="From laser source to sensor.", rich_help_panel=_VIEWS),
+    ] = None,
+    candidates: Annotated[
+        str | None,
+        typer.Option(help="optimal-scanning-zone (one per face), view-sphere or targeted.", rich_help_panel=_VIEWS),
+    ] = None,
+    standoff: Annotated[
+        str | None,
+        typer.Option(metavar="MM[,MM...]", help="Distance from surface to laser source.", rich_help_panel=_VIEWS),
+    ] = None,
+    roll: Annotated[
+        str | None,
+        typer.Option(metavar="DEG[,DEG...]", help="Rolls about the viewing axis.", rich_help_panel=_VIEWS),
+    ] = None,
+    coverage: Annotated[
+        float | None,
+        typer.Option(help="Share of the coverable area that the plan must measure, 0 to 1.", rich_help_panel=_VIEWS),
+    ] = None,
+    require: Annotated[
+        float | None,
+        typer.Option(
+            help="Exit with code 3 when the predicted visible coverage of the WHOLE surface is below this share.",
+            rich_help_panel=_VIEWS,
+        ),
+    ] = None,
+    fill: Annotated[
+        str | None,
+        typer.Option(help="How the measurability matrix is filled: aimed or rays.", rich_help_panel=_VIEWS),
+    ] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(help="Surface samples per planning face (aimed).", rich_help_panel=_VIEWS),
+    ] = None,
+    max_sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            help="Count a point as measured only if its expected standard deviation is at most this.",
+            rich_help_panel=_VIEWS,
+        ),
+    ] = None,
+    solver: Annotated[
+        str | None,
+        typer.Option(help="auto, greedy, meta-raps, local-search or exact.", rich_help_panel=_VIEWS),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random choice.", rich_help_panel=_VIEWS)] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel=_OUTPUT),
+    ] = None,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
+    ] = False,
+    no_cache: Annotated[
+        bool,
+        typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel=_OUTPUT),
+    ] = False,
+) -> None:
+    """Plan the views that measure a part: which, whether the robot reaches them, in which order, along which motion."""
+    from cell.commands.narrator import Narrator
+    from cell.plan.pipeline import plan as run_plan
+    from cell.scene.scene import load_scene
+
+    tables: dict[str, dict[str, Any]] = {"part": {}, "placement": {}, "plan": {}}
+    if part is not None:
+        tables["part"] = options.part(part, units)
+    elif units is not None:
+        tables["part"]["units"] = units
+    if place is not None:
+        tables["placement"] = options.placement(place)
+    if faces is not None and percent is not None:
+        raise UsageError("--faces and --percent both set the size of the planning mesh; give one of them")
+    given = {
+        "faces": faces,
+        "percent_kept": percent,
+        "candidates": candidates,
+        "standoffs_mm": options.numbers("--standoff", standoff),
+        "rolls_deg": options.numbers("--roll", roll),
+        "coverage": coverage,
+        "required_visible": require,
+        "fill": fill,
+        "samples_per_face": samples,
+        "max_sigma_mm": max_sigma,
+        "solver": solver,
+        "seed": seed,
+    }
+    tables["plan"] = {key: value for key, value in given.items() if value is not None}
+    tables["scanner"] = {k: v for k, v in {"sensor": sensor, "baseline_mm": baseline}.items() if v is not None}
+    narrator = Narrator(quiet_stdout=as_json)
+    with options.named_as_options(tables):
+        checked = load_scene(scene, tables)
+    outcome = run_plan(
+        checked,
+        scene_path=scene,
+        out=out,
+        argv=sys.argv[1:],
+        use_cache=not no_cache,
+        narrator=narrator,
+    )
+    if as_json:
+        sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
+    else:
+        narrator.plan_table(outcome)
+    raise typer.Exit(outcome.exit_code)

@@ -1,0 +1,52 @@
+"""`cell replay` as the command line gives it: options in, a table or one JSON object out."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.errors import UsageError
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell replay sim_runs/trial\n\n"
+    "cell replay sim_runs/trial --execution latest --view 3 --speed 0.5\n\n"
+    "cell replay sim_runs/trial --picture tour.png --size 1600x1200\n\n"
+    "Keys: space pause, left and right step from view to view, up and down speed, home start.\n\n"
+    "Exit codes: 0 done, 2 usage (also: no display and no EGL or OSMesa), 6 files or run folder, 70 bug, 130 Ctrl-C."
+)
+
+
+def replay(
+    run: Annotated[Path, typer.Argument(help="Run folder of cell plan; a failed one (.part) too.")],
+    execution: Annotated[
+        str | None, typer.Option(metavar="ID", help="Replay an execution of it: an id, or latest. Default: the plan.")
+    ] = None,
+    view: Annotated[
+        int | None, typer.Option(metavar="N", help="Begin at this view, counted from 1 in visiting order.")
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Seconds of the motion for each second.")] = 1.0,
+    once: Annotated[bool, typer.Option("--once", help="Close the viewer at the end.")] = False,
+    frames: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Draw PNG frames into a folder; needs no display.")
+    ] = None,
+    fps: Annotated[float, typer.Option(help="Frames for each second of film.")] = 25.0,
+    every: Annotated[int, typer.Option(metavar="N", help="Draw only each N-th frame.")] = 1,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw one still of the whole tour; needs no display.")
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of frames and picture in pixels.")] = "960x720",
+) -> None:
+    """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
+    from cell.commands.narrator import Narrator
+    from cell.replay.replay import ReplayOptions
+    from cell.replay.replay import replay as run_replay
+
+    width, cross, height = size.lower().partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise UsageError(f"--size {size} must be width x height in pixels, for instance --size 960x720")
+    wanted = ReplayOptions(execution, view, speed, frames, picture, fps, every, (int(width), int(height)), once)
+    made = run_replay(run, wanted, Narrator())
+    if made:
+        sys.stdout.write(made + "\n")

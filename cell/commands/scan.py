@@ -1,0 +1,110 @@
+"""`cell scan` as the command line gives it: options in, a table or one JSON object out."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.commands import options
+from cell.errors import UsageError
+
+_ERRORS = "Errors of the execution"
+_OUTPUT = "Output"
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell scan sim_runs/trial\n\n"
+    "cell scan sim_runs/trial --pose-error 0.5,0.1 --range-noise 0.02 --seed 4\n\n"
+    "cell scan sim_runs/trial --view 3 --resolution 0.5 --realtime\n\n"
+    "cell scan sim_runs/trial --report 0001\n\n"
+    "Exit codes: 0 done, 2 usage, 3 below the plan's required coverage, 5 driver, 6 files or run folder (also: "
+    "a report of an execution that lacks views), 70 bug, 130 Ctrl-C."
+)
+
+
+def scan(
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    driver: Annotated[str, typer.Option(metavar="URL", help="Which controller drives.")] = "sim://",
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Let the simulated arm take its time. Default: as fast as it goes.")
+    ] = False,
+    view: Annotated[
+        int | None, typer.Option(metavar="N", help="Scan this view only, counted from 1 in visiting order.")
+    ] = None,
+    resolution: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Angle between rays. Default: the plan's.")
+    ] = None,
+    range_noise: Annotated[
+        float, typer.Option(metavar="MM", help="Noise along each ray, one sigma.", rich_help_panel=_ERRORS)
+    ] = 0.0,
+    noise: Annotated[
+        str,
+        typer.Option(
+            metavar="none|model",
+            help="model: noise along each ray by the scanner's own law, from range, triangulation angle and incidence.",
+            rich_help_panel=_ERRORS,
+        ),
+    ] = "none",
+    pose_error: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MM,DEG",
+            help="Error of the executed pose, one sigma along and about each axis: the scanner stands off what the "
+            "controller reports.",
+            rich_help_panel=_ERRORS,
+        ),
+    ] = None,
+    register: Annotated[
+        bool | None,
+        typer.Option(
+            "--register/--no-register",
+            help="Correct the reported poses by matching the scans. Default: with a pose error.",
+            rich_help_panel=_ERRORS,
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of noise and pose error. Default: the plan's.", rich_help_panel=_ERRORS)
+    ] = None,
+    close_holes: Annotated[
+        bool, typer.Option("--close-holes", help="Close the holes of the surface; the faces are marked.")
+    ] = False,
+    report: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            help="Scan nothing: make the report of this execution (or latest) anew from what is there.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
+    ] = False,
+) -> None:
+    """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
+    from cell.commands.narrator import Narrator
+    from cell.scan import scan as scan_command
+    from cell.scan.options import ScanOptions
+
+    errors = options.numbers("--pose-error", pose_error) or [0.0, 0.0]
+    if len(errors) != 2:
+        raise UsageError(
+            f"--pose-error {pose_error} must be two numbers, mm and deg, for instance --pose-error 0.5,0.1"
+        )
+    wanted = ScanOptions(
+        driver, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed, noise
+    )
+    narrator = Narrator(quiet_stdout=as_json)
+    if report is None:
+        outcome = scan_command.scan(run, wanted, argv=sys.argv[1:], narrator=narrator)
+    elif wanted == ScanOptions():
+        outcome = scan_command.report(run, report, narrator)
+    else:
+        raise UsageError("--report makes the report of what was scanned; leave the options of a new scan away")
+    if as_json:
+        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+    else:
+        narrator.scan_table(outcome)
+    raise typer.Exit(outcome.exit_code)

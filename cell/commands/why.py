@@ -1,0 +1,41 @@
+"""`cell why` as the command line gives it: options in, a table or one JSON object out."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_OUTPUT = "Output"
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell why sim_runs/trial\n\n"
+    "cell why sim_runs/trial --samples 20000 --json\n\n"
+    "Writes why.json, why.ply and why.png to why/ in the run folder; the plan stays as it is.\n\n"
+    "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
+)
+
+
+def why(
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    samples: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Surface samples to ask about. Default: 100,000, as coverage is defined."),
+    ] = None,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
+    ] = False,
+) -> None:
+    """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
+    from cell.commands.narrator import Narrator
+    from cell.why.explain import explain
+
+    narrator = Narrator(quiet_stdout=as_json)
+    outcome = explain(run, narrator, samples=samples)
+    if as_json:
+        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+    else:
+        narrator.why_table(outcome)
