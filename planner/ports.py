@@ -4,7 +4,7 @@ Frames: `base` (robot foot, z up), `flange`, `scanner` (origin at the laser sour
 to sensor), `object` (the mesh file's axes, metres). `T_a_b` maps b-coordinates to a.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
 
@@ -163,15 +163,17 @@ class JointLimits:
         upper: (6,) largest joint angles [rad].
         velocity: (6,) largest joint speeds [rad/s].
         acceleration: (6,) largest joint accelerations [rad/s^2].
+        jerk: (6,) largest joint jerks [rad/s^3]; inf: no limit.
     """
 
     lower: Floats
     upper: Floats
     velocity: Floats
     acceleration: Floats
+    jerk: Floats = field(default_factory=lambda: np.full(6, np.inf))
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper", "velocity", "acceleration"):
+        for name in ("lower", "upper", "velocity", "acceleration", "jerk"):
             object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
 
 

@@ -1,19 +1,18 @@
 """Time of synchronised straight joint moves, rest to rest, and the sampled motion along via points.
 
 A move from `q_from` to `q_to` is `q(s) = q_from + s (q_to - q_from)`, s from 0 to 1: all axes start and stop together
-and the path is the straight joint segment that was checked for collision. In the path parameter the axis limits become
-
-    ds/dt   <= 1 / max_j |dq_j| / v_j  = 1 / T_v         d2s/dt2 <= 1 / max_j |dq_j| / a_j = 1 / A
-
-and the shortest rest-to-rest profile is a trapezoid of speed (duration `T_v + A / T_v`) where `A <= T_v^2`, else a
-triangle (duration `2 sqrt(A)`); see Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots,
-2008, section 3.2. Both limits are taken `MARGIN` smaller than given, so that rounding never lifts a sample, or a finite
+and the path is the straight joint segment that was checked for collision. An axis' limit on speed, acceleration or jerk
+divided by its `|dq|` limits s; the smallest over the axes holds, and `planner.s_curve` gives the fastest profile of s
+under the three. All limits are taken `MARGIN` smaller than given, so that rounding never lifts a sample, or a finite
 difference of samples, above a limit.
 
-Every via point is an exact stop: rounding a corner would leave the path that was checked.
+Every via point is an exact stop: rounding a corner would leave the path that was checked, and driving it exactly means
+to stop there. So the same moves under trapezoids of speed are the time-optimal motion along the path without a limit of
+jerk; `jerk_free` gives those limits.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import PlannerError
 from planner.ports import Floats, JointLimits
 from planner.readonly import readonly
+from planner.s_curve import Profile, fastest, sample
 
 MARGIN = 1e-8
 """Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second
@@ -84,20 +84,26 @@ class Motion:
 def check_limits(limits: JointLimits) -> None:
     """Refuse limits under which no motion can be timed.
 
-    An infinite velocity is valid (the axis is limited by its acceleration alone), an infinite acceleration is not: its
-    motion would jump in speed.
+    Single limits may be infinite (a speed, an acceleration, a jerk that is not limited), but not acceleration and jerk
+    of one axis: its motion would jump in speed.
 
     Raises:
-        PlannerError: if a velocity is not positive, an acceleration not positive and finite, or a range is empty.
+        PlannerError: if a limit is not above 0, acceleration and jerk of an axis are infinite, or a range is empty.
     """
+    positive = (limits.velocity > 0) & (limits.acceleration > 0) & (limits.jerk > 0)
+    bounded = np.minimum(limits.acceleration, limits.jerk) < np.inf
+    if (positive & bounded & (limits.lower <= limits.upper)).all():
+        return
     for axis in range(6):
         name = f"A{axis + 1}"
-        if not limits.velocity[axis] > 0:
-            raise PlannerError(f"the velocity limit of {name} is {limits.velocity[axis]} rad/s; it must be above 0")
-        if not 0 < limits.acceleration[axis] < np.inf:
+        for what, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2"), ("jerk", "rad/s^3")):
+            value = getattr(limits, what)[axis]
+            if not value > 0:
+                raise PlannerError(f"the {what} limit of {name} is {value} {unit}; it must be above 0")
+        if limits.acceleration[axis] == np.inf and limits.jerk[axis] == np.inf:
             raise PlannerError(
-                f"the acceleration limit of {name} is {limits.acceleration[axis]} rad/s^2; it must be above 0 and "
-                "finite"
+                f"the acceleration limit of {name} is inf rad/s^2 and its jerk limit inf rad/s^3; "
+                "one of them must be finite, or its speed would jump"
             )
         if not limits.lower[axis] <= limits.upper[axis]:
             raise PlannerError(
@@ -107,12 +113,16 @@ def check_limits(limits: JointLimits) -> None:
 
 
 def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -> JointLimits:
-    """Limits with velocity and acceleration reduced to a fraction (the override of a controller).
+    """Limits with velocity and acceleration reduced to a fraction.
+
+    `speed` is the controller's override: a percentage of the velocity, as KUKA defines $OV_PRO. It leaves accelerations
+    as they are, so that an arm at low override stops the sooner. `acceleration` takes the jerk with it: the
+    acceleration is reached in the same time.
 
     Args:
         limits: limits at full speed.
         speed: fraction of every velocity, above 0 up to 1.
-        acceleration: fraction of every acceleration, above 0 up to 1.
+        acceleration: fraction of every acceleration and jerk, above 0 up to 1.
 
     Raises:
         PlannerError: if a fraction is outside (0, 1].
@@ -120,7 +130,17 @@ def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -
     for name, fraction in (("speed", speed), ("acceleration", acceleration)):
         if not 0 < fraction <= 1:
             raise PlannerError(f"the {name} fraction is {fraction}; it must be above 0 and at most 1")
-    return JointLimits(limits.lower, limits.upper, limits.velocity * speed, limits.acceleration * acceleration)
+    return replace(
+        limits,
+        velocity=limits.velocity * speed,
+        acceleration=limits.acceleration * acceleration,
+        jerk=limits.jerk * acceleration,
+    )
+
+
+def jerk_free(limits: JointLimits) -> JointLimits:
+    """The limits without that of the jerk: the bound against which jerk-limited motions are compared."""
+    return replace(limits, jerk=np.full(6, np.inf))
 
 
 def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats:
@@ -129,14 +149,17 @@ def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats
     Args:
         q_from: (..., 6) joint angles [rad].
         q_to: (..., 6) joint angles [rad]; broadcast against `q_from`, so `(n, 1, 6)` and `(m, 6)` give a cost matrix.
-        limits: velocity and acceleration limits.
+        limits: limits of velocity, acceleration and jerk.
 
     Returns:
         (...) time [s]; 0 where both ends are equal.
     """
     check_limits(limits)
-    ramp, cruise = _profile(np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float), limits)
-    return 2.0 * ramp + cruise
+    a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
+    times = np.empty(np.broadcast_shapes(a.shape, b.shape)[:-1])
+    for rows, profile in _profiles(a, b, limits):
+        times[rows] = profile.duration
+    return np.asarray(times[()])
 
 
 def retime(
@@ -158,7 +181,7 @@ def retime(
         limits: limits of the axes.
         sample_period: largest time between samples [s].
         speed: fraction of the velocity limits to use, above 0 up to 1.
-        acceleration: fraction of the acceleration limits to use, above 0 up to 1.
+        acceleration: fraction of the acceleration and jerk limits to use, above 0 up to 1.
 
     Returns:
         The motion; a via point that repeats its predecessor takes no time and adds no sample.
@@ -180,14 +203,16 @@ def retime(
             "segment decreases along the via points; the legs of a tour must be numbered in driving order"
         )
 
-    ramps, cruises = _profile(vias[:-1], vias[1:], limits)
-    durations = 2.0 * ramps + cruises
+    widths = np.zeros((3, len(vias) - 1))
+    for rows, profile in _profiles(vias[:-1], vias[1:], limits):
+        widths[:, *rows] = profile
+    durations = Profile(*widths).duration
     via_t = np.concatenate(([0.0], np.cumsum(durations)))
     t, q, qd, qdd, owner = [np.zeros(1)], [vias[:1]], [np.zeros((1, 6))], [np.zeros((1, 6))], [segments[:1]]
     for k in np.flatnonzero(durations > 0):
         steps = max(2, int(np.ceil(durations[k] / sample_period)))
         tau = np.arange(steps + 1) * (durations[k] / steps)
-        s, sd, sdd = _sample(float(ramps[k]), float(cruises[k]), tau)
+        s, sd, sdd = sample(Profile(*widths[:, k]), tau)
         delta = vias[k + 1] - vias[k]
         low, high = np.minimum(vias[k], vias[k + 1]), np.maximum(vias[k], vias[k + 1])
         positions = np.clip(vias[k] + s[:, None] * delta, low, high)
@@ -237,29 +262,45 @@ def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
         )
 
 
-def _profile(q_from: Floats, q_to: Floats, limits: JointLimits) -> tuple[Floats, Floats]:
-    """Times of one ramp and of the cruise between the ramps (...) [s]; both 0 for a move of length 0."""
+_BLOCK = 8192  # moves that are timed at once: their temporaries stay in the core's cache
+_EQUAL_RATIO = 1e-12  # relative differences up to which limits of the axes are in one ratio
+
+
+def _profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
+    """Profiles of all moves, in blocks along the first axis of the broadcast shape.
+
+    Where the limits of all axes are in one ratio (each acceleration reached in the same time, say), the axis that
+    limits the speed limits acceleration and jerk as well, and two of the three maxima over the axes are left out.
+    """
     shape = np.broadcast_shapes(q_from.shape, q_to.shape)[:-1]
-    at_speed, squared_ramp = np.zeros(shape), np.zeros(shape)
-    for axis in range(6):  # axis by axis: no (..., 6) temporary of a whole cost matrix
-        distance = np.abs(q_to[..., axis] - q_from[..., axis])
-        distance = np.where(distance > RESOLUTION, distance * (1.0 + MARGIN), 0.0)
-        np.maximum(at_speed, distance / limits.velocity[axis], out=at_speed)
-        np.maximum(squared_ramp, distance / limits.acceleration[axis], out=squared_ramp)
-    trapezoid = (squared_ramp <= at_speed**2) & (at_speed > 0)
-    ramp = np.asarray(np.sqrt(squared_ramp))
-    np.divide(squared_ramp, at_speed, out=ramp, where=trapezoid)
-    return ramp, np.where(trapezoid, at_speed - ramp, 0.0)
-
-
-def _sample(ramp: float, cruise: float, tau: Floats) -> tuple[Floats, Floats, Floats]:
-    """Path parameter, its speed and its acceleration at the times tau (K,) after the start of a move."""
-    peak = 1.0 / (ramp + cruise)
-    slope = peak / ramp
-    rest = np.maximum(2.0 * ramp + cruise - tau, 0.0)
-    rising, level = tau < ramp, tau < ramp + cruise
-    s = np.select(
-        [rising, level], [0.5 * slope * tau**2, 0.5 * peak * ramp + peak * (tau - ramp)], 1.0 - 0.5 * slope * rest**2
-    )
-    sd = np.select([rising, level], [slope * tau, np.full_like(tau, peak)], slope * rest)
-    return s, np.minimum(sd, peak), np.select([rising, level], [slope, 0.0], -slope)
+    ends = [np.ascontiguousarray(np.moveaxis(q, -1, 0)) for q in (q_from, q_to)]  # axis by axis
+    ends = [q.reshape(6, *[1] * (len(shape) + 1 - q.ndim), *q.shape[1:]) for q in ends]
+    slower = 1.0 + MARGIN
+    with np.errstate(invalid="ignore"):
+        ratios = [limits.velocity / limits.acceleration, limits.velocity / limits.jerk]
+    together = [bool(np.isfinite(r).all() and np.ptp(r) <= _EQUAL_RATIO * r.max()) for r in ratios]
+    per_row = int(np.prod(shape[1:])) if shape else 1
+    step = max(1, _BLOCK // max(per_row, 1))
+    for start in range(0, shape[0], step) if shape else (0,):
+        rows = (slice(start, start + step),) if shape else ()
+        block = (min(step, shape[0] - start), *shape[1:]) if shape else ()
+        a, b = ([axis[rows] if axis.ndim and axis.shape[0] > 1 else axis for axis in end] for end in ends)
+        at_speed, at_acceleration, at_jerk = np.zeros(block), np.zeros(block), np.zeros(block)
+        distance, scratch = np.empty(block), np.empty(block)
+        for axis in range(6):
+            np.subtract(b[axis], a[axis], out=distance)
+            np.abs(distance, out=distance)
+            np.multiply(distance, distance > RESOLUTION, out=distance)
+            distance *= slower
+            np.maximum(at_speed, np.divide(distance, limits.velocity[axis], out=scratch), out=at_speed)
+            if not together[0]:
+                np.maximum(
+                    at_acceleration, np.divide(distance, limits.acceleration[axis], out=scratch), out=at_acceleration
+                )
+            if not together[1]:
+                np.maximum(at_jerk, np.divide(distance, limits.jerk[axis], out=scratch), out=at_jerk)
+        if together[0]:
+            np.multiply(at_speed, ratios[0].max(), out=at_acceleration)
+        if together[1]:
+            np.multiply(at_speed, ratios[1].max(), out=at_jerk)
+        yield rows, fastest(at_speed, at_acceleration, at_jerk)

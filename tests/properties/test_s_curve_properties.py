@@ -1,0 +1,106 @@
+"""Properties of jerk-limited moves on generated limits and distances, the infinite and the tiny ones among them."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from planner.ports import JointLimits
+from planner.s_curve import Profile, fastest, sample
+from planner.timing import RESOLUTION, jerk_free, move_time, retime, scaled
+
+angles = arrays(float, 6, elements=st.floats(-13.0, 13.0))
+positive = arrays(float, 6, elements=st.floats(0.01, 50.0))
+maybe_endless = arrays(float, 6, elements=st.floats(0.01, 50.0) | st.just(np.inf))
+inverse = st.floats(1e-9, 1e9) | st.just(0.0)
+
+
+def limits(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> JointLimits:
+    """Limits with a range that holds every generated angle."""
+    return JointLimits(np.full(6, -13.0), np.full(6, 13.0), velocity, acceleration, jerk)
+
+
+def widths(v: float, a: float, j: float) -> Profile:
+    """The fastest profile as floats."""
+    return Profile(*(width.item() for width in fastest(np.array(v), np.array(a), np.array(j))))
+
+
+@settings(max_examples=400)
+@given(inverse, inverse, inverse)
+def test_the_peaks_keep_every_limit_and_some_limit_is_reached(v: float, a: float, j: float) -> None:
+    """Also without limits of speed, acceleration or jerk; the widths are ordered and finite."""
+    if a == 0.0 and j == 0.0:
+        v = 0.0  # a move of length 0; limits of speed alone are refused by `check_limits`
+    cruise, ramp, ease = widths(v, a, j)
+    assert np.isfinite([cruise, ramp, ease]).all()
+    assert cruise * (1 + 1e-12) >= ramp + ease
+    assert ramp >= ease * (1 - 1e-12)
+    peaks = np.array([cruise, cruise * ramp, cruise * ramp * ease])
+    asked = np.array([v, a, j])
+    assert (peaks >= asked * (1 - 1e-12)).all()
+    if asked.any():
+        assert (peaks[asked > 0] <= asked[asked > 0] * (1 + 1e-12)).any()
+
+
+@settings(max_examples=300)
+@given(inverse, inverse, inverse, inverse, inverse, inverse)
+def test_one_move_is_never_slower_than_two(v: float, a: float, j: float, v2: float, a2: float, j2: float) -> None:
+    """Duration is subadditive in the inverse limits, which is why fewer stops are never slower."""
+    a, a2 = max(a, 1e-9), max(a2, 1e-9)
+    one = widths(v + v2, a + a2, j + j2).duration
+    assert one <= (widths(v, a, j).duration + widths(v2, a2, j2).duration) * (1 + 1e-12)
+
+
+@given(inverse, inverse, inverse, arrays(float, 20, elements=st.floats(0.0, 1.0)))
+def test_samples_rise_from_0_to_1_and_are_symmetric(v: float, a: float, j: float, shares: np.ndarray) -> None:
+    """Monotone, point-symmetric about the middle, speeds and accelerations at most the peaks."""
+    profile = widths(v, max(a, 1e-9), j)
+    t = np.sort(np.concatenate([[0.0, 1.0], shares])) * profile.duration
+    s, sd, sdd = sample(profile, t)
+    assert (s[0], s[-1], sd[0], sd[-1]) == (0.0, 1.0, 0.0, 0.0)
+    assert (np.diff(s) >= -1e-12).all()
+    back = sample(profile, profile.duration - t)
+    np.testing.assert_allclose(s + back[0], 1.0, atol=1e-9)
+    np.testing.assert_allclose(sd, back[1], atol=1e-6 / profile.cruise)
+    assert sd.max() <= 1.0 / profile.cruise
+    assert np.abs(sdd).max() <= (1.0 / profile.cruise) / profile.ramp
+
+
+@given(angles, angles, angles, positive, positive, maybe_endless)
+def test_move_time_is_a_metric(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, v: np.ndarray, acc: np.ndarray, jerk: np.ndarray
+) -> None:
+    """Symmetric, zero exactly between equal angles, and no way over a third configuration is faster."""
+    law = limits(v, acc, jerk)
+    ab = float(move_time(a, b, law))
+    assert ab == float(move_time(b, a, law)) >= float(move_time(a, b, jerk_free(law))) >= 0
+    assert (ab == 0) == bool((np.abs(a - b) <= RESOLUTION).all())
+    assert ab <= (float(move_time(a, c, law)) + float(move_time(c, b, law))) * (1 + 1e-12) + 1e-3 * RESOLUTION ** (
+        1 / 3
+    )
+
+
+@settings(max_examples=60)
+@given(st.lists(angles, min_size=2, max_size=4), maybe_endless, positive, positive, st.floats(0.1, 1.0))
+def test_samples_never_exceed_a_limit(
+    via: list[np.ndarray], v: np.ndarray, acc: np.ndarray, jerk: np.ndarray, override: float
+) -> None:
+    """Speed, acceleration and jerk between samples hold without tolerance beyond rounding, at every override."""
+    law = limits(v, acc, jerk)
+    motion = retime(np.array(via), [0] * len(via), [-1] * len(via), law, 0.05, speed=override)
+    steps = np.diff(motion.t)[:, None]
+    assert (np.abs(motion.qd) <= v * override).all()
+    assert (np.abs(motion.qdd) <= acc).all()
+    assert (np.abs(np.diff(motion.qd, axis=0)) <= acc * steps + 1e-13).all()
+    assert (np.abs(np.diff(motion.qdd, axis=0)) <= jerk * steps + 1e-13).all()
+    assert (motion.limits.velocity == scaled(law, override).velocity).all()
+    assert motion.duration >= retime(np.array(via), [0] * len(via), [-1] * len(via), law, 0.5).duration * (1 - 1e-12)
+
+
+@given(arrays(float, (3, 1, 6), elements=st.floats(-7, 7)), arrays(float, (4, 6), elements=st.floats(-7, 7)), positive)
+def test_limits_in_one_ratio_are_timed_as_all_others(a: np.ndarray, b: np.ndarray, v: np.ndarray) -> None:
+    """Where one axis limits speed, acceleration and jerk alike, the shortcut gives what three maxima give."""
+    together = limits(v, 2 * v, 20 * v)
+    # One part in 10^9 apart on an axis is no longer one ratio for the shortcut.
+    apart = limits(v, 2 * v * [1, 1, 1, 1, 1, 1 + 1e-9], 20 * v * [1, 1, 1, 1, 1 + 1e-9, 1])
+    np.testing.assert_allclose(move_time(a, b, together), move_time(a, b, apart), rtol=1e-8)
