@@ -38,6 +38,7 @@ class Result(IntEnum):
     STALE = 10
     ESTOP_PRESSED = 11
     TOO_MANY_POINTS = 12
+    INCOMPLETE = 13
     STOPPED = 20
     FAULTED = 21
 
@@ -60,6 +61,7 @@ _RESULT_SENTENCES = {
     Result.STALE: "the sequence number is older than the last one; another client, or a late duplicate",
     Result.ESTOP_PRESSED: "the emergency stop is still pressed; release it first",
     Result.TOO_MANY_POINTS: "the move has more via points than the controller takes",
+    Result.INCOMPLETE: "the via points that were staged are not those of the move; stage them again",
     Result.STOPPED: "the move was stopped on command",
     Result.FAULTED: "the move was ended by a fault",
 }

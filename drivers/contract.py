@@ -88,6 +88,7 @@ class RobotState:
         queue_depth: moves that are accepted and have not ended.
         fault_code: 0, or the latched fault (`Fault`, or a foreign controller's number).
         fault_sentence: the latched fault in words; empty where there is none.
+        boot: a number that is another one after each start of the controller; 0: the controller does not tell.
     """
 
     mode: Mode
@@ -100,6 +101,7 @@ class RobotState:
     queue_depth: int = 0
     fault_code: int = 0
     fault_sentence: str = ""
+    boot: int = 0
 
     def __post_init__(self) -> None:
         if np.shape(self.axes) != (AXES,):

@@ -1,0 +1,273 @@
+"""The Modbus map as data: which register means what. Code, the page docs/protocol.md and the tests are made from it.
+
+Three blocks, the same on TCP and RTU; addresses are 0-based as they stand in a telegram.
+
+- *Command*, holding registers, written as a whole in one FC16. Its length depends on the number of via points in it.
+- *Status*, input registers, read as a whole in one FC04, so that nothing in it is torn.
+- *Capabilities*, input registers, read once.
+
+Registers are 16 bits, most significant byte first. Two registers make a 32-bit value, the most significant register
+first ("big words", ABCD). A gateway that swaps words is found twice: the status begins with the float32 1234.5, and
+every block ends with a CRC-32 over its registers, whose own words would be swapped too. That CRC also finds what the
+TCP form does not protect, blocks put together from two writes, and values that a gateway made up.
+
+The CRC-32 is that of `drivers.wire`, over the registers before it as they are sent.
+"""
+
+import math
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.errors import ProtocolError
+
+MAGIC: Final = 0x4B52  # "KR"
+MAP_VERSION: Final = 1
+WORD_ORDER: Final = 1234.5
+
+POINTS_PER_BLOCK: Final = 9
+"""Via points of one command block: 14 + 9 x 12 registers are 122 of the 123 that an FC16 may write."""
+
+REGISTERS_PER_POINT: Final = 12
+
+NONE, MOVE, STAGE, STOP, RESET = 0, 1, 2, 4, 9
+"""Command codes. NONE is a heartbeat and nothing else."""
+
+COMMANDS: Final = {
+    NONE: "no command: heartbeat only; the sequence is not looked at",
+    MOVE: "move through `count` via points, the last `points` of which stand in this block",
+    STAGE: "write `points` via points into the buffer of move `sequence`, from `offset` on; nothing moves",
+    STOP: "brake on the path; obeyed whatever the sequence",
+    RESET: "clear a latched fault",
+}
+
+_WIDTH = {"u16": 1, "i32": 2, "u32": 2, "f32": 2, "text": 1}
+_CODE = {"u16": "H", "i32": "i", "u32": "I", "f32": "f"}
+
+Value = int | float | str | tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One value of a block.
+
+    Attributes:
+        name: its name here and on the page.
+        type: u16, i32, u32, f32, or text (ASCII, two characters a register, filled up with zero bytes).
+        meaning: what it says, with its unit.
+        count: how many values of the type stand in a row; for a text, how many registers it has.
+    """
+
+    name: str
+    type: str
+    meaning: str
+    count: int = 1
+
+    @property
+    def registers(self) -> int:
+        """Registers that it takes."""
+        return _WIDTH[self.type] * self.count
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Fields in a row from an address on.
+
+    Attributes:
+        name: for the page.
+        kind: "holding" or "input".
+        address: of its first register, 0-based.
+        fields: without the CRC-32 that ends every block.
+        optional_points: whether up to `POINTS_PER_BLOCK` via points stand between the fields and the CRC.
+    """
+
+    name: str
+    kind: str
+    address: int
+    fields: tuple[Field, ...]
+    optional_points: bool = False
+
+    @property
+    def registers(self) -> int:
+        """Registers without via points, CRC included."""
+        return sum(field.registers for field in self.fields) + 2
+
+    def encode(self, values: Mapping[str, Value], points: Sequence[int] = ()) -> list[int]:
+        """Registers of the block.
+
+        Args:
+            values: one for each field.
+            points: counts of the via points, A1 to A6, point by point.
+
+        Raises:
+            ProtocolError: if a value does not fit its field.
+        """
+        try:
+            data = b"".join(_pack(field, values[field.name]) for field in self.fields)
+            data += struct.pack(f">{len(points)}i", *points)
+        except (struct.error, UnicodeEncodeError) as error:
+            raise ProtocolError(f"the {self.name} block cannot carry {dict(values)}: {error}") from error
+        data += struct.pack(">I", zlib.crc32(data))
+        return list(struct.unpack(f">{len(data) // 2}H", data))
+
+    def decode(self, registers: Sequence[int]) -> tuple[dict[str, Value], tuple[int, ...]]:
+        """Values and via points of the block's registers.
+
+        Raises:
+            ProtocolError: if the length or the CRC is wrong.
+        """
+        more = len(registers) - self.registers
+        if more < 0 or (more and not self.optional_points) or more % REGISTERS_PER_POINT:
+            raise ProtocolError(f"the {self.name} block has {len(registers)} registers; it must have {self._lengths()}")
+        data = struct.pack(f">{len(registers)}H", *registers)
+        if zlib.crc32(data[:-4]) != struct.unpack(">I", data[-4:])[0]:
+            raise ProtocolError(f"the CRC-32 of the {self.name} block is wrong; it is torn, or its words are swapped")
+        values: dict[str, Value] = {}
+        at = 0
+        for field in self.fields:
+            values[field.name] = _unpack(field, data[2 * at : 2 * (at + field.registers)])
+            at += field.registers
+        return values, struct.unpack(f">{more // 2}i", data[2 * at : -4])
+
+    def _lengths(self) -> str:
+        return f"{self.registers}" + f" and {REGISTERS_PER_POINT} for each via point" * self.optional_points
+
+
+def _pack(field: Field, value: Value) -> bytes:
+    if field.type == "text":
+        data = str(value).encode("ascii", "replace")[: 2 * field.count]
+        return data.ljust(2 * field.count, b"\0")
+    values = value if isinstance(value, tuple) else (value,)
+    if len(values) != field.count:
+        raise struct.error(f"{field.name} has {len(values)} values; it must have {field.count}")
+    return struct.pack(f">{field.count}{_CODE[field.type]}", *values)
+
+
+def _unpack(field: Field, data: bytes) -> Value:
+    if field.type == "text":
+        return data.rstrip(b"\0").decode("ascii", "replace")
+    values: tuple[int, ...] = struct.unpack(f">{field.count}{_CODE[field.type]}", data)
+    return values if field.count > 1 else values[0]
+
+
+_IDENTITY = (
+    Field("magic", "u16", "0x4B52"),
+    Field("version", "u16", f"version of this map, {MAP_VERSION}"),
+    Field("word_order", "f32", "1234.5; read as anything else, the words are swapped"),
+)
+
+COMMAND: Final = Block(
+    "command",
+    "holding",
+    0,
+    (
+        Field("heartbeat", "u16", "counts on with every write; a write that repeats it does not feed the watchdog"),
+        Field("sequence", "u16", "1 to 65535, new for every command"),
+        Field("command", "u16", "see the command codes"),
+        Field("watchdog_ms", "u16", "silence [ms] after which a moving arm is stopped"),
+        Field("speed", "u16", "speed fraction of a move [1e-4]"),
+        Field("points", "u16", f"via points in this block, 0 to {POINTS_PER_BLOCK}"),
+        Field("offset", "u32", "staging: index of this block's first point in the move; else 0"),
+        Field("count", "u32", "move: via points of the whole move; else 0"),
+        Field("points_crc", "u32", "move: CRC-32 over all its via points; else 0"),
+    ),
+    optional_points=True,
+)
+
+STATUS: Final = Block(
+    "status",
+    "input",
+    0,
+    (
+        *_IDENTITY,
+        Field("heartbeat", "u16", "counts on while the controller lives"),
+        Field("boot", "u16", "another number after each start of the controller"),
+        Field("echo", "u16", "heartbeat of the last command block that was taken"),
+        Field("flags", "u16", "bit 0: stands; bit 1: moves or brakes; bit 2: in position; bit 3: fault; bit 4: e-stop; "
+              "bit 5: the pose is valid"),
+        Field("mode", "u16", "0 idle, 1 moving, 2 in position, 3 fault, 4 e-stop"),
+        Field("ack_sequence", "u16", "last command that was executed or refused; 0: none since the start"),
+        Field("ack_result", "u16", "the answer to it"),
+        Field("done_sequence", "u16", "last move that ended; 0: none since the start"),
+        Field("done_result", "u16", "how it ended"),
+        Field("answer_sequence", "u16", "sequence of the last command block with a command"),
+        Field("answer_result", "u16", "the answer to that block: also REUSED, STALE, INCOMPLETE"),
+        Field("queue_depth", "u16", "moves accepted and not ended"),
+        Field("fault_code", "u16", "0, or the latched fault"),
+        Field("fault_count", "u16", "faults since the start, modulo 65536"),
+        Field("axes", "i32", "A1 to A6 [1e-4 deg]", 6),
+        Field("pose", "i32", "flange in the robot's base: X, Y, Z [1e-3 mm], A, B, C [1e-4 deg]; 0 where not valid", 6),
+    ),
+)  # fmt: skip
+
+CAPABILITIES: Final = Block(
+    "capabilities",
+    "input",
+    100,
+    (
+        *_IDENTITY,
+        Field("max_speed", "u16", "largest speed fraction [1e-4]"),
+        Field("max_via", "u32", "most via points of one move; 0: no bound"),
+        Field("lower", "i32", "smallest set-points, A1 to A6 [1e-4 deg]", 6),
+        Field("upper", "i32", "largest set-points [1e-4 deg]", 6),
+        Field("max_step", "i32", "largest change of an axis from one via point to the next [1e-4 deg]", 6),
+        Field("name", "text", "what the controller is", 16),
+    ),
+)
+
+BLOCKS: Final = (COMMAND, STATUS, CAPABILITIES)
+
+
+def identify(values: Mapping[str, Value]) -> None:
+    """Make sure that a block comes from a controller of ours, in our word order.
+
+    Raises:
+        ProtocolError: else.
+    """
+    if values["magic"] != MAGIC:
+        raise ProtocolError(f"register 0 reads {values['magic']}; a controller of ours has {MAGIC} (0x{MAGIC:04X})")
+    word_order = values["word_order"]
+    if not (isinstance(word_order, float) and math.isclose(word_order, WORD_ORDER)):
+        raise ProtocolError(
+            f"the word-order test reads {word_order}, not {WORD_ORDER}; a gateway swaps words: set it to big words"
+        )
+    if values["version"] != MAP_VERSION:
+        raise ProtocolError(f"the controller has map version {values['version']}; this driver speaks {MAP_VERSION}")
+
+
+def check_identity(registers: Sequence[int]) -> None:
+    """`identify` for the first four registers of a block, before its CRC is looked at: the better sentence."""
+    values = {}
+    at = 0
+    data = struct.pack(">4H", *registers[:4])
+    for field in _IDENTITY:
+        values[field.name] = _unpack(field, data[2 * at : 2 * (at + field.registers)])
+        at += field.registers
+    identify(values)
+
+
+def page() -> str:
+    """The tables of docs/protocol.md."""
+    parts = []
+    for block in BLOCKS:
+        at, rows = block.address, []
+        for field in block.fields:
+            last = at + field.registers - 1
+            where = f"{at}" if last == at else f"{at}-{last}"
+            kind = field.type if field.count == 1 else f"{field.type} x {field.count}"
+            rows.append(f"| {where} | {field.name} | {kind} | {field.meaning} |")
+            at += field.registers
+        if block.optional_points:
+            rows.append(f"| {at}... | points | i32 x 6n | n = `points` via points, A1 to A6 each [1e-4 deg] |")
+            rows.append(f"| {at} + 12n | crc | u32 | CRC-32 of all registers before |")
+        else:
+            rows.append(f"| {at}-{at + 1} | crc | u32 | CRC-32 of all registers before |")
+        parts.append(
+            f"### {block.name.capitalize()} block, {block.kind} registers from {block.address}\n\n"
+            "| register | name | type | meaning |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
+        )
+    codes = "\n".join(f"| {code} | {meaning} |" for code, meaning in COMMANDS.items())
+    parts.append(f"### Command codes\n\n| code | meaning |\n|---|---|\n{codes}\n")
+    return "\n".join(parts)

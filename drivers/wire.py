@@ -1,0 +1,137 @@
+"""What every wire has in common: a move cut into what a frame can hold, and speeds as whole numbers.
+
+A frame is short and a move may have 100,000 via points. So a move is *staged*: its via points go into a buffer of the
+controller, piece by piece, under the sequence number that the move will have. Staging moves nothing, and writing the
+same piece twice is writing it once. The move command itself, the *commit*, carries the speed, how many points there
+are, the CRC-32 of all of them, and the last of them (all, where they fit: then nothing is staged). The controller
+accepts the commit only when what it holds is exactly what was counted and summed.
+
+So a move stays one command with one number: it is checked as a whole before the arm moves, it is executed once or not
+at all, and a wire that fails while it is sent leaves an arm that stands. Splitting it into several queued moves would
+need none of the buffer, but a fault in the middle would then leave part of it executed, and a refusal of point 70,000
+would come after 69,999 have been driven.
+
+The CRC-32 is the one of zlib, Ethernet and PKZIP (polynomial 0x04C11DB7 reflected, start and final XOR 0xFFFFFFFF),
+taken over the points as big-endian int32, point by point, A1 to A6.
+"""
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.commands import Move
+from drivers.setpoints import AXES, SetPoints, frozen
+
+SPEEDS = 10_000
+"""Speed fractions travel as whole numbers of 1e-4: 10,000 is full speed."""
+
+DEFAULT_WATCHDOG_MS = 1000
+"""Silence of the client [ms] after which a moving arm is stopped, where the client says nothing else."""
+
+WATCHDOG_RANGE_MS = (100, 5000)
+"""Shortest and longest silence [ms] that a client may ask for; a controller takes the nearer end of what is beyond."""
+
+MOST_POINTS = 200_000
+"""Via points of one move that the controller's buffer holds (4.8 MB)."""
+
+_POINT_BYTES = 4 * AXES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """A piece of the via points of the move to come.
+
+    Attributes:
+        offset: index of its first point in the move.
+        points: (n, 6) int32 counts of 1e-4 deg, n at least 1.
+    """
+
+    offset: int
+    points: SetPoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commit:
+    """The command to execute a move whose first points are staged.
+
+    Attributes:
+        speed: speed fraction in 1e-4.
+        count: via points of the whole move.
+        crc: CRC-32 of all of them.
+        tail: (n, 6) the last of them, int32 counts; all of them where count is n.
+    """
+
+    speed: int
+    count: int
+    crc: int
+    tail: SetPoints
+
+
+def pieces(move: Move, size: int) -> tuple[list[Stage], Commit]:
+    """Cut a move into what is staged and what commits it, `size` points at most in each."""
+    points = move.set_points
+    n = len(points)
+    n_tail = min(n, size)
+    stages = [Stage(k, points[k : min(k + size, n - n_tail)]) for k in range(0, n - n_tail, size)]
+    return stages, Commit(speed_to_wire(move.speed), n, points_crc(points), points[n - n_tail :])
+
+
+def points_crc(points: SetPoints) -> int:
+    """CRC-32 of set-points."""
+    return zlib.crc32(np.ascontiguousarray(points, dtype=">i4").tobytes())
+
+
+def speed_to_wire(speed: float) -> int:
+    """A speed fraction in 1e-4, never faster than asked; 0, which every controller refuses, for what is no fraction."""
+    return int(speed * SPEEDS + 1e-6) if 0.0 < speed <= 1.0 else 0
+
+
+def speed_from_wire(speed: int) -> float:
+    """The speed fraction."""
+    return speed / SPEEDS
+
+
+class Staging:
+    """The controller's buffer of via points.
+
+    It belongs to one sequence number at a time; a piece under another number empties it first.
+
+    Args:
+        most: points that it holds.
+    """
+
+    def __init__(self, most: int = MOST_POINTS) -> None:
+        self._most = most
+        self.sequence = 0
+        self._bytes = bytearray()
+
+    def __len__(self) -> int:
+        """Points that it holds."""
+        return len(self._bytes) // _POINT_BYTES
+
+    def put(self, sequence: int, piece: Stage) -> bool:
+        """Write a piece; False where it would leave a gap or not fit."""
+        if sequence != self.sequence:
+            self.sequence, self._bytes = sequence, bytearray()
+        if piece.offset > len(self) or piece.offset + len(piece.points) > self._most:
+            return False
+        begin = piece.offset * _POINT_BYTES
+        data = np.ascontiguousarray(piece.points, dtype=">i4").tobytes()
+        self._bytes[begin : begin + len(data)] = data
+        return True
+
+    def take(self, sequence: int, commit: Commit) -> SetPoints | None:
+        """The whole move's points, or None where what is held is not what the commit counts and sums.
+
+        The buffer stays as it is, so that a repeated commit gives the same points.
+        """
+        before = commit.count - len(commit.tail)
+        if not (before >= 0 and len(commit.tail) and commit.count <= self._most):
+            return None
+        if before and (sequence != self.sequence or before > len(self)):
+            return None
+        staged = bytes(self._bytes[: before * _POINT_BYTES]) if before else b""
+        points = np.concatenate([np.frombuffer(staged, dtype=">i4").reshape(-1, AXES), commit.tail])
+        whole = frozen(points, np.int32)
+        return whole if points_crc(whole) == commit.crc else None

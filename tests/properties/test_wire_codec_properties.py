@@ -1,0 +1,286 @@
+"""Codecs of the wires: whatever decodes was written like that, and what was mangled never passes for something else."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import modbus_adu as adu
+from drivers import register_map as registers
+from drivers import serial_messages as messages
+from drivers.commands import Answer, Move, Reset, Stop
+from drivers.contract import Mode, RobotState
+from drivers.errors import ProtocolError
+from drivers.frames import FROM_CONTROLLER, MAX_FRAME, TO_CONTROLLER, Frame, decode, encode, plain, split
+from drivers.limits import kr16
+from drivers.wire import SPEEDS, Stage, Staging, pieces, points_crc, speed_from_wire, speed_to_wire
+
+numbers = st.integers(0, 65535)
+int32 = st.integers(-(2**31), 2**31 - 1)
+texts = st.text(max_size=60)
+
+
+def points(least: int = 1, most: int = 12) -> st.SearchStrategy[np.ndarray]:
+    """(n, 6) int32."""
+    rows = st.lists(st.lists(int32, min_size=6, max_size=6), min_size=least, max_size=most)
+    return rows.map(lambda values: np.array(values, dtype=np.int32).reshape(-1, 6))
+
+
+requests = st.one_of(
+    st.builds(messages.Hello),
+    st.builds(messages.Beat, st.integers(0, 65535)),
+    st.builds(Stage, st.integers(0, 10**6), points()),
+    st.tuples(points(), st.floats(1e-4, 1.0)).map(lambda given: pieces(Move(*given), 12)[1]),
+    st.builds(Stop),
+    st.builds(Reset),
+)
+states = st.builds(
+    RobotState,
+    st.sampled_from(Mode),
+    points(1, 1).map(lambda rows: rows[0]),
+    st.booleans(),
+    numbers, numbers, numbers, numbers, numbers, numbers, texts.map(plain), numbers,
+)  # fmt: skip
+frames = st.one_of(
+    st.builds(messages.request_frame, numbers, requests),
+    st.builds(messages.status_frame, numbers, st.builds(messages.Status, numbers, states)),
+    st.builds(messages.answer_frame, st.sampled_from(["MOVE", "STOP"]), st.builds(Answer, numbers, numbers, texts)),
+    st.builds(messages.trouble_frame, numbers, texts),
+)
+
+
+@given(frames)
+def test_a_frame_survives_its_bytes(frame: Frame) -> None:
+    """Encode, decode: the same frame; it fits MAX_FRAME, is ASCII and one line."""
+    data = encode(frame)
+    assert decode(data) == frame
+    assert len(data) <= MAX_FRAME
+    assert data.isascii()
+    assert data.count(b"\n") == 1
+
+
+@given(numbers, requests)
+def test_a_request_survives_its_frame(number: int, request: messages.Request) -> None:
+    """Compared by what is sent, since arrays do not compare."""
+    frame = messages.request_frame(number, request)
+    again = messages.request_of(frame)
+    assert again is not None
+    assert messages.request_frame(number, again) == frame
+
+
+@given(numbers, st.builds(messages.Status, numbers, states))
+def test_a_state_survives_its_frame(number: int, status: messages.Status) -> None:
+    """All of it, text included."""
+    frame = messages.status_frame(number, status)
+    again = messages.status_of(frame)
+    assert again is not None
+    assert messages.status_frame(number, again) == frame
+    assert again.state.axes.tolist() == status.state.axes.tolist()
+    assert again.state.fault_sentence == status.state.fault_sentence
+
+
+@given(st.sampled_from([TO_CONTROLLER, FROM_CONTROLLER]), numbers, st.text("ASTOPEMVHLR,0123456789-AF ", max_size=60))
+def test_what_is_understood_is_written_in_one_way(start: str, number: int, body: str) -> None:
+    """No two bodies mean the same request, state or answer."""
+    frame = Frame(start, number, body)
+    request = messages.request_of(frame)
+    if request is not None:
+        assert messages.request_frame(number, request) == frame
+    answer = messages.answer_of(frame, "MOVE")
+    if answer is not None:
+        assert messages.answer_frame("MOVE", answer) == frame
+
+
+@given(st.binary(max_size=80))
+def test_any_bytes_decode_to_nothing_or_to_what_encodes_to_them(data: bytes) -> None:
+    """No crash, and one spelling per frame."""
+    frame = decode(data)
+    assert frame is None or encode(frame) == data
+
+
+@given(frames, st.data())
+def test_a_mangled_frame_is_no_frame(frame: Frame, data: st.DataObject) -> None:
+    """Bits flipped, cut, or two frames run into each other."""
+    good = encode(frame)
+    how = data.draw(st.sampled_from(["flip", "cut", "join", "case"]))
+    if how == "flip":
+        at, bit = data.draw(st.integers(0, len(good) - 1)), data.draw(st.integers(0, 7))
+        bad = good[:at] + bytes([good[at] ^ 1 << bit]) + good[at + 1 :]
+    elif how == "cut":
+        bad = good[: data.draw(st.integers(0, len(good) - 1))]
+    elif how == "join":
+        other = encode(data.draw(frames))
+        bad = good[: data.draw(st.integers(1, len(good) - 1))] + other[data.draw(st.integers(1, len(other) - 1)) :]
+    else:
+        bad = good[:-11] + good[-11:].lower()
+    if bad != good and (how != "join" or bad != other):
+        assert decode(bad) is None
+
+
+@given(st.lists(frames, max_size=4), st.lists(st.binary(max_size=30), max_size=5), st.data())
+def test_frames_are_found_in_any_stream_however_it_arrives(
+    sent: list[Frame], noise: list[bytes], data: st.DataObject
+) -> None:
+    """Noise lines between frames, and any cut into reads: every frame is found, in order, and nothing else."""
+    stream = b""
+    for k, frame in enumerate(sent):
+        if k < len(noise):
+            stream += noise[k].replace(b"\n", b"")
+            stream += b"\n" if data.draw(st.booleans()) else b""
+        stream += encode(frame)
+    found, rest = [], b""
+    while stream:
+        size = data.draw(st.integers(1, len(stream)))
+        candidates, rest = split(rest + stream[:size])
+        found += [decoded for decoded in map(decode, candidates) if decoded is not None]
+        stream = stream[size:]
+    assert found == sent
+
+
+@pytest.mark.parametrize("body", ["", "move", "MOVE*", "MOVE,<", "MOVE,\n", "MOVE,\u00e4", "M" * 2000, ",MOVE"])
+def test_what_a_frame_cannot_carry_is_refused(body: str) -> None:
+    """With a sentence."""
+    with pytest.raises(ProtocolError, match="cannot carry"):
+        encode(Frame(">", 1, body))
+
+
+def test_what_never_ends_is_not_kept() -> None:
+    """A megabyte without LF leaves no more than a frame behind."""
+    _, rest = split(b">" + b"x" * 1_000_000)
+    assert len(rest) <= MAX_FRAME
+
+
+@given(points(1, 40), st.floats(1e-4, 1.0), st.integers(1, 12), st.integers(1, 65535), st.randoms())
+def test_a_move_survives_being_staged(
+    whole: np.ndarray, speed: float, size: int, sequence: int, random: object
+) -> None:
+    """Cut, written in order with repetitions, committed: the same points; a changed point or count is not taken."""
+    stages, commit = pieces(Move(whole, speed), size)
+    staging = Staging()
+    for stage in stages:
+        assert staging.put(sequence, stage)
+        assert staging.put(sequence, stage)
+    taken = staging.take(sequence, commit)
+    assert taken is not None
+    assert (taken == whole).all()
+    assert staging.take(sequence, commit) is not None
+    assert all(len(stage.points) <= size for stage in stages)
+    assert len(commit.tail) <= size
+    if stages:
+        assert staging.take(sequence % 65535 + 1, commit) is None
+        staging.put(sequence, Stage(0, stages[0].points ^ 1))
+        assert staging.take(sequence, commit) is None
+        assert not Staging().put(sequence, Stage(1, stages[0].points))
+
+
+def test_the_points_crc_is_zlibs_over_big_endian_counts() -> None:
+    """Point by point, A1 to A6."""
+    given_points = np.array([[1, -2, 3, -4, 5, -6], [7, 8, 9, 10, 11, 12]], dtype=np.int32)
+    assert points_crc(given_points) == zlib.crc32(struct.pack(">12i", 1, -2, 3, -4, 5, -6, *range(7, 13)))
+
+
+@given(st.floats())
+def test_a_speed_is_never_faster_than_asked(speed: float) -> None:
+    """What is no fraction travels as 0, which is refused; 1e-4 steps survive exactly."""
+    wire = speed_to_wire(speed)
+    assert 0 <= wire <= SPEEDS
+    assert speed_from_wire(wire) <= max(speed, 0.0) + 1e-10 or not speed > 0
+    assert wire == 0 or speed - speed_from_wire(wire) < 1e-4
+
+
+def test_every_wire_speed_survives() -> None:
+    """All 10,000."""
+    assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(SPEEDS + 1))
+
+
+blocks = st.sampled_from(registers.BLOCKS)
+
+
+def values_of(block: registers.Block, draw: st.DrawFn) -> dict[str, registers.Value]:
+    """Any values of a block's fields."""
+    ranges = {"u16": numbers, "u32": st.integers(0, 2**32 - 1), "i32": int32, "f32": st.floats(width=32, allow_nan=False)}
+    values: dict[str, registers.Value] = {}
+    for field in block.fields:
+        if field.type == "text":
+            values[field.name] = draw(st.text("abcXYZ 0123", max_size=2 * field.count))
+        elif field.count > 1:
+            values[field.name] = tuple(draw(ranges[field.type]) for _ in range(field.count))
+        else:
+            values[field.name] = draw(ranges[field.type])
+    return values
+
+
+@st.composite
+def written_blocks(draw: st.DrawFn) -> tuple[registers.Block, list[int]]:
+    """A block and registers of it."""
+    block = draw(blocks)
+    via = draw(st.lists(int32, min_size=6, max_size=6)) * draw(st.integers(0, 9)) if block.optional_points else []
+    return block, block.encode(values_of(block, draw), via)
+
+
+@given(written_blocks(), st.data())
+def test_a_block_survives_and_a_mangled_one_does_not(
+    written: tuple[registers.Block, list[int]], data: st.DataObject
+) -> None:
+    """Decoded and encoded again: the same registers; one bit, one register, the length or the word order: refused."""
+    block, values = written
+    fields, via = block.decode(values)
+    assert block.encode(fields, via) == values
+    how = data.draw(st.sampled_from(["bit", "shift", "cut", "swap"]))
+    if how == "bit":
+        at = data.draw(st.integers(0, len(values) - 1))
+        bad = [*values[:at], values[at] ^ 1 << data.draw(st.integers(0, 15)), *values[at + 1 :]]
+    elif how == "shift":
+        bad = [*values[1:], 0]
+    elif how == "cut":
+        bad = values[: data.draw(st.integers(0, len(values) - 1))]
+    else:
+        bad = [value for pair in zip(values[1::2], values[::2], strict=False) for value in pair]
+    if bad != values:
+        with pytest.raises(ProtocolError):
+            block.decode(bad)
+
+
+@given(numbers, st.integers(0, 255), st.one_of(st.none(), numbers), st.lists(numbers, min_size=1, max_size=123))
+def test_modbus_telegrams_survive(address: int, unit: int, transaction: int | None, values: list[int]) -> None:
+    """FC16 and FC04, TCP and RTU."""
+    header = adu.Header(unit, transaction)
+    pdu = struct.pack(f">BHHB{len(values)}H", 16, address, len(values), 2 * len(values), *values)
+    packet = adu.pack(header, pdu)
+    unpacked = adu.unpack_rtu(packet) if transaction is None else adu.unpack_tcp(packet)
+    assert unpacked == (header, pdu)
+    assert adu.request_of(pdu) == adu.Write(address, tuple(values))
+    split_packets = adu.split_rtu(packet) if transaction is None else adu.split_tcp(packet)
+    assert split_packets == ([packet], b"")
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_make_no_modbus_crash(data: bytes) -> None:
+    """Cut and read without an exception; what is kept is what came last."""
+    adu.request_of(data)
+    adu.unpack_tcp(data)
+    adu.unpack_rtu(data)
+    cut = adu.split_tcp(data)
+    assert cut is None or data.endswith(cut[1])
+    assert data.endswith(adu.split_rtu(data)[1])
+
+
+def test_crc16_has_its_published_check_value() -> None:
+    """0x4B37 over "123456789" (the catalogue of parametrised CRC algorithms)."""
+    assert adu.crc16(b"123456789") == 0x4B37
+
+
+def test_the_kr16_fits_a_hello() -> None:
+    """The capabilities of the KR 16 survive both wires' forms."""
+    from drivers.contract import Capabilities
+
+    limits = kr16()
+    able = Capabilities("emulator", limits.lower, limits.upper, limits.max_step, 0.5, None, True, False)
+    again = messages.hello_of(messages.hello_frame(3, able))
+    assert not isinstance(again, int)
+    assert again is not None
+    assert again.upper.tolist() == able.upper.tolist()
+    assert (again.max_speed, again.max_via, again.controller) == (0.5, None, "emulator")
