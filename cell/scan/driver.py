@@ -1,5 +1,6 @@
 """The driver of an execution, and the clock by which its events are told."""
 
+from collections.abc import Mapping
 from urllib.parse import parse_qsl, urlsplit
 
 from cell.errors import DriverFailureError, UsageError
@@ -8,13 +9,16 @@ from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Driver
 from drivers.errors import DriverError
 from drivers.limits import Limits
+from drivers.plant import PlantFactory
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_deg
 from drivers.sim import SimDriver
 from planner.timing import Motion
 
 
-def prepare(options: ScanOptions, motion: Motion, speed: float) -> tuple[Driver, Clock]:
+def prepare(
+    options: ScanOptions, motion: Motion, speed: float, plants: Mapping[str, PlantFactory] | None = None
+) -> tuple[Driver, Clock]:
     """The driver, not yet connected, and the clock that tells its time.
 
     The simulated controller gets the limits and accelerations of the plan, stands at its beginning, and jumps in time
@@ -24,6 +28,7 @@ def prepare(options: ScanOptions, motion: Motion, speed: float) -> tuple[Driver,
         options: URL, and whether in real time.
         motion: of the plan, with the limits that it was timed with.
         speed: fraction of the axis speeds in these limits.
+        plants: what a simulated controller can move, beside its own.
 
     Raises:
         UsageError: if real time is asked of a controller that is not simulated.
@@ -45,7 +50,7 @@ def prepare(options: ScanOptions, motion: Motion, speed: float) -> tuple[Driver,
     limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / speed, lim.acceleration)
     given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
     try:
-        driver = open_driver(url, Context(clock=given, limits=limits))
+        driver = open_driver(url, Context(clock=given, limits=limits, plants=plants or {}))
         # A simulated controller has one clock, with its time_scale; of another one only real time is known.
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
     except DriverError as error:

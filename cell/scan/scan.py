@@ -15,6 +15,7 @@ import numpy as np
 
 from cell.commands.narrator import Narrator, ProgressCallback
 from cell.errors import DriverFailureError, FileError, UsageError
+from cell.plant import factory
 from cell.reconstruction import cloud_files
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.nearest import NearestSurface
@@ -91,7 +92,7 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
     legs = execute.legs_of(motion, options.view)
     scene = scan_scene.load(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else int(run.manifest["seed"])
-    driver, clock = scan_driver.prepare(options, motion, scene.speed)
+    driver, clock = scan_driver.prepare(options, motion, scene.speed, factory.of_run(run))
     kept = options.kept() | {"scanner": dict(scene.scanner_parameters)}
     with ExitStack() as connected:
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind

@@ -1,0 +1,160 @@
+"""The KR 16 as a dynamic model: `models/kr16.xml` with its drives and a tool, and without what dynamics does not need.
+
+The same file is compiled twice: for planning as it is (`cell.robot.model`), and here with gravity, the drives'
+reflected rotor inertia, friction and torque limits, and without collision shapes: whether a path is free is decided
+when it is planned. Hard stops are left out, since they lie beyond the limits that the controller checks. World of the
+model = the robot's base frame (KUKA $ROBROOT), the foot on level ground; SI units.
+
+The masses of the links, and all four figures of the drives, are estimates: models/README.md says how they were made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from cell.errors import FileError
+from cell.plant.tool import Tool
+from cell.robot import model as robot
+from cell.world.shapes import quaternion
+from planner.ports import Floats
+from planner.readonly import readonly
+
+if TYPE_CHECKING:
+    import mujoco
+
+Integrator = Literal["Euler", "implicitfast"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drives:
+    """Motor and gear of each axis, on the side of the arm.
+
+    Attributes:
+        rotor_inertia: (6,) reflected through the gear [kg m^2].
+        torque_limit: (6,) largest torque [Nm].
+        coulomb: (6,) friction torque that does not depend on speed [Nm].
+        viscous: (6,) friction torque per speed [Nm s/rad].
+    """
+
+    rotor_inertia: Floats
+    torque_limit: Floats
+    coulomb: Floats
+    viscous: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("rotor_inertia", "torque_limit", "coulomb", "viscous"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
+
+
+def drives() -> Drives:
+    """Those of `models/kr16.xml`.
+
+    Raises:
+        FileError: if the file lacks one of the four <numeric>s.
+    """
+    spec = robot.spec()
+    return Drives(
+        rotor_inertia=_numbers(spec, "axis_rotor_inertia_kg_m2"),
+        torque_limit=_numbers(spec, "axis_torque_limit_Nm"),
+        coulomb=_numbers(spec, "axis_coulomb_friction_Nm"),
+        viscous=_numbers(spec, "axis_viscous_friction_Nm_s_rad"),
+    )
+
+
+def arm(
+    tool: Tool,
+    *,
+    mass_scale: float = 1.0,
+    friction_scale: float = 1.0,
+    stiffness: Floats | None = None,
+    damping: Floats | None = None,
+    time_step: float = 1e-3,
+    integrator: Integrator = "implicitfast",
+) -> mujoco.MjModel:
+    """Compile the dynamic arm.
+
+    Its six actuators give the torque `ctrl - stiffness q - damping qd`, held within the torque limits; a proportional
+    and derivative servo is then a matter of `ctrl`, and the implicit integrator knows its damping.
+
+    Args:
+        tool: what the flange carries.
+        mass_scale: factor on the masses and inertias of links and tool, not on the rotors'.
+        friction_scale: factor on the friction that does not depend on speed.
+        stiffness: (6,) position gain of the actuators [Nm/rad]; None: torque alone.
+        damping: (6,) speed gain of the actuators [Nm s/rad]; None: torque alone.
+        time_step: of the simulation [s].
+        integrator: MuJoCo's name of it.
+
+    Raises:
+        FileError: if the model file is missing, damaged or lacks the figures of the drives.
+    """
+    import mujoco
+
+    spec, drive = robot.spec(), drives()
+    for element in [*spec.excludes, *spec.geoms]:
+        spec.delete(element)
+    flange, last = robot.load().site(robot.FLANGE), spec.body("link_6")
+    for piece in tool.pieces:
+        carried = last.add_body(name=piece.name, pos=flange.pos, quat=flange.quat)
+        carried.explicitinertial, carried.mass, carried.inertia = True, piece.mass, piece.inertia
+        carried.ipos, carried.iquat = piece.T_flange_piece[:3, 3], quaternion(piece.T_flange_piece[:3, :3])
+    for i, axis in enumerate(robot.AXES):
+        joint = spec.joint(axis)
+        joint.limited = False
+        joint.armature, joint.damping[0] = drive.rotor_inertia[i], drive.viscous[i]
+        joint.frictionloss = friction_scale * drive.coulomb[i]
+        actuator = spec.add_actuator(name=axis, target=axis, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gainprm[0], actuator.biastype = 1.0, mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.biasprm[1] = 0.0 if stiffness is None else -stiffness[i]
+        actuator.biasprm[2] = 0.0 if damping is None else -damping[i]
+        actuator.forcelimited, actuator.forcerange = True, [-drive.torque_limit[i], drive.torque_limit[i]]
+    spec.option.timestep = time_step
+    spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    # What went wrong has to be seen, not replaced by a fresh state.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    model = spec.compile()
+    if mass_scale != 1.0:
+        model.body_mass[:] *= mass_scale
+        model.body_inertia[:] *= mass_scale
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def mass_matrix(model: mujoco.MjModel, q: Floats) -> Floats:
+    """(6, 6) joint-space inertia [kg m^2] at (6,) joint angles [rad], rotors included."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    M = np.zeros((6, 6))
+    mujoco.mj_fullM(model, data, M)
+    return M
+
+
+def levers(model: mujoco.MjModel, tool: Tool) -> Floats:
+    """(6,) how far any point of the tool moves at most when an axis turns by one radian, in any pose [m/rad].
+
+    The links' lengths from the axis to the tool's farthest point, added up: no pose stretches the arm more than that.
+    """
+    import mujoco
+
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    anchors = np.vstack([data.xanchor, data.site(robot.FLANGE).xpos])
+    lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1)
+    reached: Floats = np.cumsum(lengths[::-1])[::-1] + tool.reach
+    return reached
+
+
+def _numbers(spec: mujoco.MjSpec, name: str) -> Floats:
+    """(6,) values of a <custom><numeric>."""
+    numeric = spec.numeric(name)
+    values = np.array([] if numeric is None else numeric.data, dtype=np.float64)
+    if len(values) != len(robot.AXES) or not (values >= 0.0).all():
+        raise FileError(f"{robot.model_file()} has no <numeric> named {name} with six values of at least 0; add it")
+    return values

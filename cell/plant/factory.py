@@ -1,0 +1,54 @@
+"""The plants that `cell` injects into a simulated controller, by the name that `sim://?plant=` takes.
+
+MuJoCo is imported, and the arm compiled, when a driver asks for the plant.
+"""
+
+from collections.abc import Mapping
+
+from cell.errors import FileError
+from cell.run.record import RunRecord, artefact
+from drivers.plant import Plant, PlantFactory
+from planner.ports import Floats
+
+_BASELINE_MM = 75.0  # of the built-in part; it says where over the flange the housing's middle is
+
+
+def of_run(run: RunRecord) -> Mapping[str, PlantFactory]:
+    """The plants of an execution: the arm carries the tool that the plan was checked with.
+
+    Args:
+        run: a run folder with a `cell.xml`.
+    """
+
+    def mujoco(start: Floats) -> Plant:
+        import mujoco
+
+        from cell.plant import tool
+        from cell.plant.mujoco_plant import MujocoPlant
+
+        text = artefact(run, "cell.xml").decode("utf-8", errors="replace")
+        try:
+            model = mujoco.MjModel.from_xml_string(text)
+        except ValueError as error:
+            reason = " ".join(str(error).split())[:160]
+            raise FileError(f"{run.folder / 'cell.xml'} is damaged: {reason}; plan again") from error
+        return MujocoPlant(start, tool.of_model(model))
+
+    return {"mujoco": mujoco}
+
+
+def built_in() -> Mapping[str, PlantFactory]:
+    """The same without a run: the arm carries housing and bracket of the built-in scene."""
+
+    def mujoco(start: Floats) -> Plant:
+        from cell.plant import tool
+        from cell.plant.mujoco_plant import MujocoPlant
+        from cell.robot import model as robot
+        from cell.scene.scene import load_scene
+        from cell.world import shapes
+
+        scene, spec = load_scene(None), robot.spec()
+        shapes.add_tool(spec, scene, scene.mount.T @ scene.housing.T_scanner_housing(_BASELINE_MM))
+        return MujocoPlant(start, tool.of_model(spec.compile()))
+
+    return {"mujoco": mujoco}

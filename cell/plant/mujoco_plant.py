@@ -1,0 +1,217 @@
+"""`sim://?plant=mujoco`: the dynamic KR 16 behind the simulated controller.
+
+Time is cut into steps of the simulation, counted from the plant's making and not from a call: what is left of a call
+is carried to the next, so the trajectory does not depend on how `advance` is cut up. At each step the servo
+(`cell.plant.servo`) sees the joint angles, compares them with the reference, and sets the torques.
+
+The encoders sit on the joints of a rigid arm, so the reported axes are the true ones; they are those at the last step.
+
+The plant fails, and says why, when an axis is further from its reference than `FOLLOWING_ERROR` (every controller
+watches that; a simulation that diverges passes it on its way) or when its state is no number any more. It then stands
+still where it is, brakes closed. A reset brings it back where its axes still are numbers. The brakes also close when
+the arm has been at rest for `BRAKE_DELAY`; time that passes with closed brakes costs nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cell.plant import dynamics, servo
+from cell.plant.servo import Settings
+from cell.plant.tool import Tool
+from cell.robot.model import AXES
+from drivers.errors import DriverError
+from drivers.profile import Reference, resting
+from planner.ports import Floats
+
+if TYPE_CHECKING:
+    import mujoco
+    from numpy.typing import ArrayLike
+
+FOLLOWING_ERROR = 0.01
+"""Largest distance of the axes from their reference, length of the vector of six [rad]: 16 mm at 1.6 m."""
+
+AT_REST = 4e-5
+"""Largest error [m] of any point of the tool at which the arm counts as settled; the robot repeats to 5e-5."""
+
+BRAKE_DELAY = 2.0
+"""Time at rest [s] after which the holding brakes close."""
+
+_BLOCK = 1000  # steps that are prepared at once
+_ROUNDING = 1e-6  # of a step: sums of times have rounding, and what is a whole step but for that is one
+_NANOSECOND = 1e-9
+
+
+class MujocoPlant:
+    """An arm with masses, motors, friction and a servo; implements `drivers.plant.Plant`.
+
+    Args:
+        start: (6,) axes at which the arm stands at rest [rad].
+        tool: what its flange carries.
+        settings: of simulation and servo.
+
+    Attributes:
+        model: the arm that is simulated.
+        data: its state.
+    """
+
+    def __init__(self, start: ArrayLike, tool: Tool | None = None, settings: Settings | None = None) -> None:
+        import mujoco
+
+        at = np.array(start, dtype=np.float64)
+        if at.shape != (len(AXES),) or not np.isfinite(at).all():
+            raise DriverError(f"a plant was started at {at}; it must be {len(AXES)} finite joint angles in radians")
+        tool, settings = tool or Tool(), settings or Settings()
+        self._feed_forward = servo.FeedForward(tool, settings)
+        home = np.array(self._feed_forward.model.key("home").qpos)
+        inertia = np.diag(dynamics.mass_matrix(self._feed_forward.model, home))
+        self._gains = gains = servo.gains(inertia, settings.bandwidth)
+        self.model = dynamics.arm(
+            tool,
+            stiffness=gains.stiffness,
+            damping=gains.damping,
+            time_step=settings.time_step,
+            integrator=settings.integrator,
+        )
+        self.data: mujoco.MjData = mujoco.MjData(self.model)
+        self._step = mujoco.mj_step
+        self._h = settings.time_step
+        # The implicit integrator damps with the speed at the end of the step; the set-point has to be of that time.
+        self._speed_ahead = 0 if settings.integrator == "Euler" else 1
+        self._levers = dynamics.levers(self.model, tool)
+        self._slowest = 2.0 * np.pi * settings.bandwidth
+        self._failure = ""
+        self._braked = False
+        # The grid of steps: so many since the reference was taken, `_offset` after a step, and what is left of time.
+        self._steps, self._offset, self._pending = 0, 0.0, 0.0
+        self._brake_steps = max(1, math.ceil(BRAKE_DELAY / self._h))
+        self._brake_in = self._brake_steps  # steps until the brakes may close
+        self._stand(at)
+
+    @property
+    def reported_axes(self) -> Floats:
+        """(6,) axes as the encoders see them [rad]: the true ones."""
+        return np.array(self.data.qpos)
+
+    @property
+    def true_axes(self) -> Floats:
+        """(6,) axes where the arm really is [rad]."""
+        return np.array(self.data.qpos)
+
+    @property
+    def settled(self) -> bool:
+        """True where the reference has ended and no point of the tool is, or will be, off its end by `AT_REST`."""
+        return self._time() + self._pending >= self._reference.duration - _NANOSECOND and self._at_rest()
+
+    @property
+    def failure(self) -> str:
+        """Why the arm no longer follows; empty while it does."""
+        return self._failure
+
+    def follow(self, reference: Reference) -> None:
+        """Take a new reference, whose time 0 is now.
+
+        After a failure, a reference that stands still where the arm stands (a reset) switches the drives on again.
+        """
+        if self._failure:
+            self._switch_on(reference)
+            return
+        self._braked = False
+        self._begin(reference)
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        if not seconds >= 0:
+            raise DriverError(f"a plant was advanced by {seconds} s; time only passes forwards")
+        self._pending += seconds
+        steps = int(self._pending / self._h + _ROUNDING)
+        self._pending = max(self._pending - steps * self._h, 0.0)
+        while steps > 0 and not self._failure and not self._braked:
+            block = min(steps, _BLOCK, self._brake_in)
+            self._go(block)
+            steps -= block
+        self._steps += steps  # with closed brakes nothing moves, however long
+
+    def _go(self, steps: int) -> None:
+        """Servo and simulation, `steps` times."""
+        first, h, ahead = self._steps, self._h, self._speed_ahead
+        times = np.arange(first, first + steps + 1, dtype=np.float64) * h - self._offset
+        q, qd, qdd = self._reference.sample(times)
+        if times[0] >= self._reference.duration:
+            torque = np.broadcast_to(self._holding, q.shape)
+        else:
+            torque = self._feed_forward.torque(q[:-1], qd[:-1], qdd[:-1])
+        gains, data, model, step, integral = self._gains, self.data, self.model, self._step, self._integral
+        steady = gains.stiffness * q[:-1] + gains.damping * qd[ahead : steps + ahead] + torque[:steps]
+        per_step, limit, axes = gains.integral * h, FOLLOWING_ERROR**2, data.qpos
+        for k in range(steps):
+            error = q[k] - axes
+            if not error @ error <= limit:  # NaN too
+                self._fail(error)
+                return
+            integral += per_step * error
+            data.ctrl[:] = steady[k] + integral
+            step(model, data)
+        self._steps += steps
+        self._error = q[-1] - axes
+        if not self._error @ self._error <= limit:
+            self._fail(self._error)
+        self._brake_in -= steps
+        if self._brake_in == 0:
+            self._braked = self._at_rest()
+            self._brake_in = self._brake_steps
+            if self._braked:
+                data.qvel[:] = 0.0
+
+    def _begin(self, reference: Reference) -> None:
+        """Start a reference now, between two steps."""
+        self._reference, self._steps = reference, 0
+        # Whole nanoseconds, so that the rounding of a sum of times does not reach the trajectory.
+        self._offset = round(self._pending / _NANOSECOND) * _NANOSECOND
+        self._holding = self._feed_forward.torque(reference.end[None], np.zeros((1, 6)), np.zeros((1, 6)))[0]
+        self._brake_in = math.ceil(reference.duration / self._h) + 1 + self._brake_steps
+        self._error = reference.sample(np.array([self._time()]))[0][0] - self.data.qpos
+
+    def _time(self) -> float:
+        """Time of the reference at the last step [s]."""
+        return self._steps * self._h - self._offset
+
+    def _stand(self, at: Floats) -> None:
+        """At rest and in balance, as after standing there for long: what the feed-forward lacks is in the integral."""
+        import mujoco
+
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = at
+        mujoco.mj_forward(self.model, self.data)
+        self._braked = False
+        self._begin(resting(at))
+        self._integral = np.array(self.data.qfrc_bias) - self._holding
+
+    def _switch_on(self, reference: Reference) -> None:
+        """Drives on after a failure, if the arm stands where the reference does."""
+        off = reference.end - self.data.qpos
+        if np.isfinite(self.data.qpos).all() and reference.duration == 0.0 and off @ off <= FOLLOWING_ERROR**2:
+            self._failure = ""
+            self._stand(np.array(self.data.qpos))
+            self._begin(reference)
+
+    def _at_rest(self) -> bool:
+        # An error decays no slower than its speed divided by the bandwidth lets it.
+        motion = np.abs(self._error) + np.abs(self.data.qvel) / self._slowest
+        return bool(self._levers @ motion <= AT_REST)
+
+    def _fail(self, error: Floats) -> None:
+        """Say why; the arm stands from here on."""
+        self._braked = True
+        self.data.qvel[:] = 0.0
+        if not np.isfinite(error).all():
+            self._failure = "the simulation diverged: an axis of the arm is no number"
+            return
+        axis = int(np.abs(error).argmax())
+        self._failure = (
+            f"{AXES[axis]} is {np.degrees(abs(error[axis])):.2f} deg off its reference; its drive cannot follow, or "
+            "the simulation diverges"
+        )

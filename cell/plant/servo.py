@@ -1,0 +1,128 @@
+"""The servo of each axis: position, speed and integral feedback, and feed-forward from a model that is wrong.
+
+With the error `e = q_ref - q` an axis gets the torque
+
+    tau = kp e + kd de/dt + ki integral(e) + tau_model(q_ref, qd_ref, qdd_ref)
+
+Were the model right and the axis one inertia J without friction, the error would obey `J e''' + kd e'' + kp e' + ki e
+= 0`. The gains put its three roots at one place -w on the real axis: `kd = 3 w J`, `kp = 3 w^2 J`, `ki = w^3 J`. So one
+number, the bandwidth w / 2 pi, is the gain of all six axes. J is the inertia that the axis moves at home.
+
+`tau_model` is the inverse dynamics (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 5, as MuJoCo's
+`mj_inverse`) of an arm whose links and tool are lighter than the true ones and whose gears rub less: the servo knows
+its motors, but masses no better than a model of unknown castings, and friction no better than gears keep it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cell.errors import UsageError
+from cell.plant import dynamics
+from cell.plant.dynamics import Integrator
+from cell.plant.tool import Tool
+from planner.ports import Floats
+from planner.readonly import readonly
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the simulation and the servo are set to; the chart of docs/plant.md shows how far from the edge.
+
+    Attributes:
+        time_step: of simulation and servo [s].
+        integrator: of the simulation.
+        bandwidth: of the servo [Hz].
+        mass_error: relative error of the masses that the feed-forward believes; -0.1: they are 10 % too light.
+        friction_error: the same of the friction that does not depend on speed.
+    """
+
+    time_step: float = 1e-3
+    integrator: Integrator = "implicitfast"
+    bandwidth: float = 12.0
+    mass_error: float = -0.1
+    friction_error: float = -0.3
+
+    def __post_init__(self) -> None:
+        for name in ("time_step", "bandwidth"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise UsageError(f"the plant's {name} is {getattr(self, name)}; it must be above 0 and finite")
+        for name in ("mass_error", "friction_error"):
+            if not -1.0 < getattr(self, name) < np.inf:
+                raise UsageError(f"the plant's {name} is {getattr(self, name)}; it must be above -1 and finite")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gains:
+    """Of the six axes.
+
+    Attributes:
+        stiffness: (6,) kp [Nm/rad].
+        damping: (6,) kd [Nm s/rad].
+        integral: (6,) ki [Nm/(rad s)].
+    """
+
+    stiffness: Floats
+    damping: Floats
+    integral: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "damping", "integral"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
+
+
+def gains(inertia: Floats, bandwidth: float) -> Gains:
+    """Three equal roots for each axis.
+
+    Args:
+        inertia: (6,) that each axis moves [kg m^2].
+        bandwidth: [Hz].
+    """
+    w = 2.0 * np.pi * bandwidth
+    return Gains(3.0 * w**2 * inertia, 3.0 * w * inertia, w**3 * inertia)
+
+
+class FeedForward:
+    """Torques that the servo believes a motion needs.
+
+    Args:
+        tool: what the flange carries.
+        settings: errors of its masses and its friction.
+
+    Attributes:
+        model: the arm that it believes in.
+    """
+
+    def __init__(self, tool: Tool, settings: Settings) -> None:
+        import mujoco
+
+        self.model = dynamics.arm(
+            tool, mass_scale=1.0 + settings.mass_error, friction_scale=1.0 + settings.friction_error
+        )
+        self._data: mujoco.MjData = mujoco.MjData(self.model)
+        self._inverse = mujoco.mj_inverse
+
+    def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """Inverse dynamics of a motion.
+
+        Args:
+            q: (N, 6) joint angles [rad].
+            qd: (N, 6) speeds [rad/s].
+            qdd: (N, 6) accelerations [rad/s^2].
+
+        Returns:
+            (N, 6) torques [Nm].
+        """
+        model, data, inverse = self.model, self._data, self._inverse
+        torques = np.empty_like(q)
+        for k in range(len(q)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q[k], qd[k], qdd[k]
+            inverse(model, data)
+            torques[k] = data.qfrc_inverse
+        return torques
