@@ -1,15 +1,16 @@
-"""Lower bounds on the number of columns: Lagrangian dual, certified by one exact evaluation.
+"""Lower bounds on the cost of a cover: Lagrangian dual, certified by one exact evaluation.
 
 For multipliers u >= 0 of the rows (Beasley 1990, doi:10.1002/1520-6750(199002)37:1<151::AID-NAV3220370110>3.0.CO;2-2)
 
-    L(u) = min { sum_i u_i y_i } + sum_j min(0, 1 - sum_{i in j} u_i)
+    L(u) = min { sum_i u_i d_i y_i } + sum_j min(0, c_j - sum_{i in j} u_i)
 
-is at most the fewest number of columns. y says which rows are covered: all of them for a full cover; otherwise the
-cheapest fractional choice that reaches the required area (a knapsack solved by sorting u_i / area_i), so the same
-bound holds for partial cover. max_u L(u) equals the bound of the linear relaxation.
+is at most the least cost (c_j = 1: the fewest columns). d_i is what row i demands. y says which rows are covered: all
+of them for a full cover; otherwise the cheapest fractional choice that reaches the required area (a knapsack solved by
+sorting u_i d_i / area_i), so the same bound holds for partial cover. max_u L(u) equals the bound of the linear
+relaxation.
 
 Whatever proposes u (subgradient steps, or the dual of an LP solver), the bound is L(u) evaluated here and rounded up as
-ceil(L - 1e-6): a tolerance inside a solver can weaken it but never make it wrong.
+ceil(L - 1e-6) (costs are whole numbers): a tolerance inside a solver can weaken it but never make it wrong.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from planner.cover.problem import CoverProblem, Floats, Ints
 from planner.readonly import readonly
 
 ROUNDING = 1e-6
-"""Taken off before rounding up: far above the float error of L(u), far below what a bound could gain."""
+"""Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""
 
 LP_ENTRIES = 60_000
 """Matrices up to this many ones also get the LP solver's dual; larger ones cost it seconds."""
@@ -42,7 +43,7 @@ class Bound:
     Attributes:
         dual: value L(u) of the multipliers.
         multipliers: (S,) u.
-        reduced_costs: (V,) 1 - sum of the multipliers of the column's rows.
+        reduced_costs: (V,) cost less the sum of the multipliers of the column's rows.
     """
 
     dual: float
@@ -55,12 +56,17 @@ class Bound:
 
     @property
     def value(self) -> int:
-        """Fewest columns that any cover can have, at least this many."""
-        return max(ceil(self.dual - ROUNDING), 0)
+        """No cover costs less than this."""
+        return max(ceil(self.dual - _rounding(self.dual)), 0)
 
-    def useful(self, fewer_than: int) -> Any:
-        """(V,) columns that some cover with fewer columns than the given number may contain (reduced-cost fixing)."""
-        return self.dual + np.maximum(self.reduced_costs, 0.0) <= fewer_than - 1 + ROUNDING
+    def useful(self, less_than: int) -> Any:
+        """(V,) columns that some cover may contain which costs less than the given number (reduced-cost fixing)."""
+        return self.dual + np.maximum(self.reduced_costs, 0.0) <= less_than - 1 + _rounding(less_than)
+
+
+def _rounding(value: float) -> float:
+    """What float error may have added to a bound of this size, generously."""
+    return ROUNDING * max(1.0, value * 1e-3)
 
 
 def evaluate(problem: CoverProblem, multipliers: Floats, columns_by_rows: Any) -> tuple[Bound, Floats]:
@@ -71,10 +77,11 @@ def evaluate(problem: CoverProblem, multipliers: Floats, columns_by_rows: Any) -
         multipliers: (S,) u, not negative.
         columns_by_rows: (V, S) transposed matrix.
     """
-    reduced = 1.0 - columns_by_rows @ multipliers
+    reduced = problem.costs - columns_by_rows @ multipliers
     y = np.ones(problem.n_rows)
+    demanded = multipliers * problem.demand
     if not problem.full:
-        ratio = multipliers / problem.units
+        ratio = demanded / problem.units
         order = np.argsort(ratio, kind="stable")
         reached = np.cumsum(problem.units[order])
         last = int(np.searchsorted(reached, problem.required))
@@ -82,7 +89,7 @@ def evaluate(problem: CoverProblem, multipliers: Floats, columns_by_rows: Any) -
         if last < problem.n_rows:
             before = reached[last - 1] if last else 0.0
             y[order[last]] = (problem.required - before) / problem.units[order[last]]
-    dual = float(multipliers @ y + np.minimum(reduced, 0.0).sum())
+    dual = float(demanded @ y + np.minimum(reduced, 0.0).sum())
     return Bound(dual, multipliers, reduced), y
 
 
@@ -91,7 +98,7 @@ def bound(problem: CoverProblem, upper: int, budget: Budget) -> Bound:
 
     Args:
         problem: the problem (reduce it first: the bound costs less and is the same).
-        upper: size of a known cover; scales the subgradient steps, and nothing is done once the bound reaches it.
+        upper: cost of a known cover; scales the subgradient steps, and nothing is done once the bound reaches it.
         budget: work, charged as a whole unless the first evaluation closes the gap; also receives the bound.
     """
     rows_by_columns = problem.matrix()
@@ -128,19 +135,23 @@ def _raise(
 
 
 def _first_multipliers(problem: CoverProblem) -> Floats:
-    """Feasible multipliers: each row's share of the largest of its columns, so that no reduced cost is negative."""
+    """Feasible multipliers: each row's share of the best of its columns, so that no reduced cost is negative."""
     weights = np.ones(problem.n_rows) if problem.full else problem.units
-    per_column = np.add.reduceat(weights[problem.column_rows], problem.column_start[:-1])
+    per_column = np.add.reduceat(weights[problem.column_rows], problem.column_start[:-1]) / problem.costs
     largest = np.maximum.reduceat(per_column[problem.row_columns], problem.row_start[:-1])
     share: Floats = weights / largest
     return share
 
 
 def _largest_columns(problem: CoverProblem) -> int:
-    """The fewest columns whose areas, overlaps ignored, reach what is required."""
-    areas = np.add.reduceat(problem.units[problem.column_rows], problem.column_start[:-1])
-    required = int(problem.units.sum()) if problem.full else problem.required
-    # The sums stay exact where it matters: a sum above 2^53 is far above what is required.
+    """The fewest columns whose areas, overlaps ignored, reach what is required; 0 where costs differ."""
+    if not problem.unit_cost:
+        return 0
+    areas = np.add.reduceat(problem.units.astype(np.int64)[problem.column_rows], problem.column_start[:-1])
+    if problem.full:
+        required = int(problem.units.astype(np.int64) @ problem.demand)
+    else:
+        required = problem.required * int(problem.demand.min())
     return int(np.searchsorted(np.cumsum(np.sort(areas)[::-1]), required)) + 1
 
 
@@ -166,7 +177,7 @@ def _subgradient(
             stalled += 1
             if stalled >= PATIENCE:
                 step, stalled = step * SHRINK, 0
-        gradient = y - rows_by_columns @ (current.reduced_costs < 0).astype(np.float64)
+        gradient = y * problem.demand - rows_by_columns @ (current.reduced_costs < 0).astype(np.float64)
         direction = (1.0 - DEFLECTION) * gradient + DEFLECTION * direction
         move = np.where((multipliers <= 0) & (direction < 0), 0.0, direction)
         length = float(move @ move)
@@ -186,34 +197,36 @@ def _linear_programme(
     n_rows, n_columns = problem.shape
     per_pivot = PIVOT_WORK * (n_rows + n_columns)
     limit = min(max(work // per_pivot, 1), 2**31 - 1)  # HiGHS counts in int32
+    scale = float(problem.costs.mean())
     if problem.full:
-        costs, A, b = np.ones(n_columns), -rows_by_columns, -np.ones(n_rows)
+        costs, A, b = problem.costs / scale, -rows_by_columns, -problem.demand.astype(np.float64)
     else:
         weights = problem.units / problem.units.mean()
         target = problem.required / problem.units.mean()
-        covering = sp.hstack((-rows_by_columns, sp.eye_array(n_rows)))
+        covering = sp.hstack((-rows_by_columns, sp.diags_array(problem.demand.astype(np.float64))))
         area = sp.csr_array(np.concatenate((np.zeros(n_columns), -weights))[None, :])
         A = sp.vstack((covering, area)).tocsr()
-        costs = np.concatenate((np.ones(n_columns), np.zeros(n_rows)))
+        costs = np.concatenate((problem.costs / scale, np.zeros(n_rows)))
         b = np.concatenate((np.zeros(n_rows), [-target]))
-    bounds = (0, 1) if not problem.full else (0, None)
+    # Where once is enough no column is wanted more than once, and the dual needs no multiplier for that.
+    bounds = (0, None) if problem.full and problem.once else (0, 1)
     result = linprog(costs, A_ub=A, b_ub=b, bounds=bounds, method="highs-ds", options={"maxiter": limit})
     multipliers: Floats = np.zeros(n_rows)
     if getattr(result, "ineqlin", None) is not None and result.status == 0:
-        multipliers = np.maximum(-np.asarray(result.ineqlin.marginals[:n_rows], dtype=np.float64), 0.0)
+        multipliers = np.maximum(-scale * np.asarray(result.ineqlin.marginals[:n_rows], dtype=np.float64), 0.0)
     evaluated, _ = evaluate(problem, multipliers, columns_by_rows)
     return evaluated, int(result.nit) * per_pivot
 
 
 def without_useless_columns(problem: CoverProblem, known: Bound, upper: int) -> tuple[CoverProblem, Ints] | None:
-    """The core of the problem for finding a cover with fewer than `upper` columns.
+    """The core of the problem for finding a cover that costs less than `upper`.
 
     Returns:
         The problem on the columns that such a cover may contain, and their indices; None when it cannot exist because
         a row that must be covered, or the required area, is out of their reach.
     """
     keep = known.useful(upper)
-    covered = problem.counts(np.flatnonzero(keep)) > 0
+    covered = problem.covered(np.flatnonzero(keep))
     if not problem.met(covered):
         return None
     required = problem.required

@@ -35,8 +35,10 @@ class Budget:
         limit: work that may be spent.
         spent: work spent.
         time_limited: whether the wall clock stopped a search.
+        interrupted: whether the user did (Ctrl-C).
         best: columns of the best cover so far; None before the first.
-        lower_bound: no cover has fewer columns.
+        best_cost: its cost.
+        lower_bound: no cover costs less (at unit cost: has fewer columns).
         dual: the Lagrangian bound, once computed; its reduced costs tell the exact solver which columns to leave out.
     """
 
@@ -53,7 +55,9 @@ class Budget:
         self.limit = limit
         self.spent = 0
         self.time_limited = False
+        self.interrupted = False
         self.best: NDArray[np.int64] | None = None
+        self.best_cost = 0
         self.lower_bound = 0
         self.dual: Bound | None = None
         self._clock = clock
@@ -71,8 +75,8 @@ class Budget:
 
     @property
     def proven(self) -> bool:
-        """Whether the best cover is as small as the lower bound: nothing is left to search."""
-        return self.best is not None and len(self.best) <= self.lower_bound
+        """Whether the best cover costs as little as the lower bound: nothing is left to search."""
+        return self.best is not None and self.best_cost <= self.lower_bound
 
     def spend(self, work: int) -> bool:
         """Book work and say whether the search may go on (work left, clock not run out, fewest not proven)."""
@@ -82,15 +86,21 @@ class Budget:
             return False
         return self.left > 0 and not self.proven
 
-    def offer(self, columns: NDArray[np.int64]) -> bool:
-        """Keep a cover if it is smaller than the best so far."""
-        if self.best is not None and len(columns) >= len(self.best):
+    def offer(self, columns: NDArray[np.int64], cost: int | None = None) -> bool:
+        """Keep a cover if it costs less than the best so far.
+
+        Args:
+            columns: the cover.
+            cost: what it costs; None: the number of columns.
+        """
+        cost = len(columns) if cost is None else cost
+        if self.best is not None and cost >= self.best_cost:
             return False
-        self.best = np.array(columns, dtype=np.int64)
+        self.best, self.best_cost = np.array(columns, dtype=np.int64), cost
         return True
 
     def prove(self, lower_bound: int) -> None:
-        """Note that no cover has fewer columns."""
+        """Note that no cover costs less."""
         self.lower_bound = max(self.lower_bound, lower_bound)
 
     @contextmanager

@@ -1,7 +1,7 @@
-"""The fewest columns by mixed-integer programming (HiGHS through scipy), stopped by a number of nodes, not by a clock.
+"""The cheapest cover by mixed-integer programming (HiGHS through scipy), stopped by a number of nodes, not by a clock.
 
-scipy's interface takes no starting solution. The incumbent is used all the same: the model only asks for covers with
-fewer columns than it (so that "infeasible" means the incumbent is optimal), and columns whose reduced cost rules them
+scipy's interface takes no starting solution. The incumbent is used all the same: the model only asks for covers that
+cost less (so that "infeasible" means the incumbent is optimal), and columns whose reduced cost rules them
 out of such a cover are left out of the model.
 """
 
@@ -31,21 +31,21 @@ def exact(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> In
         budget: also receives the solver's dual bound; a fired time limit is noted there.
 
     Returns:
-        Columns of the best cover, which is the incumbent or greedy one if none with fewer columns was found.
+        Columns of the best cover, which is the incumbent or greedy one if none that costs less was found.
     """
     best = greedy(problem, rng, budget) if budget.best is None else budget.best
     if problem.trivial or budget.proven:
         return best
     if budget.dual is None:
         with budget.portion(0.3):
-            budget.dual = bound(problem, len(best), budget)
+            budget.dual = bound(problem, problem.cost(best), budget)
         if budget.proven:
             return best
     return improve_or_prove(problem, best, budget.dual, budget, at_least_root=True)
 
 
 def improve_or_prove(problem: CoverProblem, best: Ints, known: Bound, budget: Budget, *, at_least_root: bool) -> Ints:
-    """Look for a cover with fewer columns than the best, or prove that there is none.
+    """Look for a cover that costs less than the best, or prove that there is none.
 
     Args:
         problem: what to cover.
@@ -57,9 +57,10 @@ def improve_or_prove(problem: CoverProblem, best: Ints, known: Bound, budget: Bu
     Returns:
         The best cover.
     """
-    core = without_useless_columns(problem, known, len(best))
+    cost = problem.cost(best)
+    core = without_useless_columns(problem, known, cost)
     if core is None:
-        budget.prove(len(best))
+        budget.prove(cost)
         return best
     # The reductions of a core that is far too large would cost more than they could save.
     if not at_least_root and _nodes(core[0], budget, discount=10) == 0:
@@ -68,20 +69,21 @@ def improve_or_prove(problem: CoverProblem, best: Ints, known: Bound, budget: Bu
     nodes = _nodes(reduction.problem, budget)
     if nodes == 0 and not at_least_root:
         return best
-    fewer = len(best) - 1 - len(reduction.forced)  # columns that the reduced problem may use
+    forced = core[0].cost(reduction.forced)
+    allowance = cost - 1 - forced  # what the reduced problem may cost
     if reduction.problem.trivial:
         found: Ints | None = np.zeros(0, dtype=np.int64)
         inner = 0
-    elif fewer <= 0:
-        found, inner = None, fewer + 1
+    elif allowance <= 0:
+        found, inner = None, allowance + 1
     else:
-        found, inner = _solve_model(reduction.problem, fewer, max(nodes, 1), budget)
-    budget.prove(min(len(reduction.forced) + inner, len(best)))  # covers outside the core have at least len(best)
+        found, inner = _solve_model(reduction.problem, allowance, max(nodes, 1), budget)
+    budget.prove(min(forced + inner, cost))  # covers outside the core cost at least as much
     if found is None:
         return best
     # HiGHS may miss an area target by its feasibility tolerance; the exact test is ours.
     cover = prune(problem, complete(problem, core[1][reduction.lift(found)]))
-    return cover if budget.offer(cover) else best
+    return cover if budget.offer(cover, problem.cost(cover)) else best
 
 
 def _nodes(problem: CoverProblem, budget: Budget, discount: int = 1) -> int:
@@ -94,7 +96,7 @@ def _solve_model(problem: CoverProblem, at_most: int, nodes: int, budget: Budget
 
     Args:
         problem: a reduced problem.
-        at_most: covers with more columns are of no use.
+        at_most: covers that cost more are of no use.
         nodes: node limit.
         budget: charged for the nodes; its clock limits the run.
 
@@ -106,20 +108,22 @@ def _solve_model(problem: CoverProblem, at_most: int, nodes: int, budget: Budget
 
     n_rows, n_columns = problem.shape
     M = problem.matrix()
+    unit = float(problem.costs.mean())  # the solver's tolerances are absolute, meant for numbers near 1
     if problem.full:
-        costs, integrality = np.ones(n_columns), np.ones(n_columns, dtype=np.int64)
-        constraints = [LinearConstraint(M, lb=1.0)]
+        costs, integrality = problem.costs / unit, np.ones(n_columns, dtype=np.int64)
+        constraints = [LinearConstraint(M, lb=problem.demand.astype(np.float64))]
     else:
-        # y_i = 1 where row i counts as covered; it may stay continuous, because x decides its largest value.
-        costs = np.concatenate((np.ones(n_columns), np.zeros(n_rows)))
-        integrality = np.repeat((1, 0), (n_columns, n_rows))
+        # y_i = 1 where row i counts as covered. Where once is enough it may stay continuous: x decides its largest
+        # value. A row that demands more would otherwise count in part.
+        costs = np.concatenate((problem.costs / unit, np.zeros(n_rows)))
+        integrality = np.concatenate((np.ones(n_columns, dtype=np.int64), (problem.demand > 1).astype(np.int64)))
         scale = problem.units.mean()
         weights = np.concatenate((np.zeros(n_columns), problem.units / scale))
         constraints = [
-            LinearConstraint(sp.hstack((M, -sp.eye_array(n_rows))).tocsr(), lb=0.0),
+            LinearConstraint(sp.hstack((M, -sp.diags_array(problem.demand.astype(np.float64)))).tocsr(), lb=0.0),
             LinearConstraint(sp.csr_array(weights[None, :]), lb=problem.required / scale),
         ]
-    constraints.append(LinearConstraint(sp.csr_array(costs[None, :]), ub=float(at_most)))
+    constraints.append(LinearConstraint(sp.csr_array(costs[None, :]), ub=(at_most + 0.25) / unit))
     seconds = budget.seconds_left
     options: Any = {"node_limit": min(nodes, 2**31 - 1), "mip_rel_gap": 0.0}
     if seconds is not None:
@@ -130,6 +134,6 @@ def _solve_model(problem: CoverProblem, at_most: int, nodes: int, budget: Budget
     if result.status == 2:
         return None, at_most + 1
     dual = getattr(result, "mip_dual_bound", None)
-    lower = int(np.ceil(dual - ROUNDING)) if dual is not None and np.isfinite(dual) else 0
+    lower = int(np.ceil((dual - ROUNDING) * unit)) if dual is not None and np.isfinite(dual) else 0
     found = None if result.x is None else np.flatnonzero(result.x[:n_columns] > 0.5)
     return found, max(min(lower, at_most + 1), 0)

@@ -1,7 +1,7 @@
-"""Greedy cover: always the column that covers the largest uncovered area; and the removal of what it made redundant.
+"""Greedy cover: always the column that covers most uncovered area for its cost; and the removal of redundant ones.
 
-Chvatal 1979 (doi:10.1287/moor.4.3.233). Ties go to the first column in canonical order, so the result does not
-depend on how the candidates were numbered.
+Chvatal 1979 (doi:10.1287/moor.4.3.233). A row counts as open until as many columns as it demands cover it. Ties go to
+the first column in canonical order, so the result does not depend on how the candidates were numbered.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def greedy(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> I
     """
     chosen = prune(problem, complete(problem, np.zeros(0, dtype=np.int64)))
     budget.spend(problem.n_entries)
-    budget.offer(chosen)
+    budget.offer(chosen, problem.cost(chosen))
     return chosen
 
 
@@ -35,17 +35,22 @@ def complete(problem: CoverProblem, columns: Ints) -> Ints:
         problem: what to cover.
         columns: a partial cover; kept, in front.
     """
-    uncovered = problem.counts(columns) == 0
+    counts = problem.counts(columns)
+    uncovered = counts < problem.demand
     gains = uncovered_area(problem, np.flatnonzero(uncovered))
+    gains[columns] = -np.inf  # where rows are covered more than once, a chosen column would still seem to gain
+    unit_cost = problem.unit_cost
     chosen = columns.tolist()
     missing = missing_units(problem, uncovered)
     while missing > 0:
-        best = int(np.argmax(gains))
+        best = int(np.argmax(gains if unit_cost else gains / problem.costs))
         rows = problem.column_rows[problem.column_start[best] : problem.column_start[best + 1]]
-        fresh = rows[uncovered[rows]]
-        uncovered[fresh] = False
-        missing -= int(problem.units[fresh].sum())
-        gains -= uncovered_area(problem, fresh)
+        counts[rows] += 1
+        done = rows[counts[rows] == problem.demand[rows]]
+        uncovered[done] = False
+        missing -= int(problem.units[done].sum())
+        gains -= uncovered_area(problem, done)
+        gains[best] = -np.inf
         chosen.append(best)
     return np.array(chosen, dtype=np.int64)
 
@@ -68,15 +73,18 @@ def column_sums(problem: CoverProblem, columns: Ints, weights: Floats) -> Floats
 
 
 def prune(problem: CoverProblem, columns: Ints) -> Ints:
-    """Remove redundant columns, last first; one pass is enough, because a column that is needed stays needed."""
+    """Remove redundant columns, the dearest first, of equal cost the last first.
+
+    One pass is enough, because a column that is needed stays needed.
+    """
     counts = problem.counts(columns)
-    spare = problem.slack - int(problem.units[counts == 0].sum())
+    spare = problem.slack - int(problem.units[counts < problem.demand].sum())
     keep = np.ones(len(columns), dtype=bool)
-    for position in range(len(columns) - 1, -1, -1):
+    for position in np.lexsort((np.arange(len(columns)), problem.costs[columns]))[::-1].tolist():
         start = problem.column_start[columns[position] : columns[position] + 2]
         rows = problem.column_rows[start[0] : start[1]]
-        alone = rows[counts[rows] == 1]
-        loss = int(problem.units[alone].sum())
+        needed = rows[counts[rows] == problem.demand[rows]]
+        loss = int(problem.units[needed].sum())
         if loss <= spare:
             keep[position] = False
             counts[rows] -= 1
@@ -85,21 +93,20 @@ def prune(problem: CoverProblem, columns: Ints) -> Ints:
 
 
 def by_marginal_area(problem: CoverProblem, columns: Ints) -> tuple[Ints, list[Ints]]:
-    """Order columns by what each adds, largest first, and list the rows that each is the first to cover.
+    """Order columns by what each adds, largest first, and list the rows whose demand each is the first to satisfy.
 
     Returns:
-        The columns in that order, and for each the rows it adds.
+        The columns in that order, and for each the rows it completes.
     """
-    uncovered = np.ones(problem.n_rows, dtype=bool)
+    counts = np.zeros(problem.n_rows, dtype=np.int64)
     waiting = sorted(columns.tolist())  # canonical order decides ties
     rows = {j: problem.column_rows[problem.column_start[j] : problem.column_start[j + 1]] for j in waiting}
     order: list[int] = []
     added: list[Ints] = []
     while waiting:
-        gains = [int(problem.units[rows[j][uncovered[rows[j]]]].sum()) for j in waiting]
+        gains = [int(problem.units[rows[j][counts[rows[j]] < problem.demand[rows[j]]]].sum()) for j in waiting]
         best = waiting.pop(int(np.argmax(gains)))
-        fresh = rows[best][uncovered[rows[best]]]
-        uncovered[fresh] = False
+        counts[rows[best]] += 1
         order.append(best)
-        added.append(fresh)
+        added.append(rows[best][counts[rows[best]] == problem.demand[rows[best]]])
     return np.array(order, dtype=np.int64), added

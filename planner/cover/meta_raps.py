@@ -74,18 +74,17 @@ def meta_raps(
         Columns of the best cover; the greedy one where the budget allows no iteration.
     """
     best = greedy(problem, rng, budget) if budget.best is None else budget.best
-    shortest = problem.n_columns
+    cheapest = int(problem.costs.sum())
     empty = np.zeros(0, dtype=np.int64)
     for _ in range(parameters.iterations):
         if not budget.spend(0):
             break
         cover = _construct(problem, empty, rng, budget, parameters)
-        shortest = min(shortest, len(cover))
-        if len(cover) <= (1.0 + parameters.improvement) * shortest:
+        cheapest = min(cheapest, problem.cost(cover))
+        if problem.cost(cover) <= (1.0 + parameters.improvement) * cheapest:
             cover = _improve(problem, cover, rng, budget, parameters)
-        if len(cover) < len(best):
+        if budget.offer(cover, problem.cost(cover)):
             best = cover
-            budget.offer(best)
     return best
 
 
@@ -99,7 +98,7 @@ def _improve(
         keep = len(cover) - max(1, int(parameters.magnitude * len(cover)))
         part = rng.permutation(cover)[:keep]
         rebuilt = _construct(problem, part, rng, budget, parameters)
-        if len(rebuilt) <= len(cover):
+        if problem.cost(rebuilt) <= problem.cost(cover):
             cover = rebuilt
     return cover
 
@@ -108,22 +107,27 @@ def _construct(
     problem: CoverProblem, part: Ints, rng: np.random.Generator, budget: Budget, parameters: MetaRapsParameters
 ) -> Ints:
     """Complete a partial cover by randomised priority and remove what is redundant."""
-    uncovered = problem.counts(part) == 0
+    counts = problem.counts(part)
+    uncovered = counts < problem.demand
     gains = uncovered_area(problem, np.flatnonzero(uncovered))
+    gains[part] = -np.inf
     work = int(uncovered.sum()) * max(problem.n_entries // max(problem.n_rows, 1), 1)
     missing = missing_units(problem, uncovered)
     chosen = part.tolist()
     while missing > 0:
-        threshold = gains.max()
+        worth = gains / problem.costs
+        threshold = worth.max()
         if rng.random() >= parameters.priority:
             threshold *= 1.0 - parameters.restriction
-        candidates = np.flatnonzero(gains >= max(threshold, 1.0))
+        candidates = np.flatnonzero((worth >= threshold) & (gains > 0))
         column = int(candidates[int(rng.random() * len(candidates))])
         rows = problem.column_rows[problem.column_start[column] : problem.column_start[column + 1]]
-        fresh = rows[uncovered[rows]]
-        uncovered[fresh] = False
-        missing -= int(problem.units[fresh].sum())
-        gains -= uncovered_area(problem, fresh)
+        counts[rows] += 1
+        done = rows[counts[rows] == problem.demand[rows]]
+        uncovered[done] = False
+        missing -= int(problem.units[done].sum())
+        gains -= uncovered_area(problem, done)
+        gains[column] = -np.inf
         chosen.append(column)
     # each row that was open at first is gathered at most twice: at the start and when it is covered
     budget.spend(4 * work + len(chosen) * STEP_WORK // 3)

@@ -1,16 +1,21 @@
 """The cover problem: which columns (viewpoints) cover which rows (surface samples), and how much must be covered.
 
-Weighted partial set cover with unit cost: choose the fewest columns so that the covered rows weigh at least the target;
-at coverage 1 every row that some usable column covers must be covered (set cover).
+Weighted partial multiple set cover: choose the cheapest columns (at unit cost: the fewest) so that the covered rows
+weigh at least the target; at coverage 1 every row that some usable column covers must be covered (set cover). A row
+counts as covered when as many of the chosen columns cover it as its demand says: once, or `multiplicity` times; of a
+row that fewer columns can cover all of them are demanded.
 
-Two decisions make every later step exact and reproducible:
+Three decisions make every later step exact and reproducible:
 
 * **Areas become integers.** Each area is rounded to a multiple of 2^-52 of the total (at least one multiple), so that
   sums are exact in int64 and in float64 alike and do not depend on the order of summation. Whether a target below 1 is
   met is decided in these units with a relative slack of 1e-12, because 0.55 of 100 equal areas must mean 55 of them,
   though the float 0.55 is a hair above 55/100. Coverage 1 never looks at areas: it asks for every coverable row.
-* **Columns are sorted by content**: larger covered area first, then a hash of the set of rows, then the index.
-  Everything after this works on the sorted columns, so permuting the candidates changes nothing but indices.
+* **Costs become integers**: whole numbers are divided by their greatest common divisor; any others are rounded to
+  multiples of 2^-17 of the largest.
+* **Columns are sorted by content**: larger covered area first, then a hash of the set of rows, then the lower cost,
+  then the index. Everything after this works on the sorted columns, so permuting the candidates changes nothing but
+  indices.
 """
 
 from collections.abc import Iterable
@@ -32,13 +37,19 @@ Floats = NDArray[np.float64]
 AREA_UNITS = 2**52
 """The areas of a problem sum to about this many units: sums stay below 2^53 and are exact in float64 too."""
 
+COST_UNITS = 2**17
+"""Costs that are not whole numbers become multiples of the largest cost over this: an error below 1e-5 of it.
+
+Far below what a time of motion or scan is known to, and such that one unit is more than the solvers' tolerances.
+"""
+
 TARGET_SLACK = Fraction(1, 10**12)
 """A target below full coverage counts as met when at most this share of it is missing (rounding of the areas)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverProblem:
-    """A set-cover problem in canonical column order; every row is covered by some column.
+    """A set-cover problem in canonical column order; every row can be covered as often as it demands.
 
     Attributes:
         row_start: (S + 1,) where the columns of each row begin in `row_columns`.
@@ -48,6 +59,8 @@ class CoverProblem:
         units: (S,) weight of each row, whole numbers as float64 (all sums stay below 2^53).
         required: how many units must be covered; ignored where `full`.
         full: whether every row must be covered.
+        demand: (S,) how many columns must cover a row for it to count as covered; at least 1.
+        costs: (V,) cost of each column in whole units, at least 1.
     """
 
     row_start: Ints
@@ -57,11 +70,15 @@ class CoverProblem:
     units: Floats
     required: int
     full: bool
+    demand: Ints
+    costs: Ints
 
     def __post_init__(self) -> None:
         for name in ("row_start", "row_columns", "column_start", "column_rows"):
             object.__setattr__(self, name, readonly(name, getattr(self, name), (None,), np.int64))
         object.__setattr__(self, "units", readonly("units", self.units, (self.n_rows,)))
+        object.__setattr__(self, "demand", readonly("demand", self.demand, (self.n_rows,), np.int64))
+        object.__setattr__(self, "costs", readonly("costs", self.costs, (self.n_columns,), np.int64))
 
     @property
     def n_rows(self) -> int:
@@ -88,6 +105,20 @@ class CoverProblem:
         """Whether nothing needs to be covered."""
         return self.n_rows == 0 if self.full else self.required <= 0
 
+    @property
+    def unit_cost(self) -> bool:
+        """Whether every column costs 1, so that cost is the number of columns."""
+        return bool((self.costs == 1).all())
+
+    @property
+    def once(self) -> bool:
+        """Whether covering a row once is enough for every row."""
+        return bool((self.demand == 1).all())
+
+    def cost(self, columns: ArrayLike) -> int:
+        """What several columns cost together."""
+        return int(self.costs[np.asarray(columns, dtype=np.int64)].sum())
+
     def rows_of(self, columns: ArrayLike) -> Ints:
         """The rows of several columns, one column after the other (with repetitions)."""
         return gather(self.column_start, self.column_rows, np.asarray(columns, dtype=np.int64))[0]
@@ -99,6 +130,11 @@ class CoverProblem:
     def counts(self, columns: ArrayLike) -> Ints:
         """(S,) how many of the given columns cover each row."""
         return np.bincount(self.rows_of(columns), minlength=self.n_rows)
+
+    def covered(self, columns: ArrayLike) -> NDArray[np.bool_]:
+        """(S,) which rows the given columns cover as often as demanded."""
+        satisfied: NDArray[np.bool_] = self.counts(columns) >= self.demand
+        return satisfied
 
     def met(self, covered: NDArray[np.bool_]) -> bool:
         """Whether covering these rows meets the target; exact.
@@ -114,7 +150,12 @@ class CoverProblem:
         return sp.csr_array((data, self.row_columns, self.row_start), shape=(self.n_rows, self.n_columns))
 
     def restricted(
-        self, rows: NDArray[np.bool_], columns: NDArray[np.bool_], units: Floats, required: int
+        self,
+        rows: NDArray[np.bool_],
+        columns: NDArray[np.bool_],
+        units: Floats,
+        required: int,
+        demand: Ints | None = None,
     ) -> "CoverProblem":
         """The problem on some rows and columns, in the same order.
 
@@ -123,9 +164,11 @@ class CoverProblem:
             columns: (V,) which columns stay.
             units: (S,) weights of the rows; those of the rows that stay are taken.
             required: units that the smaller problem must cover.
+            demand: (S,) how often rows must be covered, in place of this problem's.
         """
         M = sp.csr_array((np.ones(self.n_entries, np.int8), self.row_columns, self.row_start), self.shape)
-        return _from_csr(M[rows][:, columns], units[rows], required, self.full)
+        demand = self.demand if demand is None else demand
+        return _from_csr(M[rows][:, columns], units[rows], required, self.full, demand[rows], self.costs[columns])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -143,6 +186,8 @@ class Candidates:
         columns: (V',) index of each of the problem's columns in the measurability matrix.
         areas: (S,) area of every row of the matrix [m^2].
         uncoverable_rows: rows that no usable column covers.
+        short_rows: rows that some usable columns cover, but fewer than the multiplicity; all of them are demanded.
+        cost_unit: what a cost of 1 in the problem stands for in the caller's unit.
     """
 
     problem: CoverProblem
@@ -150,13 +195,15 @@ class Candidates:
     columns: Ints
     areas: Floats
     uncoverable_rows: Ints
+    short_rows: Ints
+    cost_unit: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", readonly("rows", self.rows, (self.problem.n_rows,), np.int64))
         object.__setattr__(self, "columns", readonly("columns", self.columns, (self.problem.n_columns,), np.int64))
         object.__setattr__(self, "areas", readonly("areas", self.areas, (None,)))
-        uncoverable = readonly("uncoverable_rows", self.uncoverable_rows, (None,), np.int64)
-        object.__setattr__(self, "uncoverable_rows", uncoverable)
+        for name in ("uncoverable_rows", "short_rows"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,), np.int64))
 
 
 def gather(start: Ints, items: Ints, which: Ints) -> tuple[Ints, Ints]:
@@ -201,6 +248,8 @@ def candidates(
     *,
     coverage: float = 1.0,
     banned: Iterable[int] = (),
+    multiplicity: int = 1,
+    costs: ArrayLike | None = None,
 ) -> Candidates:
     """Check the input and bring it into canonical form.
 
@@ -210,10 +259,12 @@ def candidates(
         allowed: (V,) which columns may be used (the reachable ones); None: all.
         coverage: share of the coverable area that must be covered, 0 to 1.
         banned: columns that the user excludes; they do not count as coverable either.
+        multiplicity: how many columns must cover a row for it to count as covered; of a row that fewer can cover, all.
+        costs: (V,) cost of each column, finite and above zero (seconds, say); None: 1 each.
 
     Raises:
-        PlannerError: if shapes do not fit, an area is NaN, infinite or negative, the coverage is not in [0, 1], or a
-            banned column does not exist.
+        PlannerError: if shapes do not fit, an area is NaN, infinite or negative, the coverage is not in [0, 1], a
+            banned column does not exist, the multiplicity is below 1, or a cost is not above zero.
     """
     matrix = sp.csc_array(M, dtype=bool)  # refuses anything that is not two-dimensional
     matrix.sum_duplicates()
@@ -234,6 +285,9 @@ def candidates(
         )
     usable = usable.copy()
     usable[column_indices("banned", banned, n_columns)] = False
+    if multiplicity < 1:
+        raise PlannerError(f"multiplicity is {multiplicity}; every row must be covered at least once")
+    column_costs, cost_unit = _costs(costs, n_columns)
 
     usable &= np.diff(matrix.indptr) > 0
     chosen = np.flatnonzero(usable)
@@ -245,11 +299,26 @@ def candidates(
     renumber[rows] = np.arange(len(rows))
     start, members = part.indptr.astype(np.int64), part.indices.astype(np.int64)
     covered = np.add.reduceat(row_units[renumber[members]], start[:-1]) if len(chosen) else np.zeros(0)
-    order = np.lexsort((chosen, set_hash(start, members), -covered))
+    order = np.lexsort((chosen, column_costs[chosen], set_hash(start, members), -covered))
     canonical = sp.csr_array(part[:, order])[rows]
     required = ceil(Fraction(coverage) * int(row_units.sum()) * (1 - TARGET_SLACK))
-    problem = _from_csr(canonical, row_units, required, full=coverage == 1.0)
-    return Candidates(problem, rows, chosen[order], weights, np.flatnonzero(per_row == 0))
+    problem = _from_csr(
+        canonical,
+        row_units,
+        required,
+        coverage == 1.0,
+        np.minimum(per_row[rows], multiplicity),
+        column_costs[chosen[order]],
+    )
+    return Candidates(
+        problem,
+        rows,
+        chosen[order],
+        weights,
+        uncoverable_rows=np.flatnonzero(per_row == 0),
+        short_rows=np.flatnonzero((per_row > 0) & (per_row < multiplicity)),
+        cost_unit=cost_unit,
+    )
 
 
 def column_indices(name: str, values: Iterable[int], n_columns: int) -> Ints:
@@ -277,10 +346,35 @@ def _units(areas: Floats) -> Floats:
     return units
 
 
-def _from_csr(M: Any, units: Floats, required: int, full: bool) -> CoverProblem:
+def _costs(costs: ArrayLike | None, n_columns: int) -> tuple[Ints, float]:
+    """Costs as whole numbers, and what a unit of them stands for."""
+    if costs is None:
+        return np.ones(n_columns, dtype=np.int64), 1.0
+    given = np.array(costs, dtype=np.float64)
+    if given.shape != (n_columns,):
+        raise PlannerError(
+            f"costs has shape {given.shape}; the matrix has {n_columns} columns, so it must be ({n_columns},)"
+        )
+    bad = np.flatnonzero(~(np.isfinite(given) & (given > 0)))
+    if len(bad):
+        raise PlannerError(f"costs[{bad[0]}] is {given[bad[0]]}; a cost must be a finite number above zero")
+    if not n_columns:
+        return np.zeros(0, dtype=np.int64), 1.0
+    top = float(given.max())
+    if top <= COST_UNITS and (given == np.rint(given)).all():
+        whole = given.astype(np.int64)
+        divisor = int(np.gcd.reduce(whole))
+        return whole // divisor, float(divisor)
+    units = np.maximum(np.rint(given / top * COST_UNITS), 1.0).astype(np.int64)
+    if (units == units[0]).all():
+        return np.ones(n_columns, dtype=np.int64), top
+    return units, top / COST_UNITS
+
+
+def _from_csr(M: Any, units: Floats, required: int, full: bool, demand: Ints, costs: Ints) -> CoverProblem:
     by_row = sp.csr_array(M)
     by_row.sort_indices()
     by_column = sp.csc_array(by_row)
     by_column.sort_indices()
     sets = [array.astype(np.int64) for M in (by_row, by_column) for array in (M.indptr, M.indices)]
-    return CoverProblem(sets[0], sets[1], sets[2], sets[3], units, max(required, 0), full)
+    return CoverProblem(sets[0], sets[1], sets[2], sets[3], units, max(required, 0), full, demand, costs)

@@ -1,12 +1,15 @@
-"""Exact reductions of a cover problem: smaller, with the same fewest number of columns, and the way back.
+"""Exact reductions of a cover problem: smaller, with the same least cost, and the way back.
 
 Applied in turn until nothing changes, on large matrices until little changes (see `WORTHWHILE`); Beasley 1987,
 doi:10.1016/0377-2217(87)90141-X, and earlier work cited there:
 
-* rows covered by the same columns become one row with their summed area;
-* a column whose rows another column covers too is dropped (of identical columns the first in canonical order stays);
-* full cover only: a row is dropped when covering another row (whose columns are a subset of its own) covers it too;
-* a row that cannot stay uncovered and has one column only forces this column.
+* rows covered by the same columns, and as often, become one row with their summed area;
+* a column is dropped when others that cover all its rows cost no more, as many of them as the most demanding of its
+  rows demands (one, where covering once is enough): a cover with the column but without one of them may exchange it,
+  and a cover with all of them does not need it (of identical columns the first in canonical order stays);
+* full cover only: a row is dropped when covering another row (whose columns are a subset of its own) as often as that
+  one demands covers it often enough too;
+* a row that cannot stay uncovered and has no more columns than it demands forces these columns.
 
 Subset tests work on bit-packed sets, and only against the sets that share the rarest member. A test whose work (words
 compared) exceeds `SUBSET_WORK` is skipped as a whole; this depends on the problem alone, never on time.
@@ -61,11 +64,14 @@ def take(problem: CoverProblem, columns: Ints) -> tuple[CoverProblem, Ints]:
     """
     if not len(columns):
         return problem, np.arange(problem.n_columns)
-    uncovered = problem.counts(columns) == 0
+    counts = problem.counts(columns)
+    uncovered = counts < problem.demand
     open_columns, _ = problem.columns_of(np.flatnonzero(uncovered))
     useful = np.bincount(open_columns, minlength=problem.n_columns) > 0
+    useful[columns] = False
     required = problem.required - int(problem.units[~uncovered].sum())
-    return problem.restricted(uncovered, useful, problem.units, required), np.flatnonzero(useful)
+    rest = problem.restricted(uncovered, useful, problem.units, required, problem.demand - counts)
+    return rest, np.flatnonzero(useful)
 
 
 def reduce(problem: CoverProblem) -> Reduction:
@@ -84,17 +90,12 @@ def reduce(problem: CoverProblem) -> Reduction:
         units = problem.units
         keep_rows, units = _merge_identical_rows(problem, units)
         problem = _keep(problem, keep_rows, None, units)
-        keep_columns = ~_dominated(
-            problem.column_start, problem.column_rows, problem.row_start, problem.row_columns, larger_wins=True
-        )
+        keep_columns = ~_dominated_columns(problem)
         dominated += int((~keep_columns).sum())
         problem = _keep(problem, None, keep_columns, problem.units)
         columns = columns[keep_columns]
         if problem.full:
-            keep_rows = ~_dominated(
-                problem.row_start, problem.row_columns, problem.column_start, problem.column_rows, larger_wins=False
-            )
-            problem = _keep(problem, keep_rows, None, problem.units)
+            problem = _keep(problem, ~_dominated_rows(problem), None, problem.units)
         merged += before[0] - problem.n_rows
         if problem.shape == before[:2] or before[2] - problem.n_entries < _least_gain(before[2]):
             break
@@ -119,20 +120,21 @@ def _keep(
 
 
 def _forced_columns(problem: CoverProblem) -> Ints:
-    """Columns that are the only one of a row which must not stay uncovered."""
-    single = np.diff(problem.row_start) == 1
-    needed = single & (problem.units > problem.slack)
-    return np.unique(problem.row_columns[problem.row_start[:-1][needed]])
+    """All columns of the rows that must not stay uncovered and have no column to spare."""
+    tight = np.diff(problem.row_start) <= problem.demand
+    needed = np.flatnonzero(tight & (problem.units > problem.slack))
+    return np.unique(problem.columns_of(needed)[0])
 
 
 def _merge_identical_rows(problem: CoverProblem, units: Floats) -> tuple[NDArray[np.bool_], Floats]:
-    """The first of each group of rows with the same columns, and the units with the group's sum on it."""
+    """The first of each group of rows with the same columns and demand, and the units with the group's sum on it."""
     start, members = problem.row_start, problem.row_columns
     hashes = set_hash(start, members)
     lengths = np.diff(start)
-    order = np.lexsort((np.arange(problem.n_rows), hashes, lengths))
+    order = np.lexsort((np.arange(problem.n_rows), hashes, problem.demand, lengths))
     previous, current = order[:-1], order[1:]
     alike = (hashes[previous] == hashes[current]) & (lengths[previous] == lengths[current])
+    alike &= problem.demand[previous] == problem.demand[current]
     pairs = np.flatnonzero(alike)
     if not len(pairs):
         return np.ones(problem.n_rows, dtype=bool), units
@@ -149,63 +151,65 @@ def _merge_identical_rows(problem: CoverProblem, units: Floats) -> tuple[NDArray
     return keep, summed
 
 
-def _dominated(
-    start: Ints, members: Ints, member_start: Ints, member_sets: Ints, *, larger_wins: bool
-) -> NDArray[np.bool_]:
-    """Which sets are dominated: contained in another (`larger_wins`), or containing another.
-
-    Of equal sets the first is not dominated by the later ones. An empty column (its rows were dominated) is dominated.
-
-    Args:
-        start: (N + 1,) where the members of each set begin.
-        members: members of each set, one set after the other.
-        member_start: (R + 1,) where the sets of each member begin.
-        member_sets: sets that contain each member.
-        larger_wins: for columns, True; for rows, False.
-    """
-    n_sets, n_members = len(start) - 1, len(member_start) - 1
-    dominated = np.zeros(n_sets, dtype=bool)
-    sizes = np.diff(start)
-    frequency = np.diff(member_start)
-    if not n_sets or not len(members):
+def _dominated_columns(problem: CoverProblem) -> NDArray[np.bool_]:
+    """Columns whose rows enough others cover that cost no more; and columns without a row (theirs were dominated)."""
+    start, members = problem.column_start, problem.column_rows
+    sizes, costs = np.diff(start), problem.costs
+    dominated = sizes == 0
+    rarest = _rarest_members(start, members, np.diff(problem.row_start))
+    bits = _packed(start, members, problem.n_rows, np.diff(problem.row_start)[rarest[sizes > 0]])
+    if bits is None:
         return dominated
-    # The rarest member of each set: only the sets that share it can contain the set.
-    key = frequency[members] * n_members + members
-    filled = sizes > 0
-    rarest = np.zeros(n_sets, dtype=members.dtype)
-    rarest[filled] = np.minimum.reduceat(key, start[:-1][filled]) % n_members
-    words = (n_members + 63) // 64
-    if int(frequency[rarest].sum()) * words > SUBSET_WORK:
-        return dominated
-    bits = _packed(start, members, n_members)
-    dominated[~filled] = larger_wins
-    for small in np.flatnonzero(filled):
-        member = rarest[small]
-        others = member_sets[member_start[member] : member_start[member + 1]]
-        size = sizes[small]
-        if larger_wins:
-            # equal sets: the earlier one wins, so only earlier ones count
-            others = others[(sizes[others] > size) | ((sizes[others] == size) & (others < small))]
-        else:
-            if dominated[small]:
-                continue  # what it would remove is removed by the set that removed it
-            others = others[
-                ((sizes[others] > size) | ((sizes[others] == size) & (others > small))) & ~dominated[others]
-            ]
-        if not len(others):
-            continue
-        contains = ~(bits[small] & ~bits[others]).any(axis=1)
-        if larger_wins:
-            dominated[small] = contains.any()
-        else:
-            dominated[others[contains]] = True
+    for j in np.flatnonzero(~dominated):
+        # Only columns that share its rarest row can contain it.
+        others = problem.row_columns[problem.row_start[rarest[j]] : problem.row_start[rarest[j] + 1]]
+        size, cost = sizes[j], costs[j]
+        cheaper = (sizes[others] > size) | (costs[others] < cost) | (others < j)
+        others = others[(sizes[others] >= size) & (costs[others] <= cost) & cheaper]
+        if len(others):
+            dominators = int((~(bits[j] & ~bits[others]).any(axis=1)).sum())
+            demand = 1 if dominators == 0 else int(problem.demand[members[start[j] : start[j + 1]]].max())
+            dominated[j] = dominators >= demand
     return dominated
 
 
-def _packed(start: Ints, members: Ints, n_members: int) -> NDArray[np.uint64]:
-    """The sets as (N, words) bit masks."""
+def _dominated_rows(problem: CoverProblem) -> NDArray[np.bool_]:
+    """Rows that are covered whenever another row is, in a problem where every row must be covered."""
+    start, members = problem.row_start, problem.row_columns
+    sizes, demand = np.diff(start), problem.demand
+    dominated = np.zeros(problem.n_rows, dtype=bool)
+    rarest = _rarest_members(start, members, np.diff(problem.column_start))
+    bits = _packed(start, members, problem.n_columns, np.diff(problem.column_start)[rarest])
+    if bits is None:
+        return dominated
+    for i in range(problem.n_rows):
+        if dominated[i]:
+            continue  # what it would remove is removed by the row that removed it
+        others = problem.column_rows[problem.column_start[rarest[i]] : problem.column_start[rarest[i] + 1]]
+        size = sizes[i]
+        larger = (sizes[others] > size) | (demand[others] < demand[i]) | (others > i)
+        others = others[(sizes[others] >= size) & (demand[others] <= demand[i]) & larger & ~dominated[others]]
+        if len(others):
+            dominated[others[~(bits[i] & ~bits[others]).any(axis=1)]] = True
+    return dominated
+
+
+def _rarest_members(start: Ints, members: Ints, frequency: Ints) -> Ints:
+    """(N,) the member of each set that the fewest sets have; 0 for an empty set."""
+    filled = np.diff(start) > 0
+    rarest = np.zeros(len(start) - 1, dtype=np.int64)
+    if filled.any():
+        key = frequency[members] * len(frequency) + members
+        rarest[filled] = np.minimum.reduceat(key, start[:-1][filled]) % len(frequency)
+    return rarest
+
+
+def _packed(start: Ints, members: Ints, n_members: int, comparisons: Ints) -> NDArray[np.uint64] | None:
+    """The sets as (N, words) bit masks; None where that many comparisons of two sets would exceed `SUBSET_WORK`."""
     n_sets = len(start) - 1
     words = (n_members + 63) // 64
+    if int(comparisons.sum()) * words > SUBSET_WORK:
+        return None
     packed = np.zeros((n_sets, words * 8), dtype=np.uint8)
     block = max(1, 4_000_000 // (words * 64))  # bounds the unpacked block at 4 MB
     for first in range(0, n_sets, block):

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from planner.cover.bound import bound
 from planner.cover.budget import DEFAULT_WORK, Budget
 from planner.cover.greedy import by_marginal_area, greedy
-from planner.cover.problem import Candidates, Floats, Ints, candidates, column_indices
+from planner.cover.problem import Candidates, CoverProblem, Floats, Ints, candidates, column_indices
 from planner.cover.reductions import reduce, take
 from planner.cover.solvers import BOUND_SHARE, SOLVERS
 from planner.errors import PlannerError
@@ -25,6 +25,7 @@ class CoverStatus(Enum):
     PROVEN = "proven fewest for these candidates and samples"
     BOUNDED = "within a known number of views of the fewest for these candidates and samples"
     TIME_LIMITED = "the time limit stopped the search; within a known number of views of the fewest"
+    INTERRUPTED = "interrupted; within a known number of views of the fewest"
     NOTHING_COVERABLE = "no allowed view measures any sample"
 
     @property
@@ -49,6 +50,9 @@ class Cover:
         lower_bound: no selection that meets the target (and contains the pinned views) has fewer views.
         solver: name of the solver.
         work: units of work spent (see `planner.cover.budget`).
+        multiplicity: how many views had to measure a row for it to count as covered.
+        short_rows: rows that fewer usable columns cover than the multiplicity; all of them were demanded.
+        price: cost of the views together, and what no selection that meets the target undercuts; None without costs.
     """
 
     views: Ints
@@ -62,12 +66,25 @@ class Cover:
     lower_bound: int
     solver: str
     work: int
+    multiplicity: int = 1
+    short_rows: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    price: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "views", readonly("views", self.views, (None,), np.int64))
         object.__setattr__(self, "marginal_area", readonly("marginal_area", self.marginal_area, (len(self.views),)))
-        for name in ("uncoverable_rows", "pinned"):
+        for name in ("uncoverable_rows", "pinned", "short_rows"):
             object.__setattr__(self, name, readonly(name, getattr(self, name), (None,), np.int64))
+
+    @property
+    def cost(self) -> float:
+        """What the views cost together; their number where no costs were given."""
+        return len(self.views) if self.price is None else self.price[0]
+
+    @property
+    def cost_bound(self) -> float:
+        """No selection that meets the target (and contains the pinned views) costs less."""
+        return self.lower_bound if self.price is None else self.price[1]
 
     @property
     def excess(self) -> int:
@@ -76,8 +93,8 @@ class Cover:
 
     @property
     def gap(self) -> float:
-        """(views - lower bound) / views; 0 for an empty plan."""
-        return self.excess / len(self.views) if len(self.views) else 0.0
+        """(cost - bound on it) / cost, which without costs is (views - lower bound) / views; 0 for an empty plan."""
+        return (self.cost - self.cost_bound) / self.cost if len(self.views) else 0.0
 
     @property
     def curve(self) -> Floats:
@@ -92,11 +109,22 @@ class Cover:
     @property
     def sentence(self) -> str:
         """The status in words with its numbers."""
-        if self.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE):
+        fewest = "fewest" if self.price is None else "cheapest"
+        if self.status is CoverStatus.NOTHING_COVERABLE:
             return self.status.sentence
-        views = "view" if self.excess == 1 else "views"
-        within = f"at most {self.excess} {views} more than the fewest for these candidates and samples"
-        return f"the time limit stopped the search; {within}" if self.status is CoverStatus.TIME_LIMITED else within
+        if self.status is CoverStatus.PROVEN:
+            return f"proven {fewest} for these candidates and samples"
+        if self.price is not None:
+            within = f"costs at most {100 * self.gap / (1 - self.gap):.3g} % more than the {fewest}"
+        else:
+            within = f"at most {self.excess} {'view' if self.excess == 1 else 'views'} more than the {fewest}"
+        return _BEGINNING.get(self.status, "") + f"{within} for these candidates and samples"
+
+
+_BEGINNING = {
+    CoverStatus.TIME_LIMITED: "the time limit stopped the search; ",
+    CoverStatus.INTERRUPTED: "the search was interrupted; ",
+}
 
 
 def solve(
@@ -111,11 +139,14 @@ def solve(
     time_limit_s: float | None = None,
     pinned: Iterable[int] = (),
     banned: Iterable[int] = (),
+    multiplicity: int = 1,
+    costs: ArrayLike | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Cover:
-    """Choose the fewest columns that cover the required share of what the usable columns can cover.
+    """Choose the fewest or cheapest columns that cover the required share of what the usable columns can cover.
 
-    The greedy cover and a lower bound are always computed, whatever the solver and the budget.
+    The greedy cover and a lower bound are always computed, whatever the solver and the budget. Ctrl-C during the search
+    ends it: the best cover so far is returned, and its status says so.
 
     Args:
         M: (S, V) measurability matrix, scipy sparse or dense, True where the viewpoint measures the sample.
@@ -128,6 +159,8 @@ def solve(
         time_limit_s: wall-clock guard [s] for the search; reported in the status when it fires.
         pinned: columns that must be part of the selection; they must be allowed.
         banned: columns that must not.
+        multiplicity: how many views must measure a row for it to count as covered; of a row that fewer can, all.
+        costs: (V,) cost of each column above zero, in seconds say; the cheapest cover is sought. None: 1 each.
         clock: seconds, for the guard.
 
     Raises:
@@ -137,25 +170,44 @@ def solve(
     if solver not in SOLVERS:
         raise PlannerError(f"there is no solver {solver!r}; choose one of {', '.join(SOLVERS)}")
     search = Budget(budget, time_limit_s, clock)
-    found = candidates(M, areas, allowed, coverage=coverage, banned=banned)
+    found = candidates(M, areas, allowed, coverage=coverage, banned=banned, multiplicity=multiplicity, costs=costs)
     fixed, useful_fixed = _pinned(found, M.shape[1], allowed, pinned, banned)
 
     rest, rest_columns = take(found.problem, useful_fixed)
     reduction = reduce(rest)
-    problem = reduction.problem
+    chosen = _search(reduction.problem, solver, rng, search)
+    free = rest_columns[reduction.lift(chosen)]
+    left = rest.cost(reduction.forced) + min(search.lower_bound, reduction.problem.cost(chosen))
+    return _cover(
+        found,
+        fixed,
+        np.concatenate((useful_fixed, free)),
+        found.problem.cost(useful_fixed) + left,
+        costs=None if costs is None else np.asarray(costs, dtype=np.float64),
+        multiplicity=multiplicity,
+        solver=solver,
+        search=search,
+    )
+
+
+def _search(problem: CoverProblem, solver: str, rng: np.random.Generator, search: Budget) -> Ints:
+    """Greedy, bound and the chosen solver on a reduced problem; the best cover so far when Ctrl-C ends it."""
     if problem.trivial:
-        chosen = np.zeros(0, dtype=np.int64)
-        search.offer(chosen)
-    else:
+        search.offer(np.zeros(0, dtype=np.int64))
+        return np.zeros(0, dtype=np.int64)
+    try:
         chosen = greedy(problem, rng, search)
         with search.portion(BOUND_SHARE):
-            search.dual = bound(problem, len(chosen), search)
+            search.dual = bound(problem, problem.cost(chosen), search)
         chosen = SOLVERS[solver](problem, rng, search)
-        if search.best is not None and len(search.best) < len(chosen):
-            chosen = search.best
-    free = rest_columns[reduction.lift(chosen)]
-    lower_bound = len(fixed) + len(reduction.forced) + min(search.lower_bound, len(chosen))
-    return _cover(found, fixed, np.concatenate((useful_fixed, free)), lower_bound, solver, search)
+    except KeyboardInterrupt:
+        if search.best is None:
+            raise
+        search.interrupted = True
+        chosen = search.best
+    if search.best is not None and search.best_cost < problem.cost(chosen):
+        chosen = search.best
+    return chosen
 
 
 def _pinned(
@@ -171,13 +223,32 @@ def _pinned(
     return fixed, np.flatnonzero(np.isin(found.columns, fixed))
 
 
-def _cover(found: Candidates, fixed: Ints, columns: Ints, lower_bound: int, solver: str, search: Budget) -> Cover:
-    """Assemble the result: order by marginal area, exact check of the target, areas, status."""
+def _cover(
+    found: Candidates,
+    fixed: Ints,
+    columns: Ints,
+    bound_units: int,
+    *,
+    costs: Floats | None,
+    multiplicity: int,
+    solver: str,
+    search: Budget,
+) -> Cover:
+    """Assemble the result: order by marginal area, exact check of the target, areas, costs, status.
+
+    Args:
+        found: the problem and where it came from.
+        fixed: pinned columns of the matrix.
+        columns: chosen columns of the problem, the useful ones of the pinned among them.
+        bound_units: no such choice costs less, in the problem's units.
+        costs: (V,) as the user gave them.
+        multiplicity: as the user gave it.
+        solver: its name.
+        search: what was spent.
+    """
     problem = found.problem
     order, added = by_marginal_area(problem, columns)
-    covered = np.zeros(problem.n_rows, dtype=bool)
-    for rows in added:
-        covered[rows] = True
+    covered = problem.covered(columns)
     if not problem.met(covered):
         raise AssertionError(f"the solver {solver!r} returned a selection that misses its target")
     idle = np.setdiff1d(fixed, found.columns)  # pinned views that measure nothing stay in the plan, last
@@ -186,10 +257,22 @@ def _cover(found: Candidates, fixed: Ints, columns: Ints, lower_bound: int, solv
     marginal = [float(areas[rows].sum()) for rows in added] + [0.0] * len(idle)
     if not problem.n_rows:
         status = CoverStatus.NOTHING_COVERABLE
-    elif lower_bound == len(views):
+    elif bound_units == problem.cost(columns):
         status = CoverStatus.PROVEN
+    elif search.interrupted:
+        status = CoverStatus.INTERRUPTED
     else:
         status = CoverStatus.TIME_LIMITED if search.time_limited else CoverStatus.BOUNDED
+    if costs is None:
+        lower_bound, price = len(idle) + bound_units, None
+    else:
+        dearest = int(problem.costs.max(initial=1))
+        lower_bound = len(idle) + -(-bound_units // dearest)
+        idle_cost = float(costs[idle].sum())
+        price = (
+            problem.cost(columns) * found.cost_unit + idle_cost,
+            bound_units * found.cost_unit + idle_cost,
+        )
     return Cover(
         views=views,
         marginal_area=np.array(marginal),
@@ -202,4 +285,7 @@ def _cover(found: Candidates, fixed: Ints, columns: Ints, lower_bound: int, solv
         lower_bound=lower_bound,
         solver=solver,
         work=search.spent,
+        multiplicity=multiplicity,
+        short_rows=found.short_rows,
+        price=price,
     )

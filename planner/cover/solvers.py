@@ -32,10 +32,10 @@ def auto(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Int
         return best
     if budget.dual is None:
         with budget.portion(BOUND_SHARE):
-            budget.dual = bound(problem, len(best), budget)
+            budget.dual = bound(problem, problem.cost(best), budget)
     with budget.portion(SEARCH_SHARE):
         best = local_search(problem, rng, budget)
-    excess = len(best) - budget.lower_bound
+    excess = (problem.cost(best) - budget.lower_bound) / float(problem.costs.mean())
     if not budget.proven and (excess <= max(2, HOPEFUL_EXCESS * len(best)) or problem.n_columns <= SMALL):
         best = improve_or_prove(problem, best, budget.dual, budget, at_least_root=False)
     if budget.spend(0):
