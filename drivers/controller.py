@@ -215,7 +215,7 @@ class Controller:
     def _start(self, job: _Job) -> None:
         velocity = self.limits.velocity * job.move.speed
         self._reference = interpolate(
-            self._reference.end, to_rad(job.move.set_points), velocity, self.limits.acceleration
+            self._reference.end, to_rad(job.move.set_points), velocity, self.limits.acceleration, self.limits.jerk
         )
         self._elapsed, self._running, self._in_position = 0.0, job, False
         self.plant.follow(self._reference)

@@ -1,6 +1,6 @@
 """Limits on the controller's own side: position, speed, acceleration and step size of the six axes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Protocol
 
@@ -55,6 +55,7 @@ class Limits:
         max_step: (6,) largest change of an axis from one via point to the next, counts.
         max_speed: largest speed fraction, in (0, 1].
         max_via: most via points in one move; None: no bound.
+        jerk: (6,) axis jerks at every speed fraction [rad/s^3]; inf: not limited.
     """
 
     lower: SetPoints
@@ -64,13 +65,14 @@ class Limits:
     max_step: SetPoints
     max_speed: float = 1.0
     max_via: int | None = None
+    jerk: Floats = field(default_factory=lambda: np.full(AXES, np.inf))
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper", "velocity", "acceleration", "max_step"):
+        for name in ("lower", "upper", "velocity", "acceleration", "max_step", "jerk"):
             values = np.asarray(getattr(self, name))
             if values.shape != (AXES,):
                 raise DriverError(f"{name} of a controller's limits has shape {values.shape}; it must be ({AXES},)")
-            kind = np.float64 if name in ("velocity", "acceleration") else np.int32
+            kind = np.float64 if name in ("velocity", "acceleration", "jerk") else np.int32
             object.__setattr__(self, name, frozen(values, kind))
         if not (self.lower <= self.upper).all():
             axis = int(np.argmax(self.lower > self.upper))
@@ -79,6 +81,8 @@ class Limits:
             values = getattr(self, name)
             if not ((values > 0) & (values < np.inf)).all():
                 raise DriverError(f"{name} of a controller's limits is {values}; every axis must be above 0 and finite")
+        if not (self.jerk > 0).all():
+            raise DriverError(f"jerk of a controller's limits is {self.jerk}; every axis must be above 0")
         if not (self.max_step > 0).all():
             raise DriverError("max_step of a controller's limits must be at least one count on every axis")
         if self.max_via is not None and self.max_via < 1:
@@ -96,6 +100,7 @@ class Limits:
         *,
         max_step: ArrayLike | None = None,
         max_speed: float = 1.0,
+        jerk: ArrayLike | None = None,
     ) -> "Limits":
         """Limits in radians, rounded inwards to counts.
 
@@ -106,6 +111,7 @@ class Limits:
             acceleration: (6,) axis accelerations [rad/s^2].
             max_step: () or (6,) largest step [rad]; None: the whole range.
             max_speed: largest speed fraction.
+            jerk: (6,) axis jerks [rad/s^3]; None: not limited.
         """
         low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (lower, upper))
         low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
@@ -113,7 +119,8 @@ class Limits:
             step = np.maximum(high - low, 1)
         else:
             step = np.floor(np.broadcast_to(np.degrees(max_step), AXES) * PER_DEGREE + _ROUNDING)
-        return cls(low, high, np.asarray(velocity), np.asarray(acceleration), step, max_speed)
+        most = np.full(AXES, np.inf) if jerk is None else np.asarray(jerk)
+        return cls(low, high, np.asarray(velocity), np.asarray(acceleration), step, max_speed, jerk=most)
 
 
 def refuse(move: Move, start: SetPoints, bounds: Bounds) -> tuple[Result, str]:
@@ -155,7 +162,8 @@ def refuse(move: Move, start: SetPoints, bounds: Bounds) -> tuple[Result, str]:
 def kr16() -> Limits:
     """The KUKA KR 16 with a floor-mounted KR C2: ranges and speeds of its data sheet.
 
-    KUKA publishes no accelerations; twice the speed per second (a ramp of 0.5 s) is a common assumption.
+    KUKA publishes no accelerations and no jerks. Assumed are twice the speed per second (a ramp of 0.5 s), a common
+    guess, and an acceleration that is reached in 0.1 s.
     """
     velocity = np.radians([156.0, 156.0, 156.0, 330.0, 330.0, 615.0])
     return Limits.from_rad(
@@ -163,4 +171,5 @@ def kr16() -> Limits:
         np.radians([185.0, 35.0, 154.0, 350.0, 130.0, 350.0]),
         velocity,
         2.0 * velocity,
+        jerk=20.0 * velocity,
     )

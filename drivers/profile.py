@@ -1,16 +1,22 @@
 """The controller's interpolator: where the axes should be at each time of a move, rest to rest through via points.
 
-A leg from via point a to b is `q(s) = a + s (b - a)`: all axes start and stop together on the straight joint segment.
-In s the axis limits are `ds/dt <= 1/V`, `V = max_j |b_j - a_j| / v_j`, and `d2s/dt2 <= 1/A`, `A = max_j |b_j - a_j| /
-a_j`. The shortest profile from rest to rest is a trapezoid of speed with ramps of `A/V` and a cruise of `V - A/V`
-where `A <= V^2`, else two ramps of `sqrt(A)`; see Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines
-and Robots, 2008, section 3.2. Every leg ends at rest, exactly on its via point. Braking stays on the leg's straight
-line: it only lowers the speed along it, at the same deceleration that the ramps use, so the arm stands before the
-leg's end.
+A leg from via point a to b is `q(s) = a + s (b - a)`: all axes start and stop together on the straight joint segment,
+and each limit of an axis divided by its `|b - a|` limits s. The fastest profile of s is the S-curve of seven phases
+(Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008, section 3.4), or the trapezoid
+of speed where jerk is not limited. With V, A, J the largest `|b - a|` over speed, acceleration and jerk limit, a phase
+of changing acceleration takes `ease`, the acceleration from one to the next lasts `ramp`, and `cruise` is the inverse
+of the peak speed. Every leg ends at rest, exactly on its via point.
+
+Braking stays on the leg's straight line and keeps the limits of acceleration and jerk, those of full override: the
+deceleration rises as fast as the jerk allows, holds, and falls as fast to end at rest. No other stop is ever slower on
+the way: while the deceleration rises and holds, none decelerates more, and at a speed u in its last phase none may
+decelerate more than `sqrt(2 jerk u)` and still come to rest without turning back. The leg's own profile comes to rest
+at the leg's end, so a braking arm stands before it.
 
 A plant follows a `Reference`; a dynamic one uses the speeds and accelerations for its feed-forward.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +34,7 @@ TICK = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """Axis angles, speeds and accelerations over the time since a move began, in pieces of constant acceleration of s.
+    """Axis angles, speeds and accelerations over the time since a move began, in pieces of constant jerk of s.
 
     Attributes:
         via: (N, 6) via points [rad], the first one where the move starts.
@@ -36,7 +42,10 @@ class Reference:
         begin: (K,) start of each piece [s], not decreasing, the first one 0.
         s: (K,) path parameter of the leg where the piece begins, in [0, 1].
         sd: (K,) its speed there [1/s].
-        sdd: (K,) its acceleration [1/s^2].
+        sdd: (K,) its acceleration there [1/s^2].
+        sddd: (K,) its jerk [1/s^3].
+        acceleration: (6,) largest axis accelerations [rad/s^2], for braking.
+        jerk: (6,) largest axis jerks [rad/s^3], for braking; inf: not limited.
         duration: time until the reference is at rest for good [s].
         end: (6,) axes from then on [rad].
     """
@@ -47,11 +56,14 @@ class Reference:
     s: Floats
     sd: Floats
     sdd: Floats
+    sddd: Floats
+    acceleration: Floats
+    jerk: Floats
     duration: float
     end: Floats
 
     def __post_init__(self) -> None:
-        for name in ("via", "leg", "begin", "s", "sd", "sdd", "end"):
+        for name in ("via", "leg", "begin", "s", "sd", "sdd", "sddd", "acceleration", "jerk", "end"):
             array: NDArray[Any] = getattr(self, name)
             array.flags.writeable = False  # made by this module alone, so nothing is copied
 
@@ -84,33 +96,48 @@ class Reference:
         """
         if t >= self.duration:
             return resting(self.end)
-        legs, at, speeds, _ = self._path(np.array([max(t, 0.0)]))
-        leg, s, sd = int(legs[0]), float(at[0]), float(speeds[0])
-        here = self.sample(np.array([t]))[0][0]
-        deceleration = float(np.abs(self.sdd[self.leg == leg]).max())
+        legs, *at = self._path(np.array([max(t, 0.0)]))
+        s, sd, sdd = (float(values[0]) for values in at)
         if sd <= 0.0:
-            return resting(here)
-        duration = sd / deceleration
-        end_s = min(s + 0.5 * sd * duration, 1.0)
-        a, b = self.via[leg], self.via[leg + 1]
+            return resting(self.sample(np.array([t]))[0][0])
+        a, b = self.via[int(legs[0])], self.via[int(legs[0]) + 1]
+        distance = np.abs(b - a) * (1.0 + _MARGIN)
+        most = 1.0 / float((distance / self.acceleration).max())
+        inverse_jerk = float((distance / self.jerk).max())  # 0 where jerk is not limited
+        # Speed lost while the deceleration rises from -sdd to its peak and falls to 0: (peak^2 - sdd^2 / 2) / jerk.
+        gained = 0.5 * sdd * sdd * inverse_jerk
+        peak = min(most, math.sqrt((sd + gained) / inverse_jerk)) if inverse_jerk > 0.0 else most
+        rise, fall = max(peak + sdd, 0.0) * inverse_jerk, peak * inverse_jerk
+        jerk = 1.0 / inverse_jerk if inverse_jerk > 0.0 else 0.0
+        hold = max((sd + gained - peak * fall) / peak, 0.0)
+        begin, phases = np.zeros(3), np.zeros((3, 4))
+        for k, (duration, at_begin, slope) in enumerate(((rise, sdd, -jerk), (hold, -peak, 0.0), (fall, -peak, jerk))):
+            phases[k] = s, sd, at_begin, slope
+            begin[k + 1 :] += duration
+            s += duration * (sd + duration * (at_begin / 2 + duration * slope / 6))
+            sd += duration * (at_begin + duration * slope / 2)
         return Reference(
             via=np.stack([a, b]),
-            leg=np.zeros(1, dtype=np.int64),
-            begin=np.zeros(1),
-            s=np.array([s]),
-            sd=np.array([sd]),
-            sdd=np.array([-deceleration]),
-            duration=duration,
-            end=np.clip(a + end_s * (b - a), np.minimum(a, b), np.maximum(a, b)),
+            leg=np.zeros(3, dtype=np.int64),
+            begin=begin,
+            s=phases[:, 0].copy(),
+            sd=phases[:, 1].copy(),
+            sdd=phases[:, 2].copy(),
+            sddd=phases[:, 3].copy(),
+            acceleration=self.acceleration,
+            jerk=self.jerk,
+            duration=rise + hold + fall,
+            end=np.clip(a + min(s, 1.0) * (b - a), np.minimum(a, b), np.maximum(a, b)),
         )
 
     def _path(self, t: Floats) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
         """Leg, path parameter, its speed and its acceleration at the times t (M,), all in [0, duration)."""
         piece = np.searchsorted(self.begin, t, side="right") - 1
         tau = t - self.begin[piece]
-        s = self.s[piece] + tau * (self.sd[piece] + 0.5 * tau * self.sdd[piece])
-        sd = np.maximum(self.sd[piece] + tau * self.sdd[piece], 0.0)
-        return self.leg[piece], np.clip(s, 0.0, 1.0), sd, self.sdd[piece]
+        s, sd, sdd, sddd = self.s[piece], self.sd[piece], self.sdd[piece], self.sddd[piece]
+        s = s + tau * (sd + tau * (sdd / 2 + tau * sddd / 6))
+        sd = np.maximum(sd + tau * (sdd + tau * sddd / 2), 0.0)
+        return self.leg[piece], np.clip(s, 0.0, 1.0), sd, sdd + tau * sddd
 
 
 def resting(at: Floats) -> Reference:
@@ -123,41 +150,64 @@ def resting(at: Floats) -> Reference:
         s=nothing.copy(),
         sd=nothing.copy(),
         sdd=nothing.copy(),
+        sddd=nothing.copy(),
+        acceleration=np.full(AXES, np.inf),
+        jerk=np.full(AXES, np.inf),
         duration=0.0,
         end=np.array(at, dtype=np.float64),
     )
 
 
-def interpolate(start: Floats, via: Floats, velocity: Floats, acceleration: Floats) -> Reference:
-    """The shortest reference from rest at `start` through every via point, stopping at each.
+def interpolate(
+    start: Floats, via: Floats, velocity: Floats, acceleration: Floats, jerk: Floats | None = None
+) -> Reference:
+    """The fastest reference from rest at `start` through every via point, stopping at each.
 
     Args:
         start: (6,) axes where the move begins [rad].
         via: (N, 6) via points [rad].
         velocity: (6,) largest axis speeds [rad/s].
         acceleration: (6,) largest axis accelerations [rad/s^2].
+        jerk: (6,) largest axis jerks [rad/s^3]; inf, or None for all axes: not limited.
     """
+    jerk = np.full(AXES, np.inf) if jerk is None else jerk
     points = np.concatenate([start[None], via])
     distance = np.abs(np.diff(points, axis=0)) * (1.0 + _MARGIN)
     legs = np.flatnonzero(distance.any(axis=1))  # a leg of length 0 takes no time and has no piece
     if len(legs) == 0:
         return resting(points[-1])
-    at_speed = (distance[legs] / velocity).max(axis=1)
-    ramp_squared = (distance[legs] / acceleration).max(axis=1)
-    trapezoid = ramp_squared <= at_speed**2
-    ramp = np.where(trapezoid, ramp_squared / at_speed, np.sqrt(ramp_squared))
-    cruise = np.where(trapezoid, at_speed - ramp, 0.0)
-    peak = 1.0 / (ramp + cruise)
-    zero = np.zeros_like(ramp)
-    ends = np.cumsum(2.0 * ramp + cruise)
-    begins = np.concatenate([[0.0], ends[:-1]])
+    cruise, ramp, ease = _widths(*((distance[legs] / limit).max(axis=1) for limit in (velocity, acceleration, jerk)))
+    zero, up = np.zeros_like(ramp), ramp + ease
+    peak, rate = 1.0 / cruise, 1.0 / (cruise * ramp)  # of speed and of acceleration
+    change = np.divide(rate, ease, out=zero.copy(), where=ease > 0.0)
+    s = np.stack([zero, rate * ease**2 / 6, rate * (0.5 * ramp * (ramp - ease) + ease**2 / 6), 0.5 * peak * up], axis=1)
+    sd = np.stack([zero, 0.5 * rate * ease, peak - 0.5 * rate * ease, peak], axis=1)
+    # The second half is the first one backwards.
+    ends = np.cumsum(cruise + up)
+    marks = np.stack([zero, ease, ramp, up, cruise, cruise + ease, cruise + ramp], axis=1)
     return Reference(
         via=points,
-        leg=np.repeat(legs, 3),
-        begin=np.stack([begins, begins + ramp, begins + ramp + cruise], axis=1).ravel(),
-        s=np.stack([zero, 0.5 * peak * ramp, 1.0 - 0.5 * peak * ramp], axis=1).ravel(),
-        sd=np.stack([zero, peak, peak], axis=1).ravel(),
-        sdd=np.stack([peak / ramp, zero, -peak / ramp], axis=1).ravel(),
+        leg=np.repeat(legs, 7),
+        begin=(np.concatenate([[0.0], ends[:-1]])[:, None] + marks).ravel(),
+        s=np.concatenate([s, 1.0 - s[:, :0:-1]], axis=1).ravel(),
+        sd=np.concatenate([sd, sd[:, :0:-1]], axis=1).ravel(),
+        sdd=np.stack([zero, rate, rate, zero, zero, -rate, -rate], axis=1).ravel(),
+        sddd=np.stack([change, zero, -change, zero, -change, zero, change], axis=1).ravel(),
+        acceleration=np.array(acceleration, dtype=np.float64),
+        jerk=np.array(jerk, dtype=np.float64),
         duration=float(ends[-1]),
         end=points[-1].copy(),
     )
+
+
+def _widths(at_speed: Floats, at_acceleration: Floats, at_jerk: Floats) -> tuple[Floats, Floats, Floats]:
+    """Cruise, ramp and ease (L,) [s] of legs whose V [s] is above 0, A [s^2] above 0, and J [s^3] 0 without limit."""
+    # As if there were room to reach full speed ...
+    ease = np.minimum(at_jerk / at_acceleration, np.sqrt(at_jerk / at_speed))
+    ramp = np.maximum(at_acceleration / at_speed, ease)
+    reached = ramp + ease <= at_speed
+    # ... else the speed that is reached has ramps that meet: ramp (ramp + ease) = A, or 2 ease^3 = J.
+    meet_ease = np.minimum(at_jerk / at_acceleration, np.cbrt(at_jerk / 2))
+    meet_ramp = np.maximum(2 * at_acceleration / (meet_ease + np.sqrt(meet_ease**2 + 4 * at_acceleration)), meet_ease)
+    ease, ramp = np.where(reached, ease, meet_ease), np.where(reached, ramp, meet_ramp)
+    return np.where(reached, at_speed, ramp + ease), ramp, ease

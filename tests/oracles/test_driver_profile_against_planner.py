@@ -15,7 +15,7 @@ from planner.timing import move_time, retime
 def limits(speed: float) -> JointLimits:
     """The controller's limits as the planner's."""
     robot = kr16()
-    return JointLimits(to_rad(robot.lower), to_rad(robot.upper), robot.velocity * speed, robot.acceleration)
+    return JointLimits(to_rad(robot.lower), to_rad(robot.upper), robot.velocity * speed, robot.acceleration, robot.jerk)
 
 
 def tour(rng: np.random.Generator, count: int, spread_deg: float) -> np.ndarray:
@@ -28,7 +28,7 @@ def tour(rng: np.random.Generator, count: int, spread_deg: float) -> np.ndarray:
 
 def by_controller(via: np.ndarray, speed: float) -> Reference:
     """What the controller makes of it."""
-    return interpolate(via[0], via[1:], kr16().velocity * speed, kr16().acceleration)
+    return interpolate(via[0], via[1:], kr16().velocity * speed, kr16().acceleration, kr16().jerk)
 
 
 @pytest.mark.parametrize("spread_deg", [1e-4, 0.01, 5.0, 170.0])
@@ -43,12 +43,13 @@ def test_durations_agree(spread_deg: float, speed: float) -> None:
 
 
 def test_the_motions_agree_at_every_sample() -> None:
-    """Angles, speeds and accelerations at the planner's sample times, away from the switching times."""
+    """Angles, speeds and accelerations at the planner's sample times."""
     via = tour(np.random.default_rng(2), 40, 60.0)
     motion = retime(via, np.arange(40), np.full(40, -1), limits(0.7))
-    q, qd, _ = by_controller(via, 0.7).sample(motion.t)
+    q, qd, qdd = by_controller(via, 0.7).sample(motion.t)
     assert np.abs(q - motion.q).max() < 1e-6
     assert np.abs(qd - motion.qd).max() < 1e-5
+    assert np.abs(qdd - motion.qdd).max() < 1e-4
 
 
 def test_speeds_and_accelerations_stay_inside_the_limits_and_integrate() -> None:
@@ -61,6 +62,8 @@ def test_speeds_and_accelerations_stay_inside_the_limits_and_integrate() -> None
     assert (np.abs(qdd) <= allowed.acceleration).all()
     assert (np.abs(qd) / allowed.velocity).max() > 1 - 1e-8
     assert (np.abs(qdd) / allowed.acceleration).max() > 1 - 1e-8
+    assert (np.abs(np.diff(qdd, axis=0)) <= 1e-3 * allowed.jerk + 1e-11).all()
+    assert (np.abs(np.diff(qdd, axis=0)) / (1e-3 * allowed.jerk)).max() > 1 - 1e-8
     # The trapezoid rule misses at most a quarter of a millisecond of acceleration where a piece ends between samples.
     missed = np.abs(np.diff(q, axis=0) - 0.5e-3 * (qd[1:] + qd[:-1]))
     assert (missed <= 0.25 * 1e-6 * 2 * allowed.acceleration + 1e-12).all()

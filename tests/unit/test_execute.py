@@ -34,7 +34,7 @@ from planner.timing import Motion, retime
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 LIMITS = JointLimits(
-    to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration
+    to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration, kr16().jerk
 )  # fmt: skip
 
 
