@@ -47,7 +47,7 @@ def prepare(
         start = ",".join(f"{angle:.4f}" for angle in to_deg(from_rad(motion.via_q[0])))
         url += ("&" if "?" in url else "?") + f"start={start}"
     lim = motion.limits
-    limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / speed, lim.acceleration)
+    limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / speed, lim.acceleration, jerk=lim.jerk)
     given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
     try:
         driver = open_driver(url, Context(clock=given, limits=limits, plants=plants or {}))
