@@ -114,7 +114,7 @@ def add(s: State, column: int) -> int:
     numbers[COST] += s.costs[column]
     s.stamp[column] = move
     begin, end = s.column_start[column], s.column_start[column + 1]
-    touched = end - begin
+    touched: int = end - begin
     for at in range(begin, end):
         row = s.column_rows[at]
         count, demand = s.counts[row], s.demand[row]
@@ -155,7 +155,7 @@ def remove(s: State, column: int) -> int:
     numbers[COST] -= s.costs[column]
     s.stamp[column] = move
     begin, end = s.column_start[column], s.column_start[column + 1]
-    touched = end - begin
+    touched: int = end - begin
     for at in range(begin, end):
         row = s.column_rows[at]
         count, demand = s.counts[row], s.demand[row]

@@ -155,7 +155,7 @@ def _dominated_columns(problem: CoverProblem) -> NDArray[np.bool_]:
     """Columns whose rows enough others cover that cost no more; and columns without a row (theirs were dominated)."""
     start, members = problem.column_start, problem.column_rows
     sizes, costs = np.diff(start), problem.costs
-    dominated = sizes == 0
+    dominated: NDArray[np.bool_] = sizes == 0
     rarest = _rarest_members(start, members, np.diff(problem.row_start))
     bits = _packed(start, members, problem.n_rows, np.diff(problem.row_start)[rarest[sizes > 0]])
     if bits is None:

@@ -1,0 +1,1 @@
+"""Set-cover problems from public libraries: their files, and what `cell cover` says about them."""

@@ -1,0 +1,162 @@
+"""Readers of set-cover files: whole numbers separated by any white space, as plain text or gzip.
+
+Beasley's OR-Library (doi:10.1057/jors.1990.166) and Fulkerson, Nemhauser and Trotter's Steiner triples
+(doi:10.1007/BFb0120689) know three formats; in all of them indices start at 1:
+
+    rows      m n, the n costs of the columns, then for each of the m rows how many columns cover it and which
+    rail      m n, then for each of the n columns its cost, how many rows it covers and which
+    steiner   n m, then for each of the m rows the three columns that cover it (all cost 1)
+
+A file does not say which of them it is in. The reader takes the one in which it can be read to its last number; only
+a file that fits several needs to be told.
+"""
+
+import gzip
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from cell.errors import FileError, UsageError
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoverFile:
+    """A set-cover problem as a file states it.
+
+    Attributes:
+        format: name of the format.
+        matrix: (m, n) csr_array of bool, True where the column covers the row.
+        costs: (n,) cost of each column.
+    """
+
+    format: str
+    matrix: Any
+    costs: Ints
+
+
+class _MismatchError(Exception):
+    """The numbers do not follow the format; says where."""
+
+
+def read(path: Path, form: str | None = None) -> CoverFile:
+    """Read a set-cover file.
+
+    Args:
+        path: the file; gzip is recognised by its content.
+        form: name of its format; None: the one that fits.
+
+    Raises:
+        FileError: if the file cannot be read, holds anything but whole numbers, or fits none of the formats.
+        UsageError: if there is no such format, or if the file fits more than one.
+    """
+    if form is not None and form not in FORMATS:
+        raise UsageError(f"there is no format {form!r} of set-cover files; choose one of {', '.join(FORMATS)}")
+    numbers = _numbers(path)
+    found: list[CoverFile] = []
+    reasons: list[str] = []
+    for name in FORMATS if form is None else (form,):
+        try:
+            found.append(_parse(name, numbers))
+        except _MismatchError as mismatch:
+            reasons.append(f"as {name}: {mismatch}")
+    if not found:
+        raise FileError(f"{path} is not a set-cover file ({'; '.join(reasons)})")
+    if len(found) > 1:
+        names = " and ".join(one.format for one in found)
+        raise UsageError(f"{path} can be read as {names}; say which with --format")
+    return found[0]
+
+
+def _numbers(path: Path) -> Ints:
+    """All numbers of the file."""
+    try:
+        content = path.read_bytes()
+        if content.startswith(b"\x1f\x8b"):
+            content = gzip.decompress(content)
+    except (OSError, EOFError, zlib.error) as error:
+        raise FileError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        return np.array(content.split(), dtype=np.bytes_).astype(np.int64)
+    except (ValueError, OverflowError) as error:
+        raise FileError(f"{path} is not a set-cover file: it may hold nothing but whole numbers ({error})") from error
+
+
+def _parse(name: str, numbers: Ints) -> CoverFile:
+    """Read the numbers in one format."""
+    if len(numbers) < 2:
+        raise _MismatchError("it ends before the two sizes")
+    sizes = int(numbers[0]), int(numbers[1])
+    if min(sizes) < 0:
+        raise _MismatchError("a size is negative")
+    n_rows, n_columns = (sizes[1], sizes[0]) if name == "steiner" else sizes
+    costs = np.ones(n_columns, dtype=np.int64) if n_columns <= len(numbers) else None
+    if costs is None or n_rows > len(numbers):
+        raise _MismatchError(f"{len(numbers)} numbers are too few for {n_rows} rows and {n_columns} columns")
+    if name == "rows":
+        costs = numbers[2 : 2 + n_columns]
+        start, members = _lists(numbers, 2 + n_columns, n_rows, "row", n_columns)
+        matrix = sp.csr_array((np.ones(len(members), bool), members, start), shape=(n_rows, n_columns))
+    elif name == "rail":
+        heads = np.zeros(n_columns, dtype=np.int64)
+        start, members = _lists(numbers, 2, n_columns, "column", n_rows, heads)
+        costs = heads
+        matrix = sp.csc_array((np.ones(len(members), bool), members, start), shape=(n_rows, n_columns)).tocsr()
+    else:
+        if len(numbers) != 2 + 3 * n_rows:
+            raise _MismatchError(f"{n_rows} triples are {3 * n_rows} numbers, but {len(numbers) - 2} follow the sizes")
+        members = _indices(numbers[2:], n_columns)
+        start = np.arange(0, len(members) + 1, 3)
+        matrix = sp.csr_array((np.ones(len(members), bool), members, start), shape=(n_rows, n_columns))
+    if (costs <= 0).any():
+        at = int(np.flatnonzero(costs <= 0)[0])
+        raise _MismatchError(f"column {at + 1} costs {costs[at]}; a cost must be above zero")
+    matrix.sum_duplicates()
+    return CoverFile(name, matrix, costs)
+
+
+def _lists(numbers: Ints, at: int, count: int, what: str, highest: int, heads: Ints | None = None) -> tuple[Ints, Ints]:
+    """`count` lists, each with its length in front, and before that a head where `heads` takes them.
+
+    Returns:
+        Where each list begins, and all their members, counted from 0.
+    """
+    lengths = np.zeros(count, dtype=np.int64)
+    use = np.ones(len(numbers), dtype=bool)
+    use[:at] = False
+    for position in range(count):
+        if heads is not None and at < len(numbers):
+            heads[position], use[at] = numbers[at], False
+            at += 1
+        if at >= len(numbers):
+            raise _MismatchError(f"it ends before {what} {position + 1}")
+        length = int(numbers[at])
+        use[at] = False
+        if not 0 <= length <= len(numbers) - at - 1:
+            raise _MismatchError(
+                f"{what} {position + 1} has {length} members, but {len(numbers) - at - 1} numbers are left"
+            )
+        lengths[position] = length
+        at += 1 + length
+    if at != len(numbers):
+        raise _MismatchError(f"{len(numbers) - at} numbers follow the last {what}")
+    return np.concatenate(([0], np.cumsum(lengths))), _indices(numbers[use], highest)
+
+
+def _indices(numbers: Ints, highest: int) -> Ints:
+    """Indices from 1 to the highest, counted from 0."""
+    wrong = np.flatnonzero((numbers < 1) | (numbers > highest))
+    if len(wrong):
+        raise _MismatchError(f"an index is {numbers[wrong[0]]}; indices must be from 1 to {highest}")
+    indices: Ints = numbers - 1
+    return indices
+
+
+FORMATS = ("rows", "rail", "steiner")
+"""The formats, as `--format` names them."""
