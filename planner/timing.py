@@ -241,6 +241,15 @@ def retime(
     )
 
 
+def jerk_free_duration(motion: Motion) -> float:
+    """Time of the same moves without a limit of jerk [s]: what any motion along the path needs at least.
+
+    The path has corners at its via points, so driving it exactly means to stop at each; between two stops a trapezoid
+    of speed is time-optimal.
+    """
+    return float(move_time(motion.via_q[:-1], motion.via_q[1:], jerk_free(motion.limits)).sum())
+
+
 def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
     """Refuse joint angles outside the range; there is no wrap-around of A4 and A6.
 

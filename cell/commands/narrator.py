@@ -7,17 +7,29 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 if TYPE_CHECKING:
     from cell.plan.pipeline import PlanOutcome
     from cell.scan.scan import ScanOutcome
+    from cell.study.study import StudyResult
     from cell.why.explain import WhyOutcome
     from cell.world.check import CheckResult
 
 log = logging.getLogger(__name__)
 log.addHandler(logging.NullHandler())  # without a run.log, Python would print each warning a second time
+
+_ROWS_SHOWN = 100
 
 ProgressCallback = Callable[[int, int], None]
 
@@ -35,19 +47,25 @@ class Narrator:
         self._results = self._errors if quiet_stdout else Console(highlight=False)
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[ProgressCallback]:
+    def stage(self, name: str, *, time_left: bool = False) -> Iterator[ProgressCallback]:
         """Show a stage while it runs.
+
+        Args:
+            name: of the stage.
+            time_left: whether the time left is told beside the time that has passed.
 
         Yields:
             a callback `(done, total)` for stages that can tell how far they are.
         """
         log.info("stage: %s", name)
+        left: tuple[ProgressColumn, ...] = (TextColumn("left"), TimeRemainingColumn()) if time_left else ()
         with Progress(
             SpinnerColumn(),
             TextColumn("{task.description:<28}"),
             BarColumn(bar_width=30),
             TaskProgressColumn(),
             TimeElapsedColumn(),
+            *left,
             console=self._errors,
             transient=True,
             disable=not self._errors.is_terminal,
@@ -78,14 +96,35 @@ class Narrator:
         table.add_row("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in verdicts.items()))
         if summary["dropped"]:
             table.add_row("dropped", "; ".join(f"view {view['id']}: {view['reason']}" for view in summary["dropped"]))
-        clearance = motion["minimum_clearance_mm"]
+        clearance, bound = motion["minimum_clearance_mm"], motion["jerk_free_bound_s"]
         table.add_row(
             "motion",
             f"{motion['duration_s']:.1f} s from home to home through {motion['via_points']} points"
+            + (f", {motion['duration_s'] / bound:.3f} x the time-optimal bound without jerk limit" if bound else "")
             + ("" if clearance is None else f"; nearest {clearance:.1f} mm ({motion['between']})"),
         )
         table.add_row("run folder", str(outcome.folder))
         self._results.print(table)
+
+    def study_table(self, result: "StudyResult") -> None:
+        """What a study says; the rows are in its folder."""
+        from cell.study.study import shown
+
+        if result.rows:
+            columns = list(dict.fromkeys(key for row in result.rows for key in row))
+            table = Table(title_justify="left")
+            for column in columns:
+                table.add_column(column)
+            for row in result.rows[:_ROWS_SHOWN]:
+                table.add_row(*(shown(row.get(column)) for column in columns))
+            self._results.print(table)
+            if len(result.rows) > _ROWS_SHOWN:
+                self._results.print(f"... and {len(result.rows) - _ROWS_SHOWN} rows more in rows.csv")
+        for sentence in result.sentences:
+            self._results.print(sentence, markup=False)
+        kept = len(result.rows) and f"{result.computed} trials computed now"
+        failed = f", {len(result.failed)} failed (see report.md)" if result.failed else ""
+        self._results.print(f"{kept or 'nothing succeeded'}{failed}; study folder {result.folder}", markup=False)
 
     def scan_table(self, outcome: "ScanOutcome") -> None:
         """The summary of an execution."""

@@ -103,6 +103,9 @@ def write_cell(
             "joint_limits_deg": np.degrees(np.stack([limits.lower, limits.upper], axis=1)).round(9).tolist(),
             "joint_velocity_limits_deg_s": np.degrees(limits.velocity).round(9).tolist(),
             "joint_acceleration_limits_deg_s2": np.degrees(limits.acceleration).round(9).tolist(),
+            "joint_jerk_limits_deg_s3": [
+                round(float(jerk), 9) if np.isfinite(jerk) else None for jerk in np.degrees(limits.jerk)
+            ],
             "speed_scaling": scene.robot.speed_scaling,
             "acceleration_scaling": scene.robot.acceleration_scaling,
             "clearance_mm": scene.clearance_mm,
@@ -160,6 +163,7 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour) -> None:
         limit_upper=motion.limits.upper,
         limit_velocity=motion.limits.velocity,
         limit_acceleration=motion.limits.acceleration,
+        limit_jerk=motion.limits.jerk,
         minimum_clearance=tour.clearance,
         between=np.array(tour.between, dtype=np.str_),
     )

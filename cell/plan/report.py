@@ -35,6 +35,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         f"gap {_percent(summary['gap'])} |",
         f"| motion | {motion['duration_s']:.2f} s home to home, {motion['via_points']} points, speed "
         f"{_percent(motion['speed_fraction'])} |",
+        f"| the same stops without a limit of jerk (time-optimal bound) | {motion['jerk_free_bound_s']:.2f} s |",
         *_arm_and_sigma(summary),
         f"| seed | {settings['seed']} |",
         "",

@@ -18,7 +18,7 @@ from planner.measurability import Measurability
 from planner.ports import Floats
 from planner.reach import Reach
 from planner.surface import TriangleMesh, face_areas
-from planner.timing import Motion
+from planner.timing import Motion, jerk_free_duration
 from planner.viewpoints import Viewpoints
 
 
@@ -109,6 +109,7 @@ def plan_summary(
         ],
         "motion": {
             "duration_s": motion.duration,
+            "jerk_free_bound_s": jerk_free_duration(motion),
             "baseline_duration_s": tour.baseline_duration,
             "lower_bound_s": tour.lower_bound,
             "via_points": len(motion.via_q),

@@ -102,14 +102,14 @@ def load() -> mujoco.MjModel:
 
 
 def limits(model: mujoco.MjModel) -> JointLimits:
-    """Ranges, speeds and accelerations of A1..A6.
+    """Ranges, speeds, accelerations and jerks of A1..A6.
 
     Args:
-        model: compiled model whose joints are named A1..A6 and whose <custom> holds `axis_velocity_limit_deg_s` and
-            `axis_acceleration_limit_deg_s2`.
+        model: compiled model whose joints are named A1..A6 and whose <custom> holds `axis_velocity_limit_deg_s`,
+            `axis_acceleration_limit_deg_s2` and `axis_jerk_limit_deg_s3`.
 
     Raises:
-        SceneError: if a joint, its range or one of the two numerics is missing.
+        SceneError: if a joint, its range or one of the three numerics is missing.
     """
     joints = _joints(model)
     if not model.jnt_limited[joints].all():
@@ -120,6 +120,7 @@ def limits(model: mujoco.MjModel) -> JointLimits:
         upper=upper,
         velocity=np.deg2rad(_numeric(model, "axis_velocity_limit_deg_s")),
         acceleration=np.deg2rad(_numeric(model, "axis_acceleration_limit_deg_s2")),
+        jerk=np.deg2rad(_numeric(model, "axis_jerk_limit_deg_s3")),
     )
 
 

@@ -5,7 +5,7 @@ where it is missing, changed or damaged. Lengths in metres, angles in radians.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +113,8 @@ def motion_of(stored: Mapping[str, NDArray[Any]], path: Path) -> Motion:
     """
     with understood(path):
         limits = JointLimits(*(stored[f"limit_{name}"] for name in ("lower", "upper", "velocity", "acceleration")))
+        if "limit_jerk" in stored:  # motions of earlier versions were timed without a limit of jerk
+            limits = replace(limits, jerk=stored["limit_jerk"])
         fields = ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
         return Motion(**{name: stored[name] for name in fields}, duration=float(stored["via_t"][-1]), limits=limits)
 

@@ -231,6 +231,9 @@ def _finished(run_folder: Path) -> RunRecord:
     return run
 
 
+_LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")
+
+
 def _write_motion(folder: ExecutionFolder, motion: Motion) -> None:
     """`motion.npz`: what is driven where that is not the plan's motion, so that it can be replayed."""
     folder.write_arrays(
@@ -239,7 +242,7 @@ def _write_motion(folder: ExecutionFolder, motion: Motion) -> None:
             name: getattr(motion, name)
             for name in ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
         },
-        **{f"limit_{name}": getattr(motion.limits, name) for name in ("lower", "upper", "velocity", "acceleration")},
+        **{f"limit_{name}": getattr(motion.limits, name) for name in _LIMITS},
     )
 
 

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+AxisLimits = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
+MaybeEndless = Annotated[float, Field(gt=0, allow_inf_nan=True)]
+JerkLimits = tuple[MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless]
 Share = Annotated[float, Field(gt=0, le=1)]
 Fov = Annotated[float, Field(gt=0, lt=180)]
 Grazing = Annotated[float, Field(ge=0, le=90)]
@@ -75,6 +78,9 @@ class Robot(_Table):
     pedestal_size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)] = (600.0, 600.0)
     speed_scaling: Share = 1.0
     acceleration_scaling: Share = 1.0
+    velocity_deg_s: Annotated[AxisLimits, Field(strict=False)] | None = None
+    acceleration_deg_s2: Annotated[AxisLimits, Field(strict=False)] | None = None
+    jerk_deg_s3: Annotated[JerkLimits, Field(strict=False)] | None = None
 
 
 class Scanner(_Table):

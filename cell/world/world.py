@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.errors import SceneError
+from cell.robot import joint_limits
 from cell.robot import model as robot
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
@@ -179,7 +180,9 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
         T_flange_housing=T_flange_housing,
         baseline=baseline / 1000.0,
         home=np.deg2rad(scene.robot.home_deg),
-        limits=robot.limits(model),
+        limits=joint_limits.given(
+            robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
+        ),
         clearance=scene.clearance_mm / 1000.0,
         part_hull=hull,
         fixture_meshes=fixture_meshes,

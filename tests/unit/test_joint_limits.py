@@ -1,0 +1,60 @@
+"""Joint limits of a scene over those of the robot model."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.errors import SceneError
+from cell.robot import joint_limits
+from cell.robot import model as robot
+from cell.scene.scene import load_scene
+from drivers.limits import kr16
+
+MODEL = robot.limits(robot.load())
+
+
+def test_the_models_limits_are_the_controllers() -> None:
+    """The simulated controller of drivers, which may not read the model, has the same numbers."""
+    np.testing.assert_allclose(MODEL.velocity, kr16().velocity, rtol=1e-12)
+    np.testing.assert_allclose(MODEL.acceleration, kr16().acceleration, rtol=1e-12)
+    np.testing.assert_allclose(MODEL.jerk, kr16().jerk, rtol=1e-12)
+
+
+def test_what_is_not_given_follows_in_the_models_times() -> None:
+    """Half the speed: half the acceleration and jerk; half the acceleration: half the jerk; an endless jerk is one."""
+    slow = joint_limits.given(MODEL, np.degrees(MODEL.velocity) / 2)
+    np.testing.assert_allclose(slow.acceleration, MODEL.acceleration / 2)
+    np.testing.assert_allclose(slow.jerk, MODEL.jerk / 2)
+    soft = joint_limits.given(MODEL, acceleration_deg_s2=np.degrees(MODEL.acceleration) / 2)
+    np.testing.assert_array_equal(soft.velocity, MODEL.velocity)
+    np.testing.assert_allclose(soft.jerk, MODEL.jerk / 2)
+    assert np.isinf(joint_limits.given(MODEL, jerk_deg_s3=[np.inf] * 6).jerk).all()
+
+
+def test_a_scene_gives_limits(tmp_path: Path) -> None:
+    """Six numbers each; a jerk may be inf."""
+    path = tmp_path / "scene.toml"
+    path.write_text("[robot]\nvelocity_deg_s = [100, 100, 100, 200, 200, 300]\njerk_deg_s3 = [inf, 1, 1, 1, 1, 1]\n")
+    scene = load_scene(path)
+    assert scene.robot.velocity_deg_s == (100, 100, 100, 200, 200, 300)
+    assert scene.robot.jerk_deg_s3 is not None
+    assert scene.robot.jerk_deg_s3[0] == np.inf
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("velocity_deg_s = [0, 100, 100, 200, 200, 300]", r"robot.velocity_deg_s\[0\] is 0"),
+        ("acceleration_deg_s2 = [inf, 1, 1, 1, 1, 1]", r"robot.acceleration_deg_s2\[0\] is inf"),
+        ("jerk_deg_s3 = [nan, 1, 1, 1, 1, 1]", r"robot.jerk_deg_s3\[0\] is nan"),
+        ("jerk_deg_s3 = [-1, 1, 1, 1, 1, 1]", r"robot.jerk_deg_s3\[0\] is -1"),
+        ("velocity_deg_s = [100, 100]", "robot.velocity_deg_s"),
+    ],
+)
+def test_limits_that_cannot_be_are_refused_by_key(line: str, words: str, tmp_path: Path) -> None:
+    """Zero, negative, NaN, too few; an endless acceleration."""
+    path = tmp_path / "scene.toml"
+    path.write_text(f"[robot]\n{line}\n")
+    with pytest.raises(SceneError, match=words):
+        load_scene(path)
