@@ -1,0 +1,240 @@
+"""One part under one scanner, ready for trials: candidates, matrices, plans, and how good they are on unseen samples.
+
+What `cell plan` does for one job with a report, without motion and files; every study of views stands on it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cell import scanners
+from cell.part import workpiece
+from cell.part.workpiece import Workpiece
+from cell.plan.candidates import first
+from cell.rays import virtual_scan
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import part_matrix, surface_features
+from cell.rays.prediction import held_out
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.resolve import Settings, resolve
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+from planner import cover, coverage, reach, surface
+from planner.cover import Cover
+from planner.cover.most_coverage import most_coverage
+from planner.measurability import Measurability
+from planner.ports import Floats, Scanner
+from planner.reach import Reach
+from planner.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints import Viewpoints
+
+Mask = NDArray[np.bool_]
+
+_RAISES = 6  # of a target; one or two close the gap that the held-out samples show
+_STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
+_FEATURES = 0  # the stream of randomness that `cell plan` draws its samples from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A selection of views and how good it is.
+
+    Attributes:
+        cover: the selection and what is proven of it.
+        T_object_scanner: (n, 1, 4, 4) its poses [m].
+        visible: share of the surface that it measures, on samples that the optimiser did not see.
+    """
+
+    cover: Cover
+    T_object_scanner: Floats
+    visible: float
+
+    def values(self) -> dict[str, Any]:
+        """For the result of a trial."""
+        return {
+            "views": len(self.cover.views),
+            "lower_bound": self.cover.lower_bound,
+            "status": self.cover.status.name.lower(),
+            "visible": self.visible,
+        }
+
+
+class Bench:
+    """A scene with its part loaded; meshes, samples, matrices and the compiled cell are made when first asked for.
+
+    Args:
+        scene: a checked scene.
+        samples: held-out samples to judge with; the definition of coverage has 100,000.
+    """
+
+    def __init__(self, scene: Scene, *, samples: int = coverage.SAMPLES) -> None:
+        self.scene = scene
+        self.part: Workpiece = workpiece.load(scene.part.source, scene.part.units)
+        settings = resolve(scene, self.part)
+        self.scanner: Scanner = scanners.make(scene.scanner.type, settings.scanner)
+        self.settings: Settings = replace(settings, scanner=scanners.settled(settings.scanner, self.scanner))
+        self._n_samples = samples
+        self._matrices: dict[tuple[str, int], tuple[Viewpoints, SurfaceSamples, Measurability]] = {}
+
+    @cached_property
+    def planning(self) -> TriangleMesh:
+        """The decimated copy."""
+        return surface.decimate(self.part.reference, self.settings.faces)
+
+    @cached_property
+    def caster(self) -> EmbreeRayCaster:
+        """Casts on the part."""
+        return EmbreeRayCaster(self.part.reference.vertices, self.part.reference.faces)
+
+    @cached_property
+    def samples(self) -> SurfaceSamples:
+        """Held-out samples: no optimiser sees them."""
+        return held_out(self.part.reference, self.planning, self.scene.plan.seed, self._n_samples)
+
+    @cached_property
+    def zone(self) -> Viewpoints:
+        """Candidates by the scene's generator and rolls."""
+        return first(self.scene, self.settings, self.part, self.planning)
+
+    @cached_property
+    def sphere(self) -> Viewpoints:
+        """Candidates of the view sphere, 15 degrees apart."""
+        plan = self.scene.plan.model_copy(update={"candidates": "view-sphere"})
+        return first(self.scene.model_copy(update={"plan": plan}), self.settings, self.part, self.planning)
+
+    @cached_property
+    def world(self) -> World:
+        """The compiled cell; another placement needs no other."""
+        baseline = scanners.baseline_mm(self.settings.scanner, self.scanner)
+        return compile_world(self.scene, self.part.reference.vertices, baseline_mm=baseline)
+
+    @cached_property
+    def kinematics(self) -> Kr16Kinematics:
+        """Of the arm."""
+        return Kr16Kinematics.from_model(self.world.model)
+
+    def reach(self, candidates: Viewpoints, T_base_centre: Floats) -> Reach:
+        """Which candidates the robot reaches with the part's centre at a place.
+
+        Args:
+            candidates: viewpoints.
+            T_base_centre: (4, 4) where the part's centre stands and how it is turned [m].
+        """
+        T_base_object = self.world.placed(T_base_centre)
+        checker = MujocoCollisionChecker(self.world, T_base_object)
+        return reach.solve(candidates, T_base_object, self.world.T_flange_scanner, self.kinematics, checker)
+
+    def matrix(self, fill: str, candidates: Viewpoints) -> Measurability:
+        """The part-only matrix by `aimed` or `rays`, from the cache where it is there."""
+        known = self._matrices.get((fill, id(candidates)))
+        if known is None:
+            scene = self.scene.model_copy(update={"plan": self.scene.plan.model_copy(update={"fill": fill})})
+            rng = np.random.default_rng([self.scene.plan.seed, _FEATURES])
+            features = surface_features(scene, self.part.reference, self.planning, rng)
+            M = part_matrix(scene, self.settings, self.part.reference, self.planning, features, candidates, self.caster)
+            known = candidates, features, M  # the candidates are kept, so that their id stays theirs
+            self._matrices[fill, id(candidates)] = known
+        return known[2]
+
+    def select(
+        self, fill: str, candidates: Viewpoints, allowed: Mask | None, *, solver: str, share: float = 1.0
+    ) -> Judged:
+        """The fewest views for a share of what can be covered.
+
+        Args:
+            fill: `aimed` or `rays`.
+            candidates: viewpoints.
+            allowed: (V,) which may be used; None: all.
+            solver: a name of `planner.cover.SOLVERS`.
+            share: of the coverable area of the matrix's rows.
+        """
+        M = self.matrix(fill, candidates)
+        rng = np.random.default_rng(self.scene.plan.seed)
+        found = cover.solve(M.matrix(), M.features.areas, allowed, rng=rng, coverage=share, solver=solver)
+        return self.judged(found, candidates)
+
+    def judged(self, found: Cover, candidates: Viewpoints) -> Judged:
+        """A selection with its visible coverage on the held-out samples."""
+        poses = candidates.T_object_scanner[found.views]
+        return Judged(found, poses, self.visible(poses))
+
+    def visible(self, T_object_scanner: Floats) -> float:
+        """Visible coverage of views (n, K, 4, 4) [m] on the held-out samples: share of the surface."""
+        return coverage.visible(T_object_scanner, self.samples, self.scanner, (self.caster,)).fraction
+
+    def sampled(self, T_object_scanner: Floats) -> float:
+        """Sampled coverage of views (n, 1, 4, 4) [m], scanned at the scene's scan resolution: share of the surface.
+
+        One view after the other, and only for samples that none before came near: a plan of 100 views has millions of
+        points, and most of them tell nothing new.
+        """
+        reference = self.part.reference
+        radius = coverage.sampling_radius(reference)
+        open_samples = np.arange(len(self.samples))
+        for T in T_object_scanner[:, 0]:
+            points = virtual_scan.scan(self.scanner, T, self.caster, reference).points
+            if len(points) and len(open_samples):
+                tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+                bound = np.nextafter(radius, np.inf)  # the tree's own bound excludes the radius itself
+                near, _ = tree.query(self.samples.points[open_samples], distance_upper_bound=bound)
+                open_samples = open_samples[near > radius]
+        areas = self.samples.areas
+        return 1.0 - float(areas[open_samples].sum() / areas.sum())
+
+
+def fewest_for(
+    bench: Bench, candidates: Viewpoints, allowed: Mask | None, visible: float, *, solver: str = "auto"
+) -> Judged:
+    """The fewest views (`aimed`) that measure at least a share of the surface, on the held-out samples.
+
+    The target on the matrix's samples is raised by what the held-out ones show to be missing.
+
+    Args:
+        bench: the part and the scanner.
+        candidates: viewpoints.
+        allowed: (V,) which may be used; None: all.
+        visible: share of the surface.
+        solver: a name of `planner.cover.SOLVERS`.
+
+    Returns:
+        The selection; it measures less than was asked for only if all candidates do.
+    """
+    M = bench.matrix("aimed", candidates)
+    by_row = M.matrix().tocsr() if allowed is None else M.matrix().tocsr()[:, allowed]
+    coverable = float(M.features.areas[np.diff(by_row.indptr) > 0].sum() / M.features.areas.sum())
+    share = min(1.0, visible / coverable) if coverable > 0 else 1.0
+    for _ in range(_RAISES):
+        found = bench.select("aimed", candidates, allowed, solver=solver, share=share)
+        if found.visible >= visible or share >= 1:
+            return found
+        share = min(1.0, share + (visible - found.visible) / coverable + _STEP)
+    return bench.select("aimed", candidates, allowed, solver=solver)
+
+
+def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views: int) -> Judged:
+    """The most coverage (`aimed`) with at most so many views.
+
+    Args:
+        bench: the part and the scanner.
+        candidates: viewpoints.
+        allowed: (V,) which may be used; None: all.
+        views: how many at most.
+    """
+    M = bench.matrix("aimed", candidates)
+    rng = np.random.default_rng(bench.scene.plan.seed)
+    found = most_coverage(M.matrix(), M.features.areas, allowed, rng=rng, max_views=views)
+    return bench.judged(found.cover, candidates)
+
+
+def placed_at(position_mm: Sequence[float]) -> Floats:
+    """(4, 4) a place of the part's centre [m] from millimetres, not turned."""
+    T = np.eye(4)
+    T[:3, 3] = np.asarray(position_mm) / 1000
+    return T

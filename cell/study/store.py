@@ -1,0 +1,69 @@
+"""Results of trials on disk, one file each under its key: a study that was stopped goes on where it was.
+
+A failure is kept for the report, never for the next run: the trial is computed again.
+"""
+
+import contextlib
+import json
+import os
+from pathlib import Path
+
+from cell.errors import FileError
+from cell.study.trial import Outcome, Trial
+
+SCHEMA = "scan-cell/trial/1"
+
+
+def cache_folder() -> Path:
+    """Where results are kept: `$XDG_CACHE_HOME/scan-cell/studies`, else below ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "scan-cell" / "studies"
+
+
+def load(trial: Trial, folder: Path) -> Outcome | None:
+    """The result that was kept, or None: not there, damaged, of another version, or a failure."""
+    try:
+        kept = json.loads(_path(trial, folder).read_text(encoding="utf-8"))
+        if kept["schema"] == SCHEMA and kept["settings"] == trial.settings and not kept["failure"]:
+            return Outcome(trial, dict(kept["values"]), "", dict(kept["seconds"]), cached=True)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return None
+
+
+def save(outcome: Outcome, folder: Path) -> None:
+    """Keep a result; the file appears complete or not at all.
+
+    Raises:
+        FileError: if it cannot be written.
+    """
+    path = _path(outcome.trial, folder)
+    text = json.dumps(
+        {
+            "schema": SCHEMA,
+            "name": outcome.trial.name,
+            "settings": outcome.trial.settings,
+            "values": dict(outcome.values),
+            "failure": outcome.failure,
+            "seconds": dict(outcome.seconds),
+        },
+        allow_nan=False,
+    )
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise FileError(
+            f"the result of a trial cannot be kept in {folder}: {error.strerror or error}; make room, or set "
+            "XDG_CACHE_HOME to a folder that you may write to"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _path(trial: Trial, folder: Path) -> Path:
+    key = trial.key
+    return folder / key[:2] / f"{key}.json"

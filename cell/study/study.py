@@ -1,0 +1,182 @@
+"""A study: its trials, the tidy rows made of their outcomes, the pictures and sentences made of the rows; one folder.
+
+The folder holds rows.csv (equal on every machine), seconds.csv (what the trials took, where they were computed),
+study.json, report.md and each picture as PNG and SVG. It is made anew from the kept trials by every run of the study,
+so nothing in it needs to be kept by hand.
+"""
+
+import csv
+import io
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from cell.commands.narrator import Narrator
+from cell.errors import FileError
+from cell.study.run import run
+from cell.study.trial import Outcome, Trial
+
+SCHEMA = "scan-cell/study/1"
+
+Row = dict[str, Any]
+"""One tidy row: column (with its unit) and value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What is asked, and how the answer is shown.
+
+    Attributes:
+        name: of the study and of its folder.
+        title: for people.
+        trials: what is computed.
+        rows: one row per trial that succeeded, or more.
+        pictures: file stem and figure of each picture.
+        sentences: what the rows say, for a reader in a hurry; Markdown paragraphs.
+    """
+
+    name: str
+    title: str
+    trials: Sequence[Trial]
+    rows: Callable[[Sequence[Outcome]], list[Row]]
+    pictures: Callable[[Sequence[Row]], Iterable[tuple[str, Figure]]] = field(default=lambda rows: ())
+    sentences: Callable[[Sequence[Row]], Sequence[str]] = field(default=lambda rows: ())
+
+
+@dataclass(frozen=True, slots=True)
+class StudyResult:
+    """What a study left.
+
+    Attributes:
+        folder: where its files are.
+        rows: the tidy rows.
+        sentences: what they say.
+        failed: trials that failed, each with its reason.
+        computed: how many trials were computed now; the others were kept from before.
+    """
+
+    folder: Path
+    rows: Sequence[Row]
+    sentences: Sequence[str]
+    failed: Sequence[Outcome]
+    computed: int
+
+    def summary(self) -> dict[str, Any]:
+        """The object that `--json` prints."""
+        return {
+            "schema": SCHEMA,
+            "folder": str(self.folder),
+            "rows": list(self.rows),
+            "sentences": list(self.sentences),
+            "failed": [{**json.loads(each.trial.settings), "reason": each.failure} for each in self.failed],
+            "computed": self.computed,
+        }
+
+
+def conduct(study: Study, *, processes: int, cluster: str | None, out: Path | None, narrator: Narrator) -> StudyResult:
+    """Run a study and write its folder.
+
+    Args:
+        study: what is asked.
+        processes: local worker processes.
+        cluster: address of a Dask scheduler, in place of local processes; None: local.
+        out: the folder; None: sim_runs/study-<name>.
+        narrator: is told of progress and of trials that fail.
+
+    Raises:
+        UsageError: if the cluster cannot be reached.
+        FileError: if the folder holds something else or cannot be written.
+    """
+    folder = Path("sim_runs") / f"study-{study.name}" if out is None else out
+    _refuse_foreign(folder)
+    with narrator.stage(study.title, time_left=True) as progress:
+
+        def told(done: int, total: int, outcome: Outcome) -> None:
+            progress(done, total)
+            if outcome.failure:
+                narrator.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study goes on")
+
+        outcomes = run(study.trials, processes=processes, cluster=cluster, told=told)
+    rows = study.rows([outcome for outcome in outcomes if not outcome.failure])
+    result = StudyResult(
+        folder,
+        rows,
+        list(study.sentences(rows)) if rows else [],
+        [outcome for outcome in outcomes if outcome.failure],
+        sum(not outcome.cached for outcome in outcomes),
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(folder / "rows.csv", _csv(rows))
+        _write(folder / "seconds.csv", _csv([{"trial": o.trial.settings, **o.seconds} for o in outcomes]))
+        content = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
+        _write(folder / "study.json", json.dumps({**content, "name": study.name}, indent=2, allow_nan=False) + "\n")
+        drawn = [_draw(folder, stem, figure) for stem, figure in study.pictures(rows)] if rows else []
+        _write(folder / "report.md", _report(study, result, drawn))
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
+    return result
+
+
+def _refuse_foreign(folder: Path) -> None:
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / "study.json").is_file())):
+        raise FileError(f"{folder} exists and is no study's folder; choose another --out")
+
+
+def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    text = io.StringIO()
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _write(path: Path, content: str) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary.write_text(content, encoding="utf-8")
+    temporary.replace(path)
+
+
+def _draw(folder: Path, stem: str, figure: Figure) -> str:
+    """PNG and SVG; equal rows give equal bytes."""
+    FigureCanvasAgg(figure)
+    figure.savefig(folder / f"{stem}.png", metadata={"Software": None})
+    with mpl.rc_context({"svg.hashsalt": stem}):
+        FigureCanvasSVG(figure)
+        figure.savefig(folder / f"{stem}.svg", metadata={"Date": None, "Creator": None})
+    return f"{stem}.png"
+
+
+def _report(study: Study, result: StudyResult, pictures: Sequence[str]) -> str:
+    lines = [f"# {study.title}", ""]
+    for sentence in result.sentences:
+        lines += [sentence, ""]
+    lines += [line for name in pictures for line in (f"![{Path(name).stem}]({name})", "")]
+    lines += [*markdown_table(result.rows), ""]
+    if result.failed:
+        lines += ["## Trials that failed", ""]
+        lines += [f"- `{outcome.trial.settings}`: {outcome.failure}" for outcome in result.failed]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def markdown_table(rows: Sequence[Row]) -> list[str]:
+    """The rows as lines of a Markdown table; numbers with at most four digits."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    body = ["| " + " | ".join(shown(row.get(column)) for column in columns) + " |" for row in rows]
+    return ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns), *body] if rows else []
+
+
+def shown(value: Any) -> str:
+    """A value as people read it."""
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
