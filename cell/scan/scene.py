@@ -110,7 +110,7 @@ def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
         occluder_caster=EmbreeRayCaster(*_one_mesh(_occluders(run, resolved, T_base_object))),
         scanner=scanner,
         scanner_parameters=parameters,
-        kinematics=_kinematics(run),
+        kinematics=kinematics_of(run),
         T_base_object=T_base_object,
         T_flange_scanner=run_reader.transform(run, resolved, "T_flange_scanner"),
         speed=speed,
@@ -118,8 +118,12 @@ def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
     )
 
 
-def _kinematics(run: RunRecord) -> Kr16Kinematics:
-    """Kinematics of the model that was checked, `cell.xml`."""
+def kinematics_of(run: RunRecord) -> Kr16Kinematics:
+    """Kinematics of the model that was checked, `cell.xml`.
+
+    Raises:
+        FileError: if it is missing, changed or damaged.
+    """
     import mujoco
 
     from cell.robot.kinematics import Kr16Kinematics

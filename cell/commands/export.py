@@ -1,0 +1,90 @@
+"""`cell export` as the command line gives it: options in, the names of the files or one JSON object out."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.errors import UsageError
+
+_KRL = "KRL"
+_OUTPUT = "Output"
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell export sim_runs/trial\n\n"
+    "cell export sim_runs/trial --name PART_07 --speed 20 --trigger-output 5 --done-input 6 --out program\n\n"
+    "cell export sim_runs/trial --format csv\n\n"
+    "Read docs/export.md before a program runs on a robot.\n\n"
+    "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
+)
+
+
+def export(
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    kind: Annotated[str, typer.Option("--format", metavar="krl|csv|json", help="What to write.")] = "krl",
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the files. Default: export/ in the run folder.")
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of program and files, at most 24 characters. Default: the run folder's, if KRL takes it."
+        ),
+    ] = None,
+    speed: Annotated[
+        int | None,
+        typer.Option(
+            metavar="PERCENT", help="Of the axis speeds, 1 to 100. Default: the plan's.", rich_help_panel=_KRL
+        ),
+    ] = None,
+    acceleration: Annotated[
+        int | None,
+        typer.Option(metavar="PERCENT", help="Of the axis accelerations. Default: the plan's.", rich_help_panel=_KRL),
+    ] = None,
+    trigger_output: Annotated[
+        int, typer.Option(metavar="N", help="$OUT that starts a scan.", rich_help_panel=_KRL)
+    ] = 1,
+    done_input: Annotated[
+        int, typer.Option(metavar="M", help="$IN by which the scanner says that it is done.", rich_help_panel=_KRL)
+    ] = 1,
+    timer: Annotated[
+        int, typer.Option(metavar="K", help="$TIMER that measures the time-out.", rich_help_panel=_KRL)
+    ] = 1,
+    settle: Annotated[
+        float, typer.Option(metavar="S", help="Standstill before each scan.", rich_help_panel=_KRL)
+    ] = 0.2,
+    timeout: Annotated[
+        float, typer.Option(metavar="S", help="Longest wait for the scanner.", rich_help_panel=_KRL)
+    ] = 10.0,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
+    ] = False,
+) -> None:
+    """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
+    from cell.commands.narrator import Narrator
+    from cell.export.export import Format, Wanted
+    from cell.export.export import export as run_export
+
+    if kind not in list(Format):
+        raise UsageError(f"--format {kind} is not known; it must be one of {', '.join(Format)}")
+    signals = {
+        "trigger_output": trigger_output,
+        "done_input": done_input,
+        "timer": timer,
+        "settle": settle,
+        "timeout": timeout,
+    }
+    outcome = run_export(run, Wanted(Format(kind), out, name, speed, acceleration, signals))
+    if Format(kind) is Format.KRL:
+        Narrator(quiet_stdout=as_json).note(
+            "before this program runs on a robot, check tool, base, signals and cell as docs/export.md says, and run "
+            "it in T1 first"
+        )
+    if as_json:
+        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write("".join(f"{path}\n" for path in outcome.files))

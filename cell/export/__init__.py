@@ -1,0 +1,1 @@
+"""Programs for controllers from a run folder: what is driven, as values, and its writers."""

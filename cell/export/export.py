@@ -1,0 +1,124 @@
+"""`cell export`: the motion of a finished run as a program for a controller, or as a table for another program."""
+
+import os
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from cell.errors import FileError
+from cell.export import krl, program, tables
+from cell.export.krl import KrlOptions
+from cell.export.program import Program
+
+FOLDER = "export"
+"""Below the run folder; not part of the plan, each call replaces its files."""
+
+
+class Format(StrEnum):
+    """What is written."""
+
+    KRL = "krl"
+    CSV = "csv"
+    JSON = "json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportOutcome:
+    """What `cell export` leaves.
+
+    Attributes:
+        files: that were written.
+        summary: for `--json`.
+    """
+
+    files: tuple[Path, ...]
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What was asked for.
+
+    Attributes:
+        kind: of the files.
+        out: folder for them; None takes `export/` of the run folder.
+        name: of the program; None makes one.
+        speed_percent: of the axis speeds; None takes that of the plan.
+        acceleration_percent: the same of the accelerations.
+        signals: the rest of what the controller's side needs, fields of `KrlOptions`.
+    """
+
+    kind: Format
+    out: Path | None
+    name: str | None
+    speed_percent: int | None
+    acceleration_percent: int | None
+    signals: dict[str, Any]
+
+
+def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
+    """Write the program of a finished run.
+
+    Args:
+        run_folder: of a finished plan.
+        wanted: what was asked for.
+
+    Raises:
+        UsageError: if the name is none in KRL, or a number is not possible.
+        FileError: if the run has no finished motion, a file of it is damaged, or the files cannot be written.
+    """
+    loaded = program.load(run_folder, wanted.name)
+    options = KrlOptions(
+        _percent(wanted.speed_percent, loaded.speed),
+        _percent(wanted.acceleration_percent, loaded.acceleration),
+        **wanted.signals,
+    )
+    contents = _contents(loaded, options, wanted.kind)
+    folder = wanted.out if wanted.out is not None else run_folder / FOLDER
+    files = _write(folder, contents, replace=wanted.out is None)
+    summary = {
+        "format": wanted.kind.value,
+        "name": loaded.name,
+        "files": [str(path) for path in files],
+        "via_points": len(loaded.q),
+        "views": loaded.views,
+        "speed_percent": options.speed_percent,
+        "acceleration_percent": options.acceleration_percent,
+    }
+    return ExportOutcome(files, summary)
+
+
+def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, bytes]:
+    """Content by file name."""
+    if kind is Format.KRL:
+        return {f"{loaded.name}.src": krl.source(loaded, options), f"{loaded.name}.dat": krl.data(loaded, options)}
+    if kind is Format.CSV:
+        return {f"{loaded.name}.csv": tables.csv(loaded)}
+    return {f"{loaded.name}.json": tables.as_json(loaded)}
+
+
+def _percent(given: int | None, fraction: float) -> int:
+    """What was given, else the plan's fraction in whole percent, rounded down: never faster than planned."""
+    return given if given is not None else max(1, int(fraction * 100 + 1e-9))
+
+
+def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[Path, ...]:
+    """Write the files, each whole or not at all; in a folder of the user's nothing that differs is replaced."""
+    paths = tuple(folder / name for name in contents)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, content in zip(paths, contents.values(), strict=True):
+            if not replace and path.exists() and path.read_bytes() != content:
+                raise FileError(
+                    f"{path} exists already and differs; it is not replaced: remove it, or choose another --out or "
+                    "--name"
+                )
+        for path, content in zip(paths, contents.values(), strict=True):
+            temporary = path.with_name(path.name + f".{os.getpid()}.tmp")
+            temporary.write_bytes(content)
+            temporary.replace(path)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FileError(f"{folder} cannot be written: {reason}; choose a writable --out") from error
+    return paths

@@ -1,0 +1,232 @@
+r"""The program in KRL: `<name>.src` with the motion, `<name>.dat` with the numbers that a commissioner changes.
+
+Plain KRL without inline forms, so it compiles without the pendant's parameter lists. Every motion is an exact stop,
+because only the straight moves between the via points were checked for collision, and `$ADVANCE=0` keeps the
+interpreter from running ahead of the arm. A stop:
+
+    WAIT SEC settle                          the arm stands and has calmed down
+    $OUT[trigger]=TRUE                       scan
+    WAIT FOR $IN[done] OR $TIMER_FLAG[n]     the scanner's answer, or the time-out: KRL's WAIT FOR has none of its own,
+                                             so a timer counts up from -time-out; its flag is TRUE above 0
+    $OUT[trigger]=FALSE
+
+After a time-out the program halts; Start makes the same scan again. The scanner takes its answer back when the
+trigger falls; an answer that still stands from the view before is waited for before the trigger rises.
+
+Numbers: joint angles exact to 1e-4 deg, lengths to 1e-3 mm, angles of frames to 1e-4 deg (a REAL of KRL has 7
+digits). Lines end with CR LF; characters are ASCII.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell.errors import UsageError
+from cell.export.program import Kind, Program, angles_deg
+from cell.robot.frames import kuka_abc_from_pose
+from planner.ports import Floats
+from planner.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
+
+_EXTERNAL = ",E1 0,E2 0,E3 0,E4 0,E5 0,E6 0"
+_AT_HOME_DEG = 0.1  # so far from home the program refuses to start
+_HIGHEST_SIGNAL, _HIGHEST_TIMER = 4096, 32  # of $IN and $OUT, and of $TIMER, on a KR C4
+
+
+@dataclass(frozen=True, slots=True)
+class KrlOptions:
+    """What the controller's side needs.
+
+    Attributes:
+        speed_percent: of the axis speeds, 1 to 100.
+        acceleration_percent: of the axis accelerations, 1 to 100.
+        trigger_output: number of $OUT that tells the scanner to scan.
+        done_input: number of $IN by which the scanner says that it has.
+        timer: number of $TIMER that measures the time-out.
+        settle: standstill before a scan [s].
+        timeout: longest wait for the scanner [s].
+        lin_speed: TCP speed along a sweep [m/s].
+        lin_acceleration: TCP acceleration along a sweep [m/s^2].
+    """
+
+    speed_percent: int
+    acceleration_percent: int
+    trigger_output: int = 1
+    done_input: int = 1
+    timer: int = 1
+    settle: float = 0.2
+    timeout: float = 10.0
+    lin_speed: float = 0.05
+    lin_acceleration: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value, most in (
+            ("--trigger-output", self.trigger_output, _HIGHEST_SIGNAL),
+            ("--done-input", self.done_input, _HIGHEST_SIGNAL),
+            ("--timer", self.timer, _HIGHEST_TIMER),
+            ("--speed", self.speed_percent, 100),
+            ("--acceleration", self.acceleration_percent, 100),
+        ):
+            if not 1 <= value <= most:
+                raise UsageError(f"{name} {value} is not possible; it must be a whole number from 1 to {most}")
+        for name, seconds, least in (("--settle", self.settle, 0.0), ("--timeout", self.timeout, 0.1)):
+            if not least <= seconds <= 3600:
+                raise UsageError(f"{name} {seconds:g} is not possible; it must be from {least:g} to 3600 s")
+
+
+def source(program: Program, options: KrlOptions) -> bytes:
+    """The content of `<name>.src`."""
+    return _file(_source(program, options))
+
+
+def data(program: Program, options: KrlOptions) -> bytes:
+    """The content of `<name>.dat`."""
+    return _file(_data(program, options))
+
+
+def _file(lines: Iterator[str]) -> bytes:
+    return "".join(line + "\r\n" for line in lines).encode("ascii", errors="replace")
+
+
+def _source(program: Program, options: KrlOptions) -> Iterator[str]:
+    yield from ("&ACCESS RVP", "&REL 1", f"DEF {program.name}( )")
+    yield from _comments(program)
+    yield from _BEGIN
+    yield f"BAS(#VEL_PTP,{options.speed_percent})"
+    yield f"BAS(#ACC_PTP,{options.acceleration_percent})"
+    yield "; base: the robot's foot, equal to the world as long as $ROBROOT is zero; every motion between views is in"
+    yield "; axis angles, which no base moves"
+    yield "$BASE={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}"
+    yield "$TOOL=SC_TOOL"
+    yield f"$VEL.CP={options.lin_speed:.4f}"
+    yield f"$ACC.CP={options.lin_acceleration:.4f}"
+    yield "; nothing runs ahead of the arm, and every motion ends in an exact stop"
+    yield "$ADVANCE=0"
+    yield "$OUT[SC_TRIGGER]=FALSE"
+    yield ""
+    yield "; the way to home was not checked: the program goes on only from there"
+    yield "WHILE NOT SC_AT_HOME()"
+    yield "  HALT ; bring the arm to home by hand, then start again"
+    yield "ENDWHILE"
+    yield f"PTP {e6axis(program.q[0])} ; home: block coincidence"
+    leg = -1
+    for row in range(1, len(program.q)):
+        if program.leg[row] != leg:
+            leg = int(program.leg[row])
+            ahead = program.stop[row:][program.leg[row:] == leg]
+            to = f"to view {ahead.max()}" if ahead.max(initial=0) else "home"
+            yield from ("", f"; leg {leg + 1}: {to}")
+        if program.kinds[row] is Kind.LIN:
+            yield f"LIN {e6pos(program.T_base_tcp[row])}"
+        else:
+            yield f"PTP {e6axis(program.q[row])}"
+        if program.stop[row]:
+            yield f"SC_SCAN({program.stop[row]}) ; candidate {program.candidate[row]}"
+    yield from ("", "END", "")
+    yield from _SCAN
+    yield from ("", "DEFFCT BOOL SC_AT_HOME( )")
+    yield "; whether no axis is farther from home than SC_NEAR [deg]"
+    for axis, angle in enumerate(angles_deg(program.q[0]), start=1):
+        yield f"IF ABS($AXIS_ACT.A{axis}-({angle:.4f}))>SC_NEAR THEN"
+        yield from ("  RETURN FALSE", "ENDIF")
+    yield from ("RETURN TRUE", "ENDFCT")
+
+
+def _data(program: Program, options: KrlOptions) -> Iterator[str]:
+    yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT {program.name} PUBLIC")
+    yield "; tool: the scanner frame on the flange, as it was planned; put the calibrated tool here only after planning"
+    yield "; again with it, since the joint angles in the program depend on it"
+    yield f"DECL FRAME SC_TOOL={frame(program.T_flange_tcp)}"
+    yield "; number of $OUT that starts a scan, of $IN that says it is done, of the timer for the time-out"
+    yield f"DECL INT SC_TRIGGER={options.trigger_output}"
+    yield f"DECL INT SC_DONE={options.done_input}"
+    yield f"DECL INT SC_TIMER={options.timer}"
+    yield "; standstill before a scan [s], longest wait for the scanner [ms]"
+    yield f"DECL REAL SC_SETTLE={options.settle:.3f}"
+    yield f"DECL INT SC_TIMEOUT={round(options.timeout * 1000)}"
+    yield "; so near to home every axis must stand at the beginning [deg]"
+    yield f"DECL REAL SC_NEAR={_AT_HOME_DEG:.3f}"
+    yield "; view that is scanned, for the one who reads it after a time-out; 0: none yet"
+    yield "DECL INT SC_VIEW=0"
+    yield "ENDDAT"
+
+
+def _comments(program: Program) -> Iterator[str]:
+    """What the program is, and within which limits it moves."""
+    yield f"; {program.views} views of {program.part}, planned by scan-cell; run folder {program.run}"
+    yield f"; sha256 of its plan.json {program.plan_sha256}"
+    yield "; before it runs: the same robot, tool, base, part and fixtures as in the plan; first in T1 at 10 %"
+    yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"
+    if np.isfinite(program.clearance):
+        nearest = f"{program.clearance * 1000:.1f} mm ({program.between})"
+        yield f"; nearest distance found along the planned motion: {nearest}"
+    low, high = to_steps(program.q).min(axis=0), to_steps(program.q).max(axis=0)
+    bounds = np.degrees(np.stack([program.limits.lower, program.limits.upper]))
+    for axis in range(6):
+        used = f"{low[axis] / STEPS_PER_DEGREE:.4f} to {high[axis] / STEPS_PER_DEGREE:.4f} deg"
+        yield f"; A{axis + 1} from {used}; planned within {bounds[0, axis]:.1f} to {bounds[1, axis]:.1f}"
+
+
+def e6axis(q: Floats) -> str:
+    """(6,) joint angles [rad] as an aggregate."""
+    angles = ",".join(f"A{axis} {angle:.4f}" for axis, angle in enumerate(angles_deg(q), start=1))
+    return "{E6AXIS: " + angles + _EXTERNAL + "}"
+
+
+def e6pos(T_base_tcp: Floats) -> str:
+    """(4, 4) a pose [m] as an aggregate; without S and T, which LIN does not read."""
+    return "{E6POS: " + _xyzabc(T_base_tcp) + _EXTERNAL + "}"
+
+
+def frame(T: Floats) -> str:
+    """(4, 4) a transform [m] as an aggregate."""
+    return "{X " + _xyzabc(T)[2:] + "}"
+
+
+def _xyzabc(T: Floats) -> str:
+    position, abc = kuka_abc_from_pose(T)
+    mm = np.round(position * 1000, 3) + 0.0  # no minus zero
+    deg = np.degrees(from_steps(to_steps(abc))) + 0.0
+    pieces = [f"{name} {value:.3f}" for name, value in zip("XYZ", mm, strict=True)]
+    return ",".join(pieces + [f"{name} {value:.4f}" for name, value in zip("ABC", deg, strict=True)])
+
+
+_BEGIN = (
+    ";FOLD INI",
+    "  ;FOLD BASISTECH INI",
+    "    GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )",
+    "    INTERRUPT ON 3",
+    "    BAS (#INITMOV,0 )",
+    "  ;ENDFOLD (BASISTECH INI)",
+    ";ENDFOLD (INI)",
+)
+
+_SCAN = (
+    "DEF SC_SCAN(NUMBER :IN )",
+    "; stand, trigger, wait for the scanner; after a time-out halt, and on Start scan this view again",
+    "DECL INT NUMBER",
+    "DECL BOOL SCANNED",
+    "SCANNED=FALSE",
+    "WHILE NOT SCANNED",
+    "  WAIT SEC SC_SETTLE",
+    "  SC_VIEW=NUMBER",
+    "  $TIMER_STOP[SC_TIMER]=TRUE",
+    "  $TIMER[SC_TIMER]=-SC_TIMEOUT",
+    "  $TIMER_STOP[SC_TIMER]=FALSE",
+    "  ; the answer to the view before must be gone",
+    "  WAIT FOR (NOT $IN[SC_DONE]) OR $TIMER_FLAG[SC_TIMER]",
+    "  IF NOT $IN[SC_DONE] THEN",
+    "    $OUT[SC_TRIGGER]=TRUE",
+    "    $TIMER[SC_TIMER]=-SC_TIMEOUT",
+    "    WAIT FOR $IN[SC_DONE] OR $TIMER_FLAG[SC_TIMER]",
+    "    SCANNED=$IN[SC_DONE]",
+    "    $OUT[SC_TRIGGER]=FALSE",
+    "  ENDIF",
+    "  $TIMER_STOP[SC_TIMER]=TRUE",
+    "  IF NOT SCANNED THEN",
+    "    ; time-out: the scanner did not answer, or its answer did not go away; SC_VIEW says at which view",
+    "    HALT",
+    "  ENDIF",
+    "ENDWHILE",
+    "END",
+)

@@ -1,0 +1,232 @@
+"""What a controller is to do, as values: the via points of a run's motion with the poses of flange and tool at each.
+
+Read from the run's own files. The joint angles are the planned ones (multiples of 1e-4 deg); every pose follows from
+them by forward kinematics. Base frame: the robot's foot, KUKA's $ROBROOT. The tool centre point (TCP) is the scanner
+frame. Metres, radians, seconds.
+
+E6POS wants status and turn beside a pose, so that one joint solution is meant: bits of S say behind A1 (wrist centre),
+elbow (A3 above the stretched arm, -2.990345 deg) and A5 < 0; bit i - 1 of T says A_i < 0.
+"""
+
+import hashlib
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError, UsageError
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord, arrays, artefact, open_run, understood
+from cell.scan.scene import kinematics_of
+from planner.ports import Floats, JointLimits
+from planner.readonly import readonly
+from planner.setpoints import STEPS_PER_DEGREE, to_steps
+
+LONGEST_NAME = 24
+"""Characters of a name in KRL."""
+
+_RESERVED = """
+and as axis base bool brake case char circ circ_rel const continue decl def default deffct defdat delay do e6axis
+e6pos else end enddat endfct endfor endif endloop endswitch endwhile enum exit ext extfct false for frame global
+goto halt home if import in int interrupt is lin lin_rel load loop not or out path pos pto ptp ptp_rel public real
+repeat resume return sc_at_home sc_done sc_near sc_scan sc_settle sc_timeout sc_timer sc_tool sc_trigger sc_view seq
+signal spl slin sptp spline struc switch then to trigger true until wait when while xor
+"""
+"""Words of KRL, and what a program of ours defines itself."""
+
+
+class Kind(StrEnum):
+    """How a via point is reached."""
+
+    START = "start"
+    PTP = "ptp"
+    LIN = "lin"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Program:
+    """The motion of a run, ready to be written.
+
+    Attributes:
+        name: of the program.
+        part: name of the part, for comments.
+        run: name of the run folder.
+        plan_sha256: of plan.json.
+        kinds: N ways in which the via points are reached; the first is where the motion begins.
+        q: (N, 6) via points [rad], multiples of 1e-4 deg.
+        leg: (N,) leg that ends at or passes the via point, from 0.
+        stop: (N,) number of the view that is scanned at the via point, from 1 in visiting order; 0 for none.
+        candidate: (N,) row of viewpoints.npz of that view; -1 for none.
+        t: (N,) planned time at the via point [s], standstill for scans not counted.
+        T_base_flange: (N, 4, 4) [m].
+        T_base_tcp: (N, 4, 4) [m].
+        T_flange_tcp: (4, 4) the tool [m].
+        T_base_object: (4, 4) placement of the part [m].
+        status: (N,) S of E6POS.
+        turn: (N,) T of E6POS.
+        limits: joint limits that the plan was timed with.
+        speed: fraction of the axis speeds that the plan was timed with.
+        acceleration: the same of the accelerations.
+        clearance: smallest distance found along the motion [m]; NaN where none was measured.
+        between: the pair that is nearest there.
+    """
+
+    name: str
+    part: str
+    run: str
+    plan_sha256: str
+    kinds: tuple[Kind, ...]
+    q: Floats
+    leg: NDArray[np.int64]
+    stop: NDArray[np.int64]
+    candidate: NDArray[np.int64]
+    t: Floats
+    T_base_flange: Floats
+    T_base_tcp: Floats
+    T_flange_tcp: Floats
+    T_base_object: Floats
+    status: NDArray[np.int64]
+    turn: NDArray[np.int64]
+    limits: JointLimits
+    speed: float
+    acceleration: float
+    clearance: float
+    between: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", readonly("q", self.q, (len(self.kinds), 6)))
+        n = len(self.q)
+        for name in ("leg", "stop", "candidate", "status", "turn"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (n,), np.int64))
+        object.__setattr__(self, "t", readonly("t", self.t, (n,)))
+        for name in ("T_base_flange", "T_base_tcp"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (n, 4, 4)))
+        for name in ("T_flange_tcp", "T_base_object"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
+        return int(self.stop.max())
+
+
+def load(run_folder: Path, name: str | None) -> Program:
+    """Read the program of a finished run.
+
+    Args:
+        run_folder: of a finished plan.
+        name: of the program; None takes the folder's where it is a name in KRL, else one made of the plan's sha256.
+
+    Raises:
+        UsageError: if the name is none in KRL.
+        FileError: if the run is not finished, has no motion, or a file of it is missing, changed or damaged.
+    """
+    run = open_run(run_folder)
+    if not run.finished:
+        raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
+    if name is not None:
+        check_name(name)
+    digest = hashlib.sha256(artefact(run, "plan.json")).hexdigest()
+    motion = run_reader.motion(run)
+    if len(motion.via_q) < 2 or not (motion.view >= 0).any():
+        raise FileError(
+            f"{run_folder} holds no motion: its motion.npz visits no view, so there is nothing to export; plan again"
+        )
+    resolved = run_reader.resolved_scene(run)
+    T_flange_tcp = run_reader.transform(run, resolved, "T_flange_scanner")
+    with understood(run.folder / "scene.resolved.json"):
+        part = str(resolved["part"]["name"])
+        speed, acceleration = float(resolved["speed_scaling"]), float(resolved["acceleration_scaling"])
+    kinematics = kinematics_of(run)
+    T_base_flange = kinematics.forward(motion.via_q)
+    at_view = motion.view >= 0
+    status, turn = status_and_turn(motion.via_q, kinematics)
+    clearance, between = _nearest(run)
+    return Program(
+        name=name if name is not None else _name_of(run_folder.resolve().name, digest),
+        part=part,
+        run=run_folder.resolve().name,
+        plan_sha256=digest,
+        kinds=(Kind.START, *[Kind.PTP] * (len(motion.via_q) - 1)),
+        q=motion.via_q,
+        leg=motion.segment,
+        stop=np.where(at_view, np.cumsum(at_view), 0),
+        candidate=motion.view,
+        t=motion.via_t,
+        T_base_flange=T_base_flange,
+        T_base_tcp=T_base_flange @ T_flange_tcp,
+        T_flange_tcp=T_flange_tcp,
+        T_base_object=run_reader.transform(run, resolved, "T_base_object"),
+        status=status,
+        turn=turn,
+        limits=motion.limits,
+        speed=speed,
+        acceleration=acceleration,
+        clearance=clearance,
+        between=between,
+    )
+
+
+def check_name(name: str) -> None:
+    """Refuse what is no name in KRL.
+
+    Raises:
+        UsageError: if it is too long, holds other characters, begins with a digit or is a word of the language.
+    """
+    if len(name) > LONGEST_NAME:
+        raise UsageError(f"--name {name} has {len(name)} characters; a name in KRL has at most {LONGEST_NAME}")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise UsageError(
+            f"--name {name or repr(name)} is no name in KRL; it must begin with a letter and hold only letters, digits "
+            "and _"
+        )
+    if name.lower() in _RESERVED.split():
+        raise UsageError(f"--name {name} is a word of KRL, or of the program itself; choose another")
+
+
+def status_and_turn(q: Floats, kinematics: Kr16Kinematics) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """S and T of E6POS.
+
+    Args:
+        q: (N, 6) joint angles [rad], KUKA signs.
+        kinematics: of the arm.
+
+    Returns:
+        (N,) status and (N,) turn, as decimal numbers.
+    """
+    arm = kinematics.arm
+    s = q[:, 1] + q[:, 2]
+    radius = arm.a1 + arm.a2 * np.cos(q[:, 1]) + arm.d4 * np.cos(s) + arm.a3 * np.sin(s)
+    stretched = np.arctan2(arm.a3, arm.d4)
+    status = (radius < 0) * 1 + (q[:, 2] >= stretched) * 2 + (to_steps(q[:, 4]) < 0) * 4
+    turn = ((to_steps(q) < 0) * (1 << np.arange(6))).sum(axis=1)
+    return status.astype(np.int64), turn.astype(np.int64)
+
+
+def angles_deg(q: Floats) -> list[float]:
+    """Joint angles in degrees as the multiples of 1e-4 that they are."""
+    return [int(step) / STEPS_PER_DEGREE for step in to_steps(q)]
+
+
+def _name_of(folder: str, digest: str) -> str:
+    try:
+        check_name(folder)
+    except UsageError:
+        return f"scan_{digest[:8]}"
+    return folder
+
+
+def _nearest(run: RunRecord) -> tuple[float, str]:
+    """Smallest clearance along the motion [m] and between what."""
+    stored: dict[str, Any] = arrays(run, "motion.npz")
+    with understood(run.folder / "motion.npz"):
+        clearance = np.asarray(stored["minimum_clearance"], dtype=np.float64)
+        if not np.isfinite(clearance).any():
+            return float("nan"), ""
+        leg = int(np.nanargmin(clearance))
+        return float(clearance[leg]), str(stored["between"][leg])

@@ -1,0 +1,91 @@
+"""The program as a table (CSV) and as one JSON object: every via point, every stop, joint angles and poses.
+
+One row per via point, in driving order. Units stand in the names; frames are base (the robot's foot), flange and TCP
+(the scanner frame); A, B, C are KUKA's. Angles of axes are the multiples of 1e-4 deg that they are; poses are rounded
+to 1e-6 mm and 1e-6 deg, times to 1e-6 s: below that stands rounding noise.
+"""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from cell.export.program import Program, angles_deg
+from cell.robot.frames import kuka_abc_from_pose
+from cell.run.folder import SCHEMA
+from planner.ports import Floats
+
+_DIGITS = 6
+_AXES = tuple(f"A{axis}_deg" for axis in range(1, 7))
+_POSE = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
+
+COLUMNS = (
+    "number", "leg", "kind", "view", "candidate", "t_s", *_AXES,
+    *(f"tcp_{name}" for name in _POSE), *(f"flange_{name}" for name in _POSE), "status", "turn",
+)  # fmt: skip
+
+
+def csv(program: Program) -> bytes:
+    """The content of `<name>.csv`: a header and one line per via point."""
+    lines = [",".join(COLUMNS)]
+    for row in _rows(program):
+        flat = [*row[:6], *row[6], *row[7], *row[8], *row[9:]]
+        lines.append(",".join("" if value is None else str(value) for value in flat))
+    return ("\n".join(lines) + "\n").encode()
+
+
+def as_json(program: Program) -> bytes:
+    """The content of `<name>.json`."""
+    points = []
+    for number, leg, kind, view, candidate, t, axes, tcp, flange, status, turn in _rows(program):
+        points.append(
+            {
+                "number": number, "leg": leg, "kind": kind, "view": view, "candidate": candidate, "t_s": t,
+                "axes_deg": axes, "tcp_xyz_mm_abc_deg": tcp, "flange_xyz_mm_abc_deg": flange,
+                "status": status, "turn": turn,
+            }
+        )  # fmt: skip
+    content = {
+        "schema": SCHEMA,
+        "units": "lengths in mm, angles in deg (KUKA A, B, C: R = Rz(A) Ry(B) Rx(C)), times in s, as the names say",
+        "name": program.name,
+        "part": program.part,
+        "run": program.run,
+        "plan_sha256": program.plan_sha256,
+        "speed_fraction": program.speed,
+        "acceleration_fraction": program.acceleration,
+        "tool_flange_tcp_xyz_mm_abc_deg": _pose(program.T_flange_tcp),
+        "part_in_base_xyz_mm_abc_deg": _pose(program.T_base_object),
+        "joint_limits_deg": np.degrees(np.stack([program.limits.lower, program.limits.upper], axis=1))
+        .round(9)
+        .tolist(),
+        "via_points": points,
+    }
+    return (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()
+
+
+def _rows(program: Program) -> list[tuple[Any, ...]]:
+    """number, leg, kind, view, candidate, t, axes, tcp, flange, status, turn of each via point; None where none is."""
+    return [
+        (
+            row + 1,
+            int(program.leg[row]) + 1,
+            program.kinds[row].value,
+            int(program.stop[row]) or None,
+            None if program.candidate[row] < 0 else int(program.candidate[row]),
+            round(float(program.t[row]), _DIGITS),
+            angles_deg(program.q[row]),
+            _pose(program.T_base_tcp[row]),
+            _pose(program.T_base_flange[row]),
+            int(program.status[row]),
+            int(program.turn[row]),
+        )
+        for row in range(len(program.q))
+    ]
+
+
+def _pose(T: Floats) -> list[float]:
+    """x, y, z [mm], A, B, C [deg]."""
+    position, abc = kuka_abc_from_pose(T)
+    values: list[float] = (np.concatenate([position * 1000, np.degrees(abc)]).round(_DIGITS) + 0.0).tolist()
+    return values

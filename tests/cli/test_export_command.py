@@ -1,0 +1,199 @@
+"""`cell export` from outside: files, names, refusals with their exit codes, equal bytes."""
+
+import csv
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def test_the_files_stand_in_the_run_folder_and_are_the_same_bytes_again(
+    planned: Path, run_cell: Run, tmp_path: Path
+) -> None:
+    """`export/` is replaced by each call and changes nothing of the plan; no clock, no machine path in a file."""
+    run = tmp_path / "trial"
+    shutil.copytree(planned, run)
+    before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    done = run_cell("export", str(run), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(run / "export" / name) for name in ("trial.src", "trial.dat")]
+    assert "docs/export.md" in done.stderr
+    first = {path.name: path.read_bytes() for path in (run / "export").iterdir()}
+    assert run_cell("export", str(run), "--settle", "1", cwd=tmp_path).returncode == 0
+    assert (run / "export" / "trial.dat").read_bytes() != first["trial.dat"]
+    assert run_cell("export", str(run), cwd=tmp_path).returncode == 0
+    assert {path.name: path.read_bytes() for path in (run / "export").iterdir()} == first
+    assert not any(str(tmp_path).encode() in content for content in first.values())
+    assert {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
+
+
+def test_csv_and_json_tell_the_same_and_it_is_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """Every via point and every view, axes to 1e-4 deg, poses of TCP and flange as in plan.json."""
+    from cell.robot.frames import pose_from_kuka_abc
+
+    for kind in ("csv", "json"):
+        done = run_cell("export", str(planned), "--format", kind, "--name", "PART", "--out", "out", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    told = json.loads((tmp_path / "out" / "PART.json").read_text())
+    with (tmp_path / "out" / "PART.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    motion, plan = np.load(planned / "motion.npz"), json.loads((planned / "plan.json").read_text())
+    axes = np.array([[float(row[f"A{axis}_deg"]) for axis in range(1, 7)] for row in rows])
+    np.testing.assert_allclose(axes, np.degrees(motion["via_q"]), atol=1e-9, rtol=0)
+    np.testing.assert_allclose([float(row["t_s"]) for row in rows], motion["via_t"], atol=1e-6)
+    assert [int(row["view"]) for row in rows if row["view"]] == list(range(1, len(plan["views"]) + 1))
+    for name in ("scanner", "flange"):
+        column = "tcp" if name == "scanner" else name
+        poses = np.array([
+            [float(row[f"{column}_{place}"]) for place in ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")]
+            for row in rows if row["view"]
+        ])  # fmt: skip
+        T = pose_from_kuka_abc(poses[:, :3] / 1000, np.radians(poses[:, 3:]))
+        np.testing.assert_allclose(T, [view[f"T_base_{name}"] for view in plan["views"]], atol=1e-7)
+    assert [int(row["candidate"]) for row in rows if row["view"]] == [view["id"] for view in plan["views"]]
+    for row, point in zip(rows, told["via_points"], strict=True):
+        assert [point["number"], point["leg"], point["status"], point["turn"]] == [
+            int(row[name]) for name in ("number", "leg", "status", "turn")
+        ]
+        assert point["axes_deg"] == [float(row[f"A{axis}_deg"]) for axis in range(1, 7)]
+        assert point["tcp_xyz_mm_abc_deg"] == [float(row[name]) for name in row if name.startswith("tcp_")]
+        assert point["kind"] == row["kind"]
+    assert rows[0]["kind"] == "start"
+    assert told["schema"] == "scan-cell/run/1"
+
+
+def test_one_json_object_says_what_was_written(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """`--json`: exactly one object on stdout."""
+    done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "7", "--json", cwd=tmp_path)
+    told = json.loads(done.stdout)
+    assert told["name"] == "A1"
+    assert told["speed_percent"] == 7
+    assert [Path(name).name for name in told["files"]] == ["A1.src", "A1.dat"]
+    assert b"BAS(#VEL_PTP,7)\r\n" in (tmp_path / "x" / "A1.src").read_bytes()
+
+
+def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
+    planned: Path, run_cell: Run, tmp_path: Path
+) -> None:
+    """The default names of run folders begin with a digit."""
+    run = tmp_path / "20261121T030106Z-1f0c2a9b"
+    shutil.copytree(planned, run)
+    told = json.loads(run_cell("export", str(run), "--json", cwd=tmp_path).stdout)
+    assert told["name"].startswith("scan_")
+    assert len(told["name"]) == 13
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--name", "a" * 25), "has 25 characters; a name in KRL has at most 24"),
+        (("--name", "7up"), "--name 7up is no name in KRL"),
+        (("--name", "a-b"), "--name a-b is no name in KRL"),
+        (("--name", "ünder"), "is no name in KRL"),
+        (("--name", ""), "is no name in KRL"),
+        (("--name", "Lin"), "--name Lin is a word of KRL"),
+        (("--name", "SC_TOOL"), "is a word of KRL, or of the program itself"),
+        (("--speed", "0"), "--speed 0 is not possible; it must be a whole number from 1 to 100"),
+        (("--speed", "101"), "--speed 101 is not possible"),
+        (("--acceleration", "0"), "--acceleration 0 is not possible"),
+        (("--trigger-output", "0"), "--trigger-output 0 is not possible; it must be a whole number from 1 to 4096"),
+        (("--done-input", "4097"), "--done-input 4097 is not possible"),
+        (("--timer", "0"), "--timer 0 is not possible"),
+        (("--timeout", "0"), "--timeout 0 is not possible; it must be from 0.1 to 3600 s"),
+        (("--timeout", "nan"), "--timeout nan is not possible"),
+        (("--settle", "-1"), "--settle -1 is not possible"),
+        (("--format", "rapid"), "--format rapid is not known; it must be one of krl, csv, json"),
+    ],
+)
+def test_wrong_options_are_one_sentence_and_code_2(
+    planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], sentence: str
+) -> None:
+    """And nothing is written."""
+    from cell.cli import app
+    from cell.commands.failures import guarded
+
+    words = ["export", str(planned), "--out", str(tmp_path / "out"), *options]
+    assert guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json=False) == 2
+    told = capsys.readouterr()
+    assert sentence in told.err
+    assert (told.out, len(told.err.strip().splitlines())) == ("", 1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_of_the_user_is_not_replaced(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """In a folder that was named, a program that differs stays; the same one may be written again."""
+    assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
+    assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
+    edited = tmp_path / "out" / "P.dat"
+    edited.write_bytes(edited.read_bytes().replace(b"SC_DONE=1", b"SC_DONE=9"))
+    content = edited.read_bytes()
+    done = run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 6
+    assert "P.dat exists already and differs" in done.stderr
+    assert edited.read_bytes() == content
+
+
+def test_runs_that_cannot_be_exported(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """Missing, unfinished, damaged, without a motion: one sentence and code 6."""
+    done = run_cell("export", "nowhere", cwd=tmp_path)
+    assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
+
+    unfinished = tmp_path / "unfinished.part"
+    shutil.copytree(planned, unfinished)
+    manifest = json.loads((unfinished / "manifest.json").read_text())
+    changed = manifest | {"status": "failed", "stage": "reach", "reason": "none is reachable"}
+    (unfinished / "manifest.json").write_text(json.dumps(changed))
+    done = run_cell("export", str(unfinished), cwd=tmp_path)
+    assert done.returncode == 6
+    assert "has no finished plan: the run failed in the stage 'reach': none is reachable" in done.stderr
+
+    damaged = tmp_path / "damaged"
+    shutil.copytree(planned, damaged)
+    (damaged / "motion.npz").write_bytes(b"PK")
+    done = run_cell("export", str(damaged), cwd=tmp_path)
+    assert done.returncode == 6
+    assert "is not what the run wrote" in done.stderr
+
+    still = tmp_path / "still"
+    shutil.copytree(planned, still)
+    with np.load(still / "motion.npz") as stored:
+        arrays = dict(stored)
+    for name in ("via_q", "segment", "view", "via_t"):
+        arrays[name] = arrays[name][:1]
+    np.savez_compressed(still / "motion.npz", **arrays)
+    del manifest["artefacts"]["motion.npz"]
+    (still / "manifest.json").write_text(json.dumps(manifest))
+    done = run_cell("export", str(still), cwd=tmp_path)
+    assert done.returncode == 6
+    assert "holds no motion" in done.stderr
+    assert not (still / "export").exists()
+
+
+def test_status_and_turn_as_controllers_export_them() -> None:
+    """HOME exports S 2; T counts negative axes; the branches' shoulder, elbow and wrist are its bits."""
+    from cell.export.program import status_and_turn
+    from cell.robot.kinematics import Kr16Kinematics
+
+    kinematics = Kr16Kinematics.load()
+    q = np.radians([
+        [0.0, -90.0, 90.0, 0.0, 0.0, 0.0],
+        [-1.0, -90.0, 90.0, 0.0, 30.0, -5.0],
+        [10.0, -90.0, 90.0, 0.0, -30.0, 5.0],
+        [0.0, -130.0, -40.0, 10.0, 30.0, 0.0],
+    ])  # fmt: skip
+    status, turn = status_and_turn(q, kinematics)
+    assert status.tolist()[:3] == [2, 2, 6]
+    assert turn.tolist() == [2, 35, 18, 6]
+    branches = kinematics.inverse(kinematics.forward(np.radians([[12.0, -75, 110, 35, -60, 140]])))[0]
+    status, _ = status_and_turn(branches, kinematics)
+    slots = np.arange(8)
+    expected = (slots // 4) + 2 * (1 - slots // 2 % 2) + 4 * (slots % 2)
+    real = ~np.isnan(branches).any(axis=1)
+    assert real.sum() >= 4
+    assert status[real].tolist() == expected[real].tolist()

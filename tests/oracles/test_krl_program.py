@@ -1,0 +1,352 @@
+"""The exported program, run by an interpreter of its own: where it drives, what it says to the scanner, and when.
+
+The interpreter knows nothing of the writer. It reads plain KRL (declarations, IF, WHILE, calls, WAIT, motions), has a
+clock, inputs and outputs, and refuses every word that it does not know.
+"""
+
+import json
+import re
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+class _Return(Exception):  # noqa: N818 - control flow of the interpreter, not an error
+    pass
+
+
+@dataclass
+class Robot:
+    """A controller with a clock [s], signals and axes [deg]; `scanner` answers when time passes."""
+
+    axes: list[float]
+    scanner: Callable[["Robot"], None]
+    operator: Callable[["Robot"], None] | None = None
+    now: float = 0.0
+    inputs: dict[int, bool] = field(default_factory=dict)
+    outputs: dict[int, bool] = field(default_factory=dict)
+    timers: dict[int, float] = field(default_factory=dict)  # time at which the timer stands at 0
+    moves: list[tuple[str, dict[str, float]]] = field(default_factory=list)
+    events: list[tuple[str, float]] = field(default_factory=list)
+    variables: dict[str, Any] = field(default_factory=dict)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.now += seconds
+        self.scanner(self)
+
+
+class Krl:
+    """One module: `.src` and `.dat`."""
+
+    def __init__(self, src: bytes, dat: bytes, robot: Robot) -> None:
+        assert src.endswith(b"\r\n")
+        assert src.count(b"\n") == src.count(b"\r\n")
+        self.robot = robot
+        self.routines: dict[str, tuple[list[str], list[str]]] = {}
+        lines = self._lines(dat)
+        assert re.fullmatch(r"DEFDAT (\w+) PUBLIC", lines[0])
+        assert lines[-1] == "ENDDAT"
+        for line in lines[1:-1]:
+            match = re.fullmatch(r"DECL (INT|REAL|FRAME|BOOL) (\w+)=(.+)", line)
+            assert match, line
+            assert len(match[2]) <= 24
+            robot.variables[match[2]] = self._value(match[3])
+        current: list[str] | None = None
+        for line in self._lines(src):
+            match = re.fullmatch(r"(?:DEF|DEFFCT \w+) (\w+)\s*\((.*)\)", line)
+            if match:
+                assert current is None
+                assert len(match[1]) <= 24
+                parameters = [piece.split(":")[0].strip() for piece in match[2].split(",") if piece.strip()]
+                current = []
+                self.routines[match[1]] = (parameters, current)
+            elif line in ("END", "ENDFCT"):
+                assert current is not None
+                current = None
+            else:
+                assert current is not None, line
+                current.append(line)
+        self.name = next(iter(self.routines))
+
+    @staticmethod
+    def _lines(content: bytes) -> list[str]:
+        """Statements without comments, folds and file attributes."""
+        lines = [line.split(";")[0].strip() for line in content.decode("ascii").split("\r\n")]
+        return [line for line in lines if line and not line.startswith("&")]
+
+    def run(self) -> None:
+        """Run the main routine."""
+        self._call(self.name, [])
+
+    def _call(self, name: str, arguments: list[Any]) -> Any:
+        parameters, body = self.routines[name]
+        self.robot.variables |= dict(zip(parameters, arguments, strict=True))
+        try:
+            self._block(body, 0, len(body))
+        except _Return as back:
+            return back.args[0]
+        return None
+
+    def _block(self, body: list[str], first: int, last: int) -> None:
+        at = first
+        while at < last:
+            line = body[at]
+            if match := re.fullmatch(r"WHILE (.+)", line):
+                end = self._end(body, at, "WHILE", "ENDWHILE")
+                for _ in range(10_000):
+                    if not self._value(match[1]):
+                        break
+                    self._block(body, at + 1, end)
+                else:
+                    pytest.fail("a loop without end")
+                at = end
+            elif match := re.fullmatch(r"IF (.+) THEN", line):
+                end = self._end(body, at, "IF", "ENDIF")
+                if self._value(match[1]):
+                    self._block(body, at + 1, end)
+                at = end
+            else:
+                self._statement(line)
+            at += 1
+
+    @staticmethod
+    def _end(body: list[str], at: int, begin: str, end: str) -> int:
+        depth = 0
+        for row in range(at, len(body)):
+            depth += body[row].split()[0] == begin
+            depth -= body[row] == end
+            if depth == 0:
+                return row
+        pytest.fail(f"{begin} without {end}")
+
+    def _statement(self, line: str) -> None:
+        robot = self.robot
+        if match := re.fullmatch(r"(PTP|LIN) (\{.+\})", line):
+            goal = self._value(match[2])
+            robot.wait(1.0)
+            if match[1] == "PTP":
+                robot.axes = [goal[f"A{axis}"] for axis in range(1, 7)]
+            robot.moves.append((match[1], goal))
+            robot.events.append((match[1], robot.now))
+        elif match := re.fullmatch(r"WAIT SEC (.+)", line):
+            robot.wait(self._value(match[1]))
+        elif match := re.fullmatch(r"WAIT FOR (.+)", line):
+            for _ in range(100_000):
+                if self._value(match[1]):
+                    return
+                robot.wait(0.012)
+            pytest.fail(f"waits for ever: {line}")
+        elif match := re.fullmatch(r"\$(OUT|TIMER|TIMER_STOP)\[(.+?)\]=(.+)", line):
+            number, value = self._value(match[2]), self._value(match[3])
+            if match[1] == "OUT":
+                if value != robot.outputs.get(number, False):
+                    robot.events.append((f"OUT{number}={value}", robot.now))
+                robot.outputs[number] = value
+                robot.scanner(robot)
+            elif match[1] == "TIMER":
+                robot.timers[number] = robot.now - value / 1000
+        elif match := re.fullmatch(r"(\$?[A-Z_.]+(?:\.\w+)?)=(.+)", line):
+            robot.variables[match[1]] = self._value(match[2])
+        elif match := re.fullmatch(r"RETURN (.+)", line):
+            raise _Return(self._value(match[1]))
+        elif line == "HALT":
+            robot.events.append(("HALT", robot.now))
+            assert robot.operator, "the program halts"
+            robot.operator(robot)
+        elif match := re.fullmatch(r"BAS ?\(#(\w+),(\d+) ?\)", line):
+            robot.variables[match[1]] = int(match[2])
+        elif match := re.fullmatch(r"(\w+)\((.*)\)", line):
+            self._call(match[1], [self._value(match[2])] if match[2] else [])
+        else:
+            known = (
+                r"(GLOBAL INTERRUPT DECL 3 WHEN \$STOPMESS==TRUE DO IR_STOPM \( \)|INTERRUPT ON 3|DECL (INT|BOOL) \w+)"
+            )
+            assert re.fullmatch(known, line), f"not understood: {line}"
+
+    def _value(self, text: str) -> Any:
+        text = text.strip()
+        if text.startswith("{"):
+            inner = re.sub(r"^\w+:", "", text[1:-1].strip())
+            return {name: float(number) for name, number in (piece.split() for piece in inner.split(","))}
+        robot = self.robot
+        scope = {
+            "IN": _Signals(robot.inputs),
+            "TIMER_FLAG": _Flags(robot),
+            "AXIS_ACT": type("Axes", (), {f"A{axis}": angle for axis, angle in enumerate(robot.axes, start=1)}),
+            "ABS": abs,
+            "TRUE": True,
+            "FALSE": False,
+            **{name: value for name, value in robot.variables.items() if name.isidentifier()},
+            **{name: (lambda n: lambda: self._call(n, []))(name) for name in self.routines},
+        }
+        python = re.sub(r"\b(NOT|AND|OR)\b", lambda word: word[0].lower(), text.replace("$", ""))
+        return eval(python, {"__builtins__": {}}, scope)
+
+
+class _Signals:
+    def __init__(self, values: dict[int, bool]) -> None:
+        self._values = values
+
+    def __getitem__(self, number: int) -> bool:
+        return self._values.get(number, False)
+
+
+class _Flags:
+    """`$TIMER_FLAG[n]`: whether the timer is above 0."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    def __getitem__(self, number: int) -> bool:
+        return self._robot.now > self._robot.timers[number]
+
+
+def _prompt(output: int = 1, done: int = 1, takes: float = 0.3) -> Callable[[Robot], None]:
+    """A scanner that answers after a time, and takes the answer back when the trigger falls."""
+    since: list[float] = []
+
+    def scanner(robot: Robot) -> None:
+        if not robot.outputs.get(output, False):
+            since.clear()
+            robot.inputs[done] = False
+        elif not since:
+            since.append(robot.now)
+        elif robot.now - since[0] >= takes:
+            robot.inputs[done] = True
+
+    return scanner
+
+
+@pytest.fixture(scope="module")
+def exported(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
+    """`.src` and `.dat` of the small plan, signals 7 and 8."""
+    folder = tmp_path_factory.mktemp("krl")
+    signals = ("--trigger-output", "7", "--done-input", "8", "--timer", "3", "--timeout", "2.5", "--speed", "20")
+    done = run_cell("export", str(planned), "--name", "PART_07", "--out", "out", *signals, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return (folder / "out" / "PART_07.src").read_bytes(), (folder / "out" / "PART_07.dat").read_bytes()
+
+
+HOME = [0.0, -90.0, 90.0, 0.0, 90.0, 0.0]
+
+
+def _driven(exported: tuple[bytes, bytes], robot: Robot) -> Krl:
+    program = Krl(*exported, robot)
+    program.run()
+    return program
+
+
+def test_the_program_drives_the_planned_via_points_to_the_planned_poses(
+    exported: tuple[bytes, bytes], planned: Path
+) -> None:
+    """Every via point, to the last 1e-4 deg; and at each scan the tool stands within 0.01 mm and 0.001 deg."""
+    from cell.robot.frames import pose_from_kuka_abc
+    from cell.robot.kinematics import Kr16Kinematics
+
+    scanned: list[list[float]] = []
+    answer = _prompt(7, 8)
+
+    def scanner(robot: Robot) -> None:
+        before = robot.inputs.get(8, False)
+        answer(robot)
+        if robot.inputs[8] and not before:
+            scanned.append(list(robot.axes))
+
+    robot = Robot(list(HOME), scanner)
+    program = _driven(exported, robot)
+    assert program.name == "PART_07"
+    assert {kind for kind, _ in robot.moves} == {"PTP"}
+    q = np.array([[goal[f"A{axis}"] for axis in range(1, 7)] for _, goal in robot.moves])
+    assert all(goal[f"E{axis}"] == 0 for _, goal in robot.moves for axis in range(1, 7))
+    via_q = np.degrees(np.load(planned / "motion.npz")["via_q"])
+    np.testing.assert_allclose(q, via_q, atol=1e-9, rtol=0)
+    tool = robot.variables["$TOOL"]
+    T_flange_tool = pose_from_kuka_abc(
+        [tool[axis] / 1000 for axis in "XYZ"], np.radians([tool[angle] for angle in "ABC"])
+    )
+    assert set(robot.variables["$BASE"].values()) == {0.0}
+    views = json.loads((planned / "plan.json").read_text())["views"]
+    assert len(scanned) == len(views)
+    T = Kr16Kinematics.load().forward(np.radians(scanned)) @ T_flange_tool
+    wanted = np.array([view["T_base_scanner"] for view in views])
+    assert np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1).max() < 1e-5
+    turned = np.swapaxes(T[:, :3, :3], 1, 2) @ wanted[:, :3, :3]
+    assert np.degrees(np.linalg.norm(turned - np.eye(3), axis=(1, 2))).max() < 0.001
+
+
+def test_it_stands_calm_triggers_once_per_view_and_takes_the_trigger_back(exported: tuple[bytes, bytes]) -> None:
+    """Between two motions: settle, trigger up, answer, trigger down; never a motion while the trigger is up."""
+    robot = Robot(list(HOME), _prompt(7, 8))
+    _driven(exported, robot)
+    up = False
+    for (name, at), (_, before) in zip(robot.events[1:], robot.events[:-1], strict=True):
+        if name == "OUT7=True":
+            assert not up
+            assert at - before > 0.2 - 1e-9
+        elif name == "OUT7=False":
+            assert at - before > 0.3 - 1e-9
+        else:
+            assert not up
+        up = name == "OUT7=True"
+    assert sum(name == "OUT7=True" for name, _ in robot.events) == robot.variables["SC_VIEW"] > 1
+    assert robot.variables["VEL_PTP"] == 20
+    assert robot.variables["$ADVANCE"] == 0
+
+
+def test_a_mute_scanner_halts_the_program_and_the_view_is_scanned_again(exported: tuple[bytes, bytes]) -> None:
+    """The time-out branch: trigger back, halt at the view, no motion; after Start the same view, and on."""
+    mute, prompt = [True], _prompt(7, 8)
+    halts: list[tuple[float, int, bool]] = []
+
+    def operator(robot: Robot) -> None:
+        halts.append((robot.now, robot.variables["SC_VIEW"], robot.outputs[7]))
+        mute[0] = len(halts) < 2
+
+    robot = Robot(list(HOME), lambda robot: None if mute[0] else prompt(robot), operator)
+    _driven(exported, robot)
+    assert [(view, trigger) for _, view, trigger in halts] == [(1, False), (1, False)]
+    assert halts[1][0] - halts[0][0] == pytest.approx(0.2 + 2.5, abs=0.05)
+    between = [name for name, at in robot.events if halts[0][0] < at <= halts[1][0]]
+    assert between == ["OUT7=True", "OUT7=False", "HALT"]
+    assert robot.axes == HOME
+
+
+def test_an_answer_that_stays_is_not_taken_for_the_next_views(exported: tuple[bytes, bytes]) -> None:
+    """A done signal that hangs at TRUE: the trigger never rises."""
+
+    class StopHereError(Exception):
+        pass
+
+    def operator(robot: Robot) -> None:
+        raise StopHereError
+
+    robot = Robot(list(HOME), lambda robot: robot.inputs.__setitem__(8, True), operator)
+    with pytest.raises(StopHereError):
+        _driven(exported, robot)
+    assert not any(name == "OUT7=True" for name, _ in robot.events)
+    assert len(robot.moves) >= 2
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("off", [0.2, -0.2, 360.0])
+def test_away_from_home_nothing_moves(exported: tuple[bytes, bytes], axis: int, off: float) -> None:
+    """Each axis is looked at; a whole turn off is not home. Once there, the program goes on."""
+    stands = list(HOME)
+    stands[axis] += off
+
+    def operator(robot: Robot) -> None:
+        assert not robot.moves
+        robot.axes = list(HOME)
+
+    robot = Robot(stands, _prompt(7, 8), operator)
+    _driven(exported, robot)
+    assert [name for name, _ in robot.events].count("HALT") == 1
+    assert robot.axes == HOME
