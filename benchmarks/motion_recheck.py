@@ -1,0 +1,124 @@
+"""Final motions of seeded scenes judged again, by true triangles and by differences of the samples.
+
+Each scene goes the way of `cell plan` but for the choice of views: its cell is compiled, candidates are judged for
+reach, ten reachable ones are drawn, ordered, connected and timed. `benchmarks.triangle_cell` looks for contact at every
+millisecond of the motion. Limits are compared with the samples and with their differences.
+
+SCAN_CELL_SCENES (default 8) is the number of scenes; with SCAN_CELL_RECHECK=FILE finished scenes are kept as lines of
+JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes.
+"""
+
+import json
+import os
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from benchmarks.seeded_scenes import SeededCell, usable
+from benchmarks.triangle_cell import TriangleCell
+from planner.timing import Motion, jerk_free_duration, retime
+from planner.tour import plan_motion
+
+_STEP = 1e-3  # s
+_VIEWS = 10
+
+
+def run() -> list[dict[str, Any]]:
+    """One row over all scenes, and one for each with a finding."""
+    count = int(os.environ.get("SCAN_CELL_SCENES", "8"))
+    kept = Path(os.environ["SCAN_CELL_RECHECK"]) if "SCAN_CELL_RECHECK" in os.environ else None
+    done = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
+    for number in range(count):
+        if any(row["scene"] == number for row in done):
+            continue
+        done.append(judged(number))
+        if kept:
+            with kept.open("a") as file:
+                file.write(json.dumps(done[-1]) + "\n")
+    rows = [row for row in done if row["scene"] < count]
+    found = [row for row in rows if row["contacts"] or row["over limits"] > 1e-9]
+    planned = [row for row in rows if row["moves"]]
+    summary = {
+        "scene": f"{len(rows)} scenes, {len(planned)} with a motion",
+        "part": "",
+        "fixtures": sum(row["fixtures"] for row in rows),
+        "views": sum(row["views"] for row in rows),
+        "moves": sum(row["moves"] for row in rows),
+        "detours": sum(row["detours"] for row in rows),
+        "motion s": sum(row["motion s"] for row in rows),
+        "over jerk-free": float(np.mean([row["over jerk-free"] for row in planned])),
+        "checked": sum(row["checked"] for row in rows),
+        "contacts": sum(row["contacts"] for row in rows),
+        "nearest mm": min((row["nearest mm"] for row in planned), default=float("nan")),
+        "over limits": max(row["over limits"] for row in rows),
+        "plan s": float(np.median([row["plan s"] for row in rows])),
+        "judge s": float(np.median([row["judge s"] for row in rows])),
+    }
+    return [summary, *found]
+
+
+def judged(number: int) -> dict[str, Any]:
+    """One scene planned and judged."""
+    begin = perf_counter()
+    cell = usable(number, least=_VIEWS)
+    rng = np.random.default_rng(number)
+    views = rng.choice(cell.reachable, _VIEWS, replace=False)
+    tour = plan_motion(
+        [cell.reach.q_of(int(view)) for view in views],
+        cell.world.home,
+        cell.checker,
+        cell.world.limits,
+        cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0],
+        rng,
+    )
+    motion = retime(tour.via, tour.segment, tour.view, cell.world.limits)
+    planned = perf_counter()
+    return _judge(cell, motion) | {
+        "views": len(tour.order),
+        "dropped": len(tour.dropped),
+        "detours": int(tour.detour.sum()),
+        "said mm": 1000 * float(tour.clearance.min(initial=np.inf)),
+        "plan s": planned - begin,
+        "judge s": perf_counter() - planned,
+    }
+
+
+def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
+    triangles = TriangleCell(cell.world, cell.part)
+    dense = retime(motion.via_q, motion.segment, motion.view, motion.limits, _STEP)
+    contacts = triangles.contacts(dense.q)
+    return {
+        "scene": cell.number,
+        "part": cell.world.scene.part.name,
+        "fixtures": len(cell.world.scene.fixtures),
+        "moves": len(motion.via_q) - 1,
+        "motion s": motion.duration,
+        "over jerk-free": motion.duration / jerk_free_duration(motion) if motion.duration else 1.0,
+        "checked": len(dense.q),
+        "contacts": sum(contacts.values()),
+        "between": ", ".join(contacts),
+        "nearest mm": 1000 * triangles.nearest(dense.q[:: max(1, len(dense.q) // 400)]),
+        "over limits": max(_excess(motion), _excess(dense)),
+    }
+
+
+def _excess(motion: Motion) -> float:
+    """Largest relative excess of position, speed, acceleration and jerk over the limits; at most 0 where all are kept.
+
+    Speeds and accelerations are the recorded ones and the differences of angles and of speeds; jerks are differences of
+    the recorded accelerations. What rounding of the samples puts into a difference is subtracted.
+    """
+    limits, steps = motion.limits, np.diff(motion.t)[:, None]
+    rounding = 4 * np.spacing(np.abs(motion.t).max()) / steps
+    excess = [
+        float((np.abs(motion.qd) / limits.velocity).max()) - 1,
+        float((np.abs(motion.qdd) / limits.acceleration).max()) - 1,
+        float((np.maximum(motion.q - limits.upper, limits.lower - motion.q)).max()),
+    ]
+    for values, limit in ((motion.q, limits.velocity), (motion.qd, limits.acceleration), (motion.qdd, limits.jerk)):
+        change = np.abs(np.diff(values, axis=0))
+        noise = 4 * np.spacing(np.abs(values).max(axis=0))
+        excess.append(float(((change - noise) / steps / limit - rounding).max()) - 1)
+    return max(excess)

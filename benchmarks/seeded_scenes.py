@@ -1,0 +1,122 @@
+"""Seeded scenes for benchmarks of motion: a built-in part, where it stands, and fixtures around it.
+
+Every scene is drawn from its number alone. Some draws cannot be (a fixture inside the robot, a part out of reach); the
+next draw of the same number is taken then.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import SceneError
+from cell.part import workpiece
+from cell.part.workpiece import Workpiece
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+from planner import reach, surface, viewpoints
+from planner.reach import Reach
+from planner.surface import TriangleMesh
+from planner.viewpoints import Viewpoints
+
+PARTS = ("mseke", "mug", "robinet", "petanque", "humerus", "st-jean")
+
+_FIXTURES = 2, 7  # from, to below
+_FACES, _ROLLS = 60, np.radians([0.0, 90.0])  # candidates: one per face and roll
+_STANDOFF = 0.2  # m: near the part, so that ways around it are needed
+_DRAWS = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeededCell:
+    """A compiled scene with candidates.
+
+    Attributes:
+        number: of the scene.
+        world: the cell.
+        checker: its collisions.
+        part: the part's faces, object frame [m].
+        viewpoints: candidates.
+        reach: their joint solutions.
+    """
+
+    number: int
+    world: World
+    checker: MujocoCollisionChecker
+    part: TriangleMesh
+    viewpoints: Viewpoints
+    reach: Reach
+
+    @property
+    def reachable(self) -> NDArray[np.int64]:
+        """(n,) reachable candidates."""
+        return np.flatnonzero(self.reach.reachable)
+
+
+def usable(number: int, least: int = 2) -> SeededCell:
+    """The first draw of a scene that can be and of which enough candidates are reachable.
+
+    Args:
+        number: of the scene.
+        least: reachable candidates that are needed.
+    """
+    for draw in range(_DRAWS):
+        scene = Scene.model_validate(content(number, draw))
+        part, planning = _part(scene.part.name)
+        try:
+            world = compile_world(scene, part.reference.vertices, baseline_mm=75.0)
+        except SceneError:
+            continue
+        candidates = viewpoints.optimal_scanning_zone(planning, (_STANDOFF,), tuple(_ROLLS))
+        checker = MujocoCollisionChecker(world)
+        if not checker.free(world.home[None])[0]:
+            continue
+        kinematics = Kr16Kinematics.from_model(world.model)
+        found = reach.solve(candidates, world.T_base_object, world.T_flange_scanner, kinematics, checker)
+        if found.reachable.sum() >= least:
+            faces = TriangleMesh(part.reference.vertices, part.reference.faces)
+            return SeededCell(number, world, checker, faces, candidates, found)
+    raise RuntimeError(f"none of {_DRAWS} draws of scene {number} can be used")
+
+
+@lru_cache
+def _part(name: str) -> tuple[Workpiece, TriangleMesh]:
+    part = workpiece.load(name)
+    return part, surface.decimate(part.reference, _FACES)
+
+
+def content(number: int, draw: int = 0) -> dict[str, Any]:
+    """Tables of a scene file.
+
+    Args:
+        number: of the scene.
+        draw: 0, or how many draws of this number could not be used.
+    """
+    rng = np.random.default_rng([number, draw])
+    distance, bearing = rng.uniform(800, 1350), np.radians(rng.uniform(-80, 80))
+    middle = np.array([distance * np.cos(bearing), distance * np.sin(bearing), rng.uniform(-250, 450)])
+    turn = [rng.uniform(-180, 180), rng.uniform(-25, 25), rng.uniform(-25, 25)]
+    fixtures = []
+    for k in range(int(rng.integers(*_FIXTURES))):
+        away, side = rng.uniform(200, 520), np.radians(rng.uniform(-180, 180))
+        at = middle + np.array([away * np.cos(side), away * np.sin(side), rng.uniform(-350, 250)])
+        fixture: dict[str, Any] = {
+            "name": f"fixture {k + 1}",
+            "position_mm": at.round(1).tolist(),
+            "abc_deg": rng.uniform([-180, -20, -20], [180, 20, 20]).round(1).tolist(),
+        }
+        if rng.random() < 0.5:
+            fixture |= {"shape": "box", "size_mm": rng.uniform([40, 40, 60], [350, 200, 600]).round(1).tolist()}
+        else:
+            fixture |= {"shape": "cylinder", "size_mm": rng.uniform([30, 100], [160, 800]).round(1).tolist()}
+        fixtures.append(fixture)
+    return {
+        "part": {"name": PARTS[number % len(PARTS)]},
+        "placement": {"position_mm": middle.round(1).tolist(), "abc_deg": np.round(turn, 1).tolist()},
+        "fixtures": fixtures,
+    }

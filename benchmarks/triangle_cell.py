@@ -1,0 +1,125 @@
+"""A second judge of motions: triangles of part, tool and arm in python-fcl, carried by the joints' exponentials.
+
+Boxes are twelve triangles, cylinders the prism of 96 sides around them, the part and mesh fixtures their own faces: no
+hull, no clearance, no travel bound, and none of MuJoCo's kinematics or collision routines. Only where every shape is at
+A1..A6 = 0, and which pairs are guarded, is taken from the compiled cell. Base frame, metres.
+"""
+
+from collections.abc import Iterator
+
+import fcl
+import mujoco
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from cell.world.world import World
+from planner.surface import TriangleMesh
+
+Floats = NDArray[np.float64]
+
+_SIDES = 96
+
+
+class TriangleCell:
+    """The cell's shapes as triangles.
+
+    Args:
+        world: the compiled cell.
+        part: the part's faces, object frame [m].
+    """
+
+    def __init__(self, world: World, part: TriangleMesh) -> None:
+        model, data = world.model, world.data()
+        data.qpos[:] = 0.0
+        mujoco.mj_kinematics(model, data)  # only for where everything is at A1..A6 = 0
+        joints = [model.joint(f"A{i}").id for i in range(1, 7)]
+        self._axes, self._anchors = data.xaxis[joints].copy(), data.xanchor[joints].copy()
+        self._link, self._rest, self._shape, self._radius = [], [], [], []
+        for geom, name in enumerate(world.entities):
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+            if name == "part":
+                mesh, T = trimesh.Trimesh(part.vertices, part.faces, process=False), world.T_base_object.copy()
+            elif name in world.fixture_meshes:
+                raise ValueError("mesh fixtures are not part of the seeded scenes")
+            else:
+                mesh, T = _mesh(int(model.geom_type[geom]), model.geom_size[geom], T)
+            middle = mesh.bounds.mean(axis=0)
+            T[:3, 3] += T[:3, :3] @ middle
+            vertices = np.array(mesh.vertices) - middle
+            shape = fcl.BVHModel()
+            shape.beginModel(len(vertices), len(mesh.faces))
+            shape.addSubModel(vertices, np.array(mesh.faces))
+            shape.endModel()
+            self._shape.append(fcl.CollisionObject(shape))
+            self._radius.append(float(np.linalg.norm(vertices, axis=1).max()))
+            self._rest.append(T)
+            self._link.append(int(name[5:]) if name.startswith("link_") else 6 if name in ("housing", "bracket") else 0)
+        self._names = world.entities
+        part_geoms = [geom for geom, name in enumerate(world.entities) if name == "part"]
+        pairs = {tuple(part_geoms[0] if g in part_geoms else g for g in pair) for pair in world.pairs.tolist()}
+        self._pairs = sorted(pairs)
+
+    def _places(self, q: Floats) -> Floats:
+        """(N, shapes, 4, 4) poses at (N, 6) joint angles."""
+        carried = [np.tile(np.eye(4), (len(q), 1, 1))]
+        for axis, anchor, angle in zip(self._axes, self._anchors, q.T, strict=True):
+            x, y, z = axis
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+            T = np.tile(np.eye(4), (len(q), 1, 1))
+            T[:, :3, :3] = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
+            T[:, :3, 3] = anchor - T[:, :3, :3] @ anchor
+            carried.append(carried[-1] @ T)
+        return np.stack([carried[link] @ rest for link, rest in zip(self._link, self._rest, strict=True)], axis=1)
+
+    def contacts(self, q: Floats) -> dict[str, int]:
+        """How many of (N, 6) configurations have triangles that meet, by pair."""
+        found: dict[str, int] = {}
+        for places, a, b, near in self._near(q, 0.0):
+            for i in near:
+                if fcl.collide(self._placed(a, places[i, a]), self._placed(b, places[i, b])):
+                    name = f"{self._names[b]} with {self._names[a]}"
+                    found[name] = found.get(name, 0) + 1
+        return found
+
+    def nearest(self, q: Floats, reach: float = 0.05) -> float:
+        """Smallest distance of triangles over (N, 6) configurations [m], at most `reach`."""
+        best = reach
+        for places, a, b, near in self._near(q, reach):
+            for i in near:
+                gap = np.linalg.norm(places[i, a, :3, 3] - places[i, b, :3, 3]) - self._radius[a] - self._radius[b]
+                if gap < best:
+                    best = min(best, fcl.distance(self._placed(a, places[i, a]), self._placed(b, places[i, b])))
+        return float(best)
+
+    def _near(self, q: Floats, reach: float) -> Iterator[tuple[Floats, int, int, NDArray[np.int64]]]:
+        """Pairs with the configurations at which their bounding spheres are within reach."""
+        for start in range(0, len(q), 2000):
+            places = self._places(q[start : start + 2000])
+            for a, b in self._pairs:
+                gap = np.linalg.norm(places[:, a, :3, 3] - places[:, b, :3, 3], axis=1)
+                near = np.flatnonzero(gap <= self._radius[a] + self._radius[b] + reach)
+                if len(near):
+                    yield places, a, b, near
+
+    def _placed(self, geom: int, T: Floats) -> fcl.CollisionObject:
+        self._shape[geom].setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))
+        return self._shape[geom]
+
+
+def _mesh(kind: int, size: Floats, T: Floats) -> tuple[trimesh.Trimesh, Floats]:
+    """Triangles of a primitive in its own frame, and its pose."""
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return trimesh.creation.box(2 * size), T
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        angles = np.arange(_SIDES) * 2 * np.pi / _SIDES
+        ring = size[0] / np.cos(np.pi / _SIDES) * np.column_stack([np.cos(angles), np.sin(angles)])
+        ends = [np.column_stack([ring, np.full(_SIDES, z)]) for z in (-size[1], size[1])]
+        return trimesh.convex.convex_hull(np.concatenate(ends)), T
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        lowered = T.copy()
+        lowered[:3, 3] -= T[:3, 2] * 0.5
+        return trimesh.creation.box([20.0, 20.0, 1.0]), lowered
+    raise ValueError(f"a shape of MuJoCo's type {kind} has no triangles here")
