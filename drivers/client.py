@@ -8,6 +8,8 @@ A wire implements `Link`, four small methods; `ControllerClient` makes a `Driver
   number is sent once more, which executes at most once. If the state cannot be read, or says neither, a
   `StateUnknownError` says so, and until a stop has been confirmed and the arm seen standing only `state()` and
   `stop()` are possible.
+- **A restarted controller, or another client**, is noticed before the next command by its last number or its boot
+  number; then too only `state()` and `stop()` are possible until a stop was confirmed.
 - **Ctrl-C**, or any other exception while waiting, is a controlled stop before it goes on.
 """
 
@@ -20,11 +22,11 @@ from drivers.clock import Clock
 from drivers.commands import Answer, Command, Move, Reset, Result, Stop, next_sequence, sentence_of
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import (
-    AnswerTimeoutError,
     DriverError,
     EmergencyStopError,
     FaultError,
     LinkError,
+    LinkLostError,
     NotConnectedError,
     ProtocolError,
     RefusedError,
@@ -33,6 +35,9 @@ from drivers.errors import (
 )
 from drivers.limits import refuse
 from drivers.setpoints import SetPoints, text
+
+_STOP_TRIES = 4
+"""How often a stop is sent before its failure is raised."""
 
 
 class Link(Protocol):
@@ -73,6 +78,7 @@ class ControllerClient:
         self._capabilities: Capabilities | None = None
         self._sequence = 0  # the last number used
         self._acknowledged = 0  # the last number whose answer is known
+        self._boot = 0  # which run of the controller that was
         self._unknown = ""
 
     def connect(self) -> None:
@@ -86,7 +92,7 @@ class ControllerClient:
             except BaseException:
                 self._link.close()
                 raise
-            self._sequence = self._acknowledged = state.ack_sequence
+            self._agree(state)
             self._capabilities = capabilities
 
     def close(self) -> None:
@@ -128,11 +134,18 @@ class ControllerClient:
         """Drive through via points and return when the arm stands at the last one."""
         command = Move(set_points, speed)
         with self._lock:
-            self._require_known()
-            result, detail = refuse(command, self._link.state().axes, self.capabilities)
+            state = self._require_known()
+            result, detail = refuse(command, state.axes, self.capabilities)
             if result is not Result.OK:
                 raise RefusedError(detail, result)
-            sequence = self._send_surely(command)
+            try:
+                sequence = self._send_surely(command)
+            except DriverError:
+                raise
+            except BaseException:  # Ctrl-C while the answer was on its way: the arm may move
+                with contextlib.suppress(DriverError):
+                    self.stop()
+                raise
         return self._wait_for_end(sequence)
 
     def stop(self) -> RobotState:
@@ -140,27 +153,56 @@ class ControllerClient:
         with self._lock:
             _ = self.capabilities
             self._sequence = next_sequence(self._sequence)
-            try:
-                self._link.send(self._sequence, Stop())
-            except AnswerTimeoutError:
-                self._link.send(self._sequence, Stop())  # stopping twice is stopping
+            for left in reversed(range(_STOP_TRIES)):
+                try:
+                    self._link.send(self._sequence, Stop())
+                    break
+                except LinkError:  # stopping twice is stopping
+                    if not left:
+                        raise
         while not (state := self.state()).standing:
             self._pause()
         with self._lock:
-            self._unknown, self._sequence, self._acknowledged = "", state.ack_sequence, state.ack_sequence
+            self._agree(state)
         return state
 
     def reset(self) -> RobotState:
         """Clear a latched fault."""
         with self._lock:
-            self._require_known()
+            _ = self._require_known()
             self._send_surely(Reset())
             return self._link.state()
 
-    def _require_known(self) -> None:
+    def _agree(self, state: RobotState) -> None:
+        """Go on from where the controller is."""
+        self._unknown = ""
+        self._sequence = self._acknowledged = state.ack_sequence
+        self._boot = state.boot
+
+    def _require_known(self) -> RobotState:
+        """The state now, if it is the one that this client left.
+
+        Raises:
+            StateUnknownError: if not.
+        """
         _ = self.capabilities
-        if self._unknown:
-            raise StateUnknownError(f"{self._unknown}; only reading and stopping are possible, so stop() first")
+        if not self._unknown:
+            state = self._link.state()
+            if not (foreign := self._foreign(state)):
+                return state
+            self._unknown = foreign
+        raise StateUnknownError(f"{self._unknown}; only reading and stopping are possible, so stop() first")
+
+    def _foreign(self, state: RobotState) -> str:
+        """Why this is not the controller that this client left; empty if it is."""
+        if state.boot != self._boot:
+            return "the controller was restarted"
+        if state.ack_sequence not in (self._acknowledged, self._sequence):
+            return (
+                f"the controller last answered command {state.ack_sequence}, neither {self._acknowledged} nor "
+                f"{self._sequence}: it was restarted, or another client talks to it"
+            )
+        return ""
 
     def _send_surely(self, command: Command) -> int:
         """Send a command under a new number, find out what became of it if no answer comes, and return the number.
@@ -181,24 +223,21 @@ class ControllerClient:
         for _ in range(2):
             try:
                 return self._link.send(sequence, command)
-            except AnswerTimeoutError as error:
-                failure = error
-            except LinkError as error:
+            except LinkLostError as error:
                 failure = error
                 break
+            except LinkError as error:  # no answer, or none that could be read
+                failure = error
             try:
                 state = self._link.state()
             except LinkError as error:
                 failure = error
                 break
+            if foreign := self._foreign(state):
+                failure = ProtocolError(foreign)
+                break
             if state.ack_sequence == sequence:
                 return Answer(sequence, state.ack_result)
-            if state.ack_sequence != self._acknowledged:
-                failure = ProtocolError(
-                    f"the controller last answered command {state.ack_sequence}, neither {self._acknowledged} nor "
-                    f"{sequence}: it was restarted, or another client talks to it"
-                )
-                break
         raise self._state_unknown(f"whether command {sequence} was executed is not known", failure) from failure
 
     def _wait_for_end(self, sequence: int) -> RobotState:

@@ -13,6 +13,7 @@ import numpy as np
 
 from drivers.commands import Answer, Reset, Stop
 from drivers.contract import Capabilities, Mode, RobotState
+from drivers.errors import ProtocolError
 from drivers.frames import FROM_CONTROLLER, MAX_BODY, TO_CONTROLLER, Frame, plain
 from drivers.setpoints import AXES, SetPoints
 from drivers.wire import SPEEDS, Commit, Stage, speed_from_wire, speed_to_wire
@@ -83,6 +84,11 @@ def request_frame(number: int, request: Request) -> Frame:
         case Reset():
             body = "RESET"
     return Frame(TO_CONTROLLER, number, body)
+
+
+def kind_of(request: Request) -> str:
+    """The kind of a request's frame and of its answer's."""
+    return request_frame(0, request).kind
 
 
 def request_of(frame: Frame) -> Request | None:
@@ -161,15 +167,19 @@ def hello_frame(number: int, able: Capabilities) -> Frame:
     return Frame(FROM_CONTROLLER, number, _with_text(body, able.controller))
 
 
-def hello_of(frame: Frame) -> Capabilities | int | None:
-    """The capabilities of a frame, the version where it is another than ours, or None."""
+def hello_of(frame: Frame) -> Capabilities | None:
+    """The capabilities of a frame, or None.
+
+    Raises:
+        ProtocolError: if the controller speaks another version of the protocol.
+    """
     name, words = _start(frame)
     if name != "HELLO":
         return None
     try:
         version = _integer(words, 0)
         if version != VERSION:
-            return version
+            raise ProtocolError(f"the controller speaks version {version} of the protocol; this driver {VERSION}")
         speed, max_via = _integer(words, 1, SPEEDS), _integer(words, 0)
         lower, upper, step = (np.array([_integer32(words) for _ in range(AXES)], dtype=np.int32) for _ in range(3))
         return Capabilities(

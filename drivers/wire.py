@@ -1,4 +1,4 @@
-"""What every wire has in common: a move cut into what a frame can hold, and speeds as whole numbers.
+"""What every wire has in common: a move cut into what a frame can hold, speeds as whole numbers, patience, a pulse.
 
 A frame is short and a move may have 100,000 via points. So a move is *staged*: its via points go into a buffer of the
 controller, piece by piece, under the sequence number that the move will have. Staging moves nothing, and writing the
@@ -20,8 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.clock import Clock
 from drivers.commands import Move
+from drivers.errors import DriverUrlError, LinkLostError
 from drivers.setpoints import AXES, SetPoints, frozen
+from drivers.url import DriverUrl
 
 SPEEDS = 10_000
 """Speed fractions travel as whole numbers of 1e-4: 10,000 is full speed."""
@@ -90,6 +93,81 @@ def speed_to_wire(speed: float) -> int:
 def speed_from_wire(speed: int) -> float:
     """The speed fraction."""
     return speed / SPEEDS
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a client waits for what.
+
+    Attributes:
+        answer: longest time from a question to its answer [s], without the time of the bytes on the wire.
+        tries: how often the state is asked for before it counts as unreadable.
+        watchdog: silence [s] after which either side takes the other for gone.
+        poll: time [s] between two questions for the state of a moving arm.
+    """
+
+    answer: float = 0.25
+    tries: int = 3
+    watchdog: float = DEFAULT_WATCHDOG_MS / 1000.0
+    poll: float = 0.02
+
+    @property
+    def watchdog_ms(self) -> int:
+        """The watchdog [ms]."""
+        return round(self.watchdog * 1000.0)
+
+    @classmethod
+    def from_url(cls, url: DriverUrl) -> "Patience":
+        """Take the options timeout_ms, watchdog_ms and poll_ms.
+
+        Raises:
+            DriverUrlError: if one cannot be, or the watchdog would bite while the client still asks again.
+        """
+        least, most = WATCHDOG_RANGE_MS
+        answer = url.number("timeout_ms", 1000.0 * cls.answer, above=0.0, at_most=60_000.0)
+        watchdog = url.number("watchdog_ms", 1000.0 * cls.watchdog, above=least - 1.0, at_most=most)
+        poll = url.number("poll_ms", 1000.0 * cls.poll, above=0.0, at_most=most)
+        if cls.tries * answer > watchdog or poll > watchdog / 2.0:
+            raise DriverUrlError(
+                f"'{url.text}' has timeout_ms={answer:g}, poll_ms={poll:g} and watchdog_ms={watchdog:g}; the watchdog "
+                f"must be at least {cls.tries} times the timeout and twice the poll, or one lost answer stops the arm"
+            )
+        return cls(answer / 1000.0, cls.tries, watchdog / 1000.0, poll / 1000.0)
+
+
+class Pulse:
+    """The client's watchdog: a controller whose heartbeat stands still is gone, even where something answers for it.
+
+    Args:
+        clock: the client's.
+        limit: time [s] for which the heartbeat may stand still.
+    """
+
+    def __init__(self, clock: Clock, limit: float) -> None:
+        self._clock, self._limit = clock, limit
+        self._last: int | None = None
+        self._since: float | None = None
+
+    def see(self, heartbeat: int) -> None:
+        """Take the heartbeat of an answer.
+
+        Raises:
+            LinkLostError: if it has stood still for too long, seen three times at least.
+        """
+        now = self._clock.now()
+        if heartbeat != self._last:
+            self._last, self._since = heartbeat, None
+        elif self._since is None:
+            self._since = now  # from here on: a long pause of ours before is no standstill of theirs
+        elif now - self._since > self._limit:
+            raise LinkLostError(
+                f"the controller's heartbeat has stood still for {now - self._since:.2f} s; what answers is not the "
+                "controller itself"
+            )
+
+    def forget(self) -> None:
+        """The line was opened anew."""
+        self._last = None
 
 
 class Staging:

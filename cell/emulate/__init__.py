@@ -1,0 +1,1 @@
+"""An emulated robot controller in a process of its own, behind a pseudo-terminal or a loopback socket."""

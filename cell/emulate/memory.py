@@ -1,0 +1,100 @@
+"""What an emulated controller leaves on disk: where its arm stands, and a journal of what it executed.
+
+A real arm does not teleport when its controller is restarted. So the position is on disk before a client is told of it,
+written beside the file and renamed, so that a kill at any moment leaves the old or the new one. The file outlives the
+process, not the machine: nothing is flushed to the disk's surface for it.
+"""
+
+import json
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from cell.errors import FileError, UsageError
+from drivers.contract import RobotState
+from drivers.endpoint import Entry
+from drivers.setpoints import AXES, SetPoints
+
+SCHEMA = "cell-emulator-state/1"
+
+
+class Memory:
+    """The witness of an emulated controller.
+
+    Args:
+        state: file of the arm's position; None: it is forgotten.
+        log: file of the journal, JSON lines, appended to; None: none.
+
+    Attributes:
+        axes: (6,) where the arm stood last, counts of 1e-4 deg, or None on the first start.
+        boot: number of the last start, 0 on the first.
+        ended_in_order: False where the last run was killed.
+
+    Raises:
+        FileError: if a file cannot be read or written.
+    """
+
+    def __init__(self, state: Path | None, log: Path | None) -> None:
+        self._state, self._log = state, _open(log)
+        self.axes: SetPoints | None = None
+        self.boot, self.ended_in_order = 0, True
+        if state is not None and state.exists():
+            self.axes, self.boot, self.ended_in_order = _read(state)
+        self._written: tuple[object, ...] = ()
+
+    def entry(self, entry: Entry) -> None:
+        """Append one line."""
+        if self._log is not None:
+            self._log.write(json.dumps(entry) + "\n")
+            self._log.flush()
+
+    def seen(self, state: RobotState) -> None:
+        """Remember the position, before it is told."""
+        self._write(state.axes, state.boot, ended_in_order=False)
+
+    def close(self, state: RobotState) -> None:
+        """The run ends in order; the arm stands."""
+        self._write(state.axes, state.boot, ended_in_order=True)
+        if self._log is not None:
+            self._log.close()
+
+    def _write(self, axes: SetPoints, boot: int, *, ended_in_order: bool) -> None:
+        if self._state is None:
+            return
+        content = (axes.tolist(), boot, ended_in_order)
+        if content == self._written:
+            return
+        text = json.dumps({"schema": SCHEMA, "axes": content[0], "boot": boot, "ended_in_order": ended_in_order})
+        temporary = self._state.with_name(self._state.name + ".part")
+        try:
+            temporary.write_text(text + "\n", encoding="utf-8")
+            temporary.replace(self._state)
+        except OSError as error:
+            raise FileError(f"{self._state} cannot be written: {error.strerror}; choose another --state") from error
+        self._written = content
+
+
+def _open(log: Path | None) -> IO[str] | None:
+    if log is None:
+        return None
+    try:
+        return log.open("a", encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{log} cannot be written: {error.strerror}; choose another --log") from error
+
+
+def _read(path: Path) -> tuple[SetPoints, int, bool]:
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        axes = np.array(content["axes"], dtype=np.int32)
+        boot, in_order = int(content["boot"]), bool(content["ended_in_order"])
+        if content["schema"] != SCHEMA or axes.shape != (AXES,) or not 0 <= boot <= 65535:
+            raise ValueError("it is none")
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise UsageError(
+            f"{path} is no state of an emulated arm ({error}); remove it, and the arm stands at --start"
+        ) from error
+    return axes, boot, in_order

@@ -1,0 +1,249 @@
+"""`modbus://` and `modbus+rtu://`: the register map of docs/protocol.md over Modbus.
+
+| option | default | meaning |
+|---|---|---|
+| `unit` | 1 | device address, 1 to 247 |
+| `baud` | 115200 | RTU: bits per second; 8 data bits, no parity, 1 stop bit |
+| `timeout_ms` | 250 | longest time from a telegram to its answer; RTU: without the time of the bytes on the wire |
+| `watchdog_ms` | 1000 | silence after which the controller stops a moving arm, and the client takes it for gone |
+| `poll_ms` | 20 | time between two questions for the state of a moving arm |
+
+`modbus://host:502?unit=1`, `modbus+rtu:///dev/ttyUSB1?baud=115200`.
+
+Modbus telegrams on a serial line carry no number, so an answer that is late looks like the current one. Here every
+exchange is a write of the command block with a new heartbeat, and a read of the status block, which repeats that
+heartbeat (`echo`). A status that echoes another one was made before the write, or for another client, and is read
+again. The answer to a command is taken from such a status and nowhere else; that the write itself was answered says
+only that something took it.
+"""
+
+import secrets
+from collections.abc import Mapping
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from drivers import register_map as registers
+from drivers.client import ControllerClient
+from drivers.clock import Clock, RealTimeClock
+from drivers.commands import Answer, Command, Move, Result, Stop
+from drivers.contract import Capabilities, Fault, Mode, RobotState
+from drivers.errors import DriverUrlError, LinkLostError, ProtocolError
+from drivers.registry import Context
+from drivers.reopening import ReopeningLink
+from drivers.serial_link import port_path
+from drivers.setpoints import SetPoints
+from drivers.url import DriverUrl
+from drivers.wire import Patience, pieces, speed_from_wire
+
+STANDING_FLAG = 0b01
+
+
+class Port(Protocol):
+    """Registers of one device (`drivers.modbus_port.ModbusPort`); it raises LinkErrors."""
+
+    name: str
+
+    def open(self) -> None:
+        """Take the line."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+    def read(self, address: int, count: int) -> list[int]:
+        """Input registers, in one FC04."""
+        ...
+
+    def write(self, address: int, values: list[int]) -> None:
+        """Holding registers, in one FC16."""
+        ...
+
+
+class ModbusLink(ReopeningLink):
+    """The wire to one controller.
+
+    Args:
+        port: where the registers are.
+        clock: the client's.
+        patience: how long to wait.
+        first_heartbeat: where it begins to count; None: random.
+    """
+
+    def __init__(self, port: Port, clock: Clock, patience: Patience, *, first_heartbeat: int | None = None) -> None:
+        super().__init__(port, clock, patience)
+        self._port = port
+        self._heartbeat = secrets.randbelow(65536) if first_heartbeat is None else first_heartbeat
+
+    def send(self, sequence: int, command: Command) -> Answer:
+        """Send a command once; what a move stages first may be sent again."""
+        self._require_open()
+        if isinstance(command, Move):
+            stages, commit = pieces(command, registers.POINTS_PER_BLOCK)
+            for stage in stages:
+                block = {"command": registers.STAGE, "offset": stage.offset}
+                self._again(partial(self._command, sequence, block, stage.points))
+            block = {
+                "command": registers.MOVE, "speed": commit.speed, "count": commit.count, "points_crc": commit.crc
+            }  # fmt: skip
+            return self._command(sequence, block, commit.tail)
+        return self._command(sequence, {"command": registers.STOP if isinstance(command, Stop) else registers.RESET})
+
+    def state(self) -> RobotState:
+        """Beat, and read the state; several times if need be, opening a lost line again."""
+        values = self._again(self._beat)
+        return self._taken(_whole(values, "heartbeat"), _state_of(values))
+
+    def _greet(self) -> Capabilities:
+        values = self._block(registers.CAPABILITIES)
+        return Capabilities(
+            controller=str(values["name"]),
+            lower=_axes(values, "lower"),
+            upper=_axes(values, "upper"),
+            max_step=_axes(values, "max_step"),
+            max_speed=speed_from_wire(_whole(values, "max_speed")),
+            max_via=_whole(values, "max_via") or None,
+            hardware=True,
+            simulated_time=False,
+        )
+
+    def _beat(self) -> dict[str, registers.Value]:
+        self._write({})
+        return self._status()
+
+    def _command(self, sequence: int, block: Mapping[str, int], points: SetPoints | None = None) -> Answer:
+        self._write({"sequence": sequence, **block}, points)
+        values = self._status()
+        answered, result = _whole(values, "answer_sequence"), _whole(values, "answer_result")
+        if answered != sequence:
+            raise ProtocolError(
+                f"the controller answers command {answered}, not {sequence}; another client talks to it"
+            )
+        if result == Result.INCOMPLETE:
+            raise ProtocolError(Result.INCOMPLETE.sentence)
+        return Answer(sequence, result)
+
+    def _write(self, block: Mapping[str, int], points: SetPoints | None = None) -> None:
+        """Write the command block under a new heartbeat."""
+        self._heartbeat = (self._heartbeat + 1) % 65536
+        values = {
+            **dict.fromkeys((field.name for field in registers.COMMAND.fields), 0),
+            **block,
+            "heartbeat": self._heartbeat,
+            "watchdog_ms": self._patience.watchdog_ms,
+            "points": 0 if points is None else len(points),
+        }
+        counts = () if points is None else points.ravel().tolist()
+        try:
+            self._port.write(registers.COMMAND.address, registers.COMMAND.encode(values, counts))
+        except LinkLostError:
+            self._drop()
+            raise
+
+    def _status(self) -> dict[str, registers.Value]:
+        """The status that was made after the last write."""
+        echo = -1
+        for _ in range(self._patience.tries):
+            try:
+                values = self._block(registers.STATUS)
+            except LinkLostError:
+                self._drop()
+                raise
+            echo = _whole(values, "echo")
+            if echo == self._heartbeat:
+                return values
+        raise ProtocolError(
+            f"the controller echoes heartbeat {echo}, not {self._heartbeat}; its answers are late, or another client "
+            "writes to it"
+        )
+
+    def _block(self, block: registers.Block) -> dict[str, registers.Value]:
+        read = self._port.read(block.address, block.registers)
+        registers.check_identity(read)
+        values, _ = block.decode(read)
+        return values
+
+
+def _state_of(values: Mapping[str, registers.Value]) -> RobotState:
+    flags, code = _whole(values, "flags"), _whole(values, "fault_code")
+    try:
+        mode = Mode(_whole(values, "mode"))
+    except ValueError as error:
+        raise ProtocolError(f"the controller reports mode {values['mode']}; there are 0 to {max(Mode)}") from error
+    try:
+        sentence = Fault(code).sentence
+    except ValueError:
+        sentence = f"fault {code} of this controller"
+    return RobotState(
+        mode=mode,
+        axes=_axes(values, "axes"),
+        standing=bool(flags & STANDING_FLAG),
+        ack_sequence=_whole(values, "ack_sequence"),
+        ack_result=_whole(values, "ack_result"),
+        done_sequence=_whole(values, "done_sequence"),
+        done_result=_whole(values, "done_result"),
+        queue_depth=_whole(values, "queue_depth"),
+        fault_code=code,
+        fault_sentence=sentence,
+        boot=_whole(values, "boot"),
+    )
+
+
+def _whole(values: Mapping[str, registers.Value], name: str) -> int:
+    value = values[name]
+    assert isinstance(value, int)
+    return value
+
+
+def _axes(values: Mapping[str, registers.Value], name: str) -> SetPoints:
+    return np.array(values[name], dtype=np.int32)
+
+
+class ModbusDriver(ControllerClient):
+    """A controller behind Modbus TCP."""
+
+    @classmethod
+    def from_url(cls, url: DriverUrl, context: Context) -> "ModbusDriver":
+        """Make the driver that a `modbus://` URL describes.
+
+        Raises:
+            DriverUrlError: if there is no host in it, or an option cannot be.
+        """
+        unit, patience = _unit(url), Patience.from_url(url)
+        url.finish()
+        if not url.host or url.path not in ("", "/"):
+            raise DriverUrlError(f"'{url.text}' must name a host and no path: modbus://192.168.0.10:502?unit=1")
+        from drivers.modbus_port import ModbusPort
+
+        clock = context.clock or RealTimeClock()
+        port = ModbusPort.tcp(url.host, url.port or 502, unit, patience.answer)
+        return cls(ModbusLink(port, clock, patience), clock)
+
+
+class ModbusRtuDriver(ControllerClient):
+    """A controller behind Modbus RTU."""
+
+    @classmethod
+    def from_url(cls, url: DriverUrl, context: Context) -> "ModbusRtuDriver":
+        """Make the driver that a `modbus+rtu://` URL describes.
+
+        Raises:
+            DriverUrlError: if there is no port in it, or an option cannot be.
+        """
+        unit, baud = _unit(url), url.whole("baud", 115200, at_least=50)
+        patience = Patience.from_url(url)
+        url.finish()
+        path = port_path(url)
+        from drivers.modbus_port import ModbusPort
+
+        clock = context.clock or RealTimeClock()
+        return cls(ModbusLink(ModbusPort.rtu(path, baud, unit, patience.answer), clock, patience), clock)
+
+
+def _unit(url: DriverUrl) -> int:
+    unit = url.whole("unit", 1, at_least=1)
+    if unit > 247:
+        raise DriverUrlError(f"'{url.text}' has unit={unit}; a device address goes from 1 to 247")
+    return unit

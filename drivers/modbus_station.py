@@ -1,0 +1,153 @@
+"""The controller's side of the Modbus map: bytes of one telegram in, bytes of its answer out; TCP and RTU alike."""
+
+import math
+
+import numpy as np
+
+from drivers import modbus_adu as adu
+from drivers import register_map as registers
+from drivers.commands import Answer, Result
+from drivers.contract import Mode
+from drivers.endpoint import Endpoint, Report, counts_of_pose
+from drivers.errors import ProtocolError
+from drivers.setpoints import AXES
+from drivers.wire import Commit, Stage, speed_to_wire
+
+RTU_SILENCE = 0.05
+"""Silence [s] after which the rest of a broken telegram is dropped; the specification's 3.5 characters are far less."""
+
+
+class ModbusStation:
+    """Answers telegrams.
+
+    Args:
+        endpoint: the controller.
+        unit: device address; telegrams for others are left to them.
+        rtu: RTU instead of TCP.
+    """
+
+    def __init__(self, endpoint: Endpoint, *, unit: int = 1, rtu: bool = False) -> None:
+        self.endpoint = endpoint
+        self._unit, self._rtu = unit, rtu
+        self.silence = RTU_SILENCE if rtu else math.inf
+        self.forget()
+
+    def forget(self) -> None:
+        """The controller was restarted."""
+        self._heartbeat = -1
+        self._answer = Answer(0, Result.OK)
+
+    def split(self, received: bytes) -> tuple[list[bytes], bytes] | None:
+        """Cut a stream into telegrams and the rest; None: it cannot be Modbus."""
+        return adu.split_rtu(received) if self._rtu else adu.split_tcp(received)
+
+    def answer(self, packet: bytes) -> bytes:
+        """The answer; empty where there is none: to what is no telegram, or is meant for another device."""
+        unpacked = self._unpack(packet)
+        if unpacked is None or unpacked[0].unit != self._unit:
+            return b""
+        header, pdu = unpacked
+        request = adu.request_of(pdu)
+        if isinstance(request, adu.Read):
+            answer = self._read(request)
+        elif isinstance(request, adu.Write):
+            answer = self._write(request)
+        else:
+            answer = adu.refusal_pdu(request)
+        return adu.pack(header, answer)
+
+    def refuse(self, packet: bytes) -> bytes:
+        """An exception telegram, nothing executed: the device failed."""
+        unpacked = self._unpack(packet)
+        if unpacked is None:
+            return b""
+        header, pdu = unpacked
+        return adu.pack(header, adu.refusal_pdu(adu.Refusal(pdu[0] & 0x7F, adu.DEVICE_FAILURE)))
+
+    def _unpack(self, packet: bytes) -> tuple[adu.Header, bytes] | None:
+        return adu.unpack_rtu(packet) if self._rtu else adu.unpack_tcp(packet)
+
+    def _read(self, request: adu.Read) -> bytes:
+        for block in (registers.STATUS, registers.CAPABILITIES):
+            first = request.address - block.address
+            if first >= 0 and first + request.count <= block.registers:
+                values = self._status() if block is registers.STATUS else self._capabilities()
+                return adu.registers_pdu(block.encode(values)[first : first + request.count])
+        return adu.refusal_pdu(adu.Refusal(adu.READ_INPUT, adu.ILLEGAL_ADDRESS))
+
+    def _write(self, request: adu.Write) -> bytes:
+        if request.address != registers.COMMAND.address:
+            return adu.refusal_pdu(adu.Refusal(adu.WRITE_HOLDING, adu.ILLEGAL_ADDRESS))
+        try:
+            values, counts = registers.COMMAND.decode(request.values)
+        except ProtocolError:
+            return adu.refusal_pdu(adu.Refusal(adu.WRITE_HOLDING, adu.ILLEGAL_VALUE))
+        points = np.array(counts, dtype=np.int32).reshape(-1, AXES)
+        whole = {name: value for name, value in values.items() if isinstance(value, int)}
+        if whole["points"] != len(points):
+            return adu.refusal_pdu(adu.Refusal(adu.WRITE_HOLDING, adu.ILLEGAL_VALUE))
+        if whole["heartbeat"] != self._heartbeat:  # a gateway that repeats the last block is no sign of life
+            self._heartbeat = whole["heartbeat"]
+            self.endpoint.hear(whole["watchdog_ms"])
+        if whole["command"] != registers.NONE:
+            self._answer = self._command(whole, points)
+        return adu.written_pdu(request)
+
+    def _command(self, whole: dict[str, int], points: np.ndarray[tuple[int, int], np.dtype[np.int32]]) -> Answer:
+        sequence = whole["sequence"]
+        match whole["command"]:
+            case registers.MOVE if len(points):
+                commit = Commit(whole["speed"], whole["count"], whole["points_crc"], points)
+                return self.endpoint.commit(sequence, commit)
+            case registers.STAGE if len(points):
+                return self.endpoint.stage(sequence, Stage(whole["offset"], points))
+            case registers.STOP:
+                return self.endpoint.stop(sequence)
+            case registers.RESET:
+                return self.endpoint.reset(sequence)
+        return Answer(sequence, Result.UNKNOWN_COMMAND)
+
+    def _status(self) -> dict[str, registers.Value]:
+        report: Report = self.endpoint.report()
+        state = report.state
+        moving = not state.standing
+        flags = (state.standing, moving, state.mode is Mode.IN_POSITION, state.mode is Mode.FAULT,
+                 state.mode is Mode.EMERGENCY_STOP, report.pose is not None)  # fmt: skip
+        return {
+            **_IDENTITY,
+            "heartbeat": report.heartbeat,
+            "boot": state.boot,
+            "echo": max(self._heartbeat, 0),
+            "flags": sum(1 << k for k, flag in enumerate(flags) if flag),
+            "mode": int(state.mode),
+            "ack_sequence": state.ack_sequence,
+            "ack_result": int(state.ack_result),
+            "done_sequence": state.done_sequence,
+            "done_result": int(state.done_result),
+            "answer_sequence": self._answer.sequence,
+            "answer_result": int(self._answer.result),
+            "queue_depth": state.queue_depth,
+            "fault_code": int(state.fault_code),
+            "fault_count": report.fault_count,
+            "axes": tuple(state.axes.tolist()),
+            "pose": (0,) * 6 if report.pose is None else counts_of_pose(report.pose),
+        }
+
+    def _capabilities(self) -> dict[str, registers.Value]:
+        able = self.endpoint.capabilities
+        return {
+            **_IDENTITY,
+            "max_speed": speed_to_wire(able.max_speed),
+            "max_via": able.max_via or 0,
+            "lower": tuple(able.lower.tolist()),
+            "upper": tuple(able.upper.tolist()),
+            "max_step": tuple(able.max_step.tolist()),
+            "name": able.controller,
+        }
+
+
+_IDENTITY: dict[str, registers.Value] = {
+    "magic": registers.MAGIC,
+    "version": registers.MAP_VERSION,
+    "word_order": registers.WORD_ORDER,
+}

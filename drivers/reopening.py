@@ -1,0 +1,125 @@
+"""What the links over real wires share: a line that is lost is opened again, and greeted again, when it is next used.
+
+Opening again is safe because it only reads: whether the controller is still the one that was left, and what became of
+the last command, `drivers.client` finds out from the numbers in the state.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.contract import Capabilities, RobotState
+from drivers.errors import LinkError, LinkLostError, NotConnectedError, ProtocolError
+from drivers.wire import Patience, Pulse
+
+T = TypeVar("T")
+
+
+class Line(Protocol):
+    """What can be opened and closed."""
+
+    name: str
+
+    def open(self) -> None:
+        """Take it."""
+        ...
+
+    def close(self) -> None:
+        """Give it back; may be called twice."""
+        ...
+
+
+class ReopeningLink(ABC):
+    """Opening, closing, asking again, and the client's watchdog.
+
+    Args:
+        line: the port.
+        clock: the client's.
+        patience: how long to wait.
+    """
+
+    def __init__(self, line: Line, clock: Clock, patience: Patience) -> None:
+        self._line, self._clock, self._patience = line, clock, patience
+        self._pulse = Pulse(clock, patience.watchdog)
+        self._capabilities: Capabilities | None = None
+        self._is_open = False
+        self._standing = True
+
+    @abstractmethod
+    def _greet(self) -> Capabilities:
+        """Make sure that a controller of ours answers on the open line, and read what it accepts."""
+
+    def open(self) -> Capabilities:
+        """Open the line and greet the controller."""
+        return self._reopen()
+
+    def close(self) -> None:
+        """Give the line back."""
+        self._capabilities = None
+        self._drop()
+
+    def time_to_wait(self) -> float:
+        """The poll's period."""
+        return 0.0 if self._standing else self._patience.poll
+
+    def _taken(self, heartbeat: int, state: RobotState) -> RobotState:
+        """A state as read, once its heartbeat has been looked at."""
+        try:
+            self._pulse.see(heartbeat)
+        except LinkLostError:
+            self._drop()
+            raise
+        self._standing = state.standing
+        return state
+
+    def _again(self, ask: Callable[[], T]) -> T:
+        """Ask what is harmless to ask several times, on a line that is opened again if need be."""
+        failure = LinkError("nothing was asked")
+        for _ in range(self._patience.tries):
+            try:
+                self._require_open()
+                return ask()
+            except LinkError as error:
+                failure = error
+        raise failure
+
+    def _require_open(self) -> None:
+        if self._is_open:
+            return
+        if self._capabilities is None:
+            raise NotConnectedError(f"{self._line.name} is not open; connect() first")
+        before = self._capabilities
+        if not alike(before, self._reopen()):
+            self._drop()
+            self._capabilities = before
+            raise ProtocolError(f"the controller at {self._line.name} has other limits than before the line was lost")
+
+    def _reopen(self) -> Capabilities:
+        self._drop()
+        failure = LinkError("nothing was asked")
+        for _ in range(self._patience.tries):
+            try:
+                self._line.open()
+                self._capabilities = self._greet()
+            except LinkError as error:
+                self._line.close()
+                failure = error
+                continue
+            self._is_open = True
+            self._pulse.forget()
+            return self._capabilities
+        raise failure
+
+    def _drop(self) -> None:
+        self._is_open = False
+        self._line.close()
+
+
+def alike(a: Capabilities, b: Capabilities) -> bool:
+    """Whether two controllers take the same moves."""
+    return (a.max_speed, a.max_via) == (b.max_speed, b.max_via) and all(
+        np.array_equal(getattr(a, name), getattr(b, name)) for name in ("lower", "upper", "max_step")
+    )
