@@ -29,6 +29,7 @@ REGISTRY = {
     "motion_recheck": "final motions of seeded scenes, judged by triangles every millisecond and by their differences",
     "motion": "order and path: cycle time over the Christofides baseline",
     "plan": "the main job as a whole process: stages, memory, prediction error on every part",
+    "plant": "the dynamic arm: tracking error beside simulation speed; time steps, integrators and gains that diverge",
     "scan": "the execution as a whole process: seconds, memory, coverage achieved beside predicted, registration",
     "table5": "the paper's Table 5 on the built-in Mseke",
     "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",

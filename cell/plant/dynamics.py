@@ -18,7 +18,6 @@ import numpy as np
 from cell.errors import FileError
 from cell.plant.tool import Tool
 from cell.robot import model as robot
-from cell.world.shapes import quaternion
 from planner.ports import Floats
 from planner.readonly import readonly
 
@@ -100,7 +99,7 @@ def arm(
     for piece in tool.pieces:
         carried = last.add_body(name=piece.name, pos=flange.pos, quat=flange.quat)
         carried.explicitinertial, carried.mass, carried.inertia = True, piece.mass, piece.inertia
-        carried.ipos, carried.iquat = piece.T_flange_piece[:3, 3], quaternion(piece.T_flange_piece[:3, :3])
+        carried.ipos, carried.iquat = piece.position, piece.quaternion
     for i, axis in enumerate(robot.AXES):
         joint = spec.joint(axis)
         joint.limited = False

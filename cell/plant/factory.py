@@ -3,21 +3,32 @@
 MuJoCo is imported, and the arm compiled, when a driver asks for the plant.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from cell.errors import FileError
 from cell.run.record import RunRecord, artefact
 from drivers.plant import Plant, PlantFactory
 from planner.ports import Floats
 
+if TYPE_CHECKING:
+    from cell.plant.mujoco_plant import Observer
+    from cell.plant.servo import Settings
+
 _BASELINE_MM = 75.0  # of the built-in part; it says where over the flange the housing's middle is
 
 
-def of_run(run: RunRecord) -> Mapping[str, PlantFactory]:
+def of_run(
+    run: RunRecord, settings: Settings | None = None, observer: Observer | None = None
+) -> Mapping[str, PlantFactory]:
     """The plants of an execution: the arm carries the tool that the plan was checked with.
 
     Args:
         run: a run folder with a `cell.xml`.
+        settings: of simulation and servo; None: the default.
+        observer: is told after every step.
     """
 
     def mujoco(start: Floats) -> Plant:
@@ -32,12 +43,12 @@ def of_run(run: RunRecord) -> Mapping[str, PlantFactory]:
         except ValueError as error:
             reason = " ".join(str(error).split())[:160]
             raise FileError(f"{run.folder / 'cell.xml'} is damaged: {reason}; plan again") from error
-        return MujocoPlant(start, tool.of_model(model))
+        return MujocoPlant(start, tool.of_model(model), settings, observer)
 
     return {"mujoco": mujoco}
 
 
-def built_in() -> Mapping[str, PlantFactory]:
+def built_in(settings: Settings | None = None, observer: Observer | None = None) -> Mapping[str, PlantFactory]:
     """The same without a run: the arm carries housing and bracket of the built-in scene."""
 
     def mujoco(start: Floats) -> Plant:
@@ -49,6 +60,6 @@ def built_in() -> Mapping[str, PlantFactory]:
 
         scene, spec = load_scene(None), robot.spec()
         shapes.add_tool(spec, scene, scene.mount.T @ scene.housing.T_scanner_housing(_BASELINE_MM))
-        return MujocoPlant(start, tool.of_model(spec.compile()))
+        return MujocoPlant(start, tool.of_model(spec.compile()), settings, observer)
 
     return {"mujoco": mujoco}

@@ -31,19 +31,21 @@ class Piece:
         name: for messages.
         mass: [kg].
         inertia: (3,) principal moments about the centre of mass [kg m^2].
-        T_flange_piece: (4, 4) centre of mass and principal axes, flange frame [m].
+        position: (3,) centre of mass, flange frame [m].
+        quaternion: (4,) principal axes, flange frame: w, x, y, z.
         reach: distance of its farthest point from the centre of mass [m].
     """
 
     name: str
     mass: float
     inertia: Floats
-    T_flange_piece: Floats
+    position: Floats
+    quaternion: Floats
     reach: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "inertia", readonly("inertia", self.inertia, (3,)))
-        object.__setattr__(self, "T_flange_piece", readonly("T_flange_piece", self.T_flange_piece, (4, 4)))
+        for name, size in (("inertia", 3), ("position", 3), ("quaternion", 4)):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (size,)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +66,7 @@ class Tool:
     @property
     def reach(self) -> float:
         """Distance of its farthest point from the flange's middle [m], an upper bound."""
-        return max((float(np.linalg.norm(p.T_flange_piece[:3, 3])) + p.reach for p in self.pieces), default=0.0)
+        return max((float(np.linalg.norm(piece.position)) + piece.reach for piece in self.pieces), default=0.0)
 
 
 def of_model(model: mujoco.MjModel) -> Tool:
@@ -85,10 +87,6 @@ def of_model(model: mujoco.MjModel) -> Tool:
 def _piece(model: mujoco.MjModel, name: str, geom: int) -> Piece:
     import mujoco
 
-    T = np.eye(4)
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    T[:3, :3], T[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         size = 2.0 * model.geom_size[geom]
         mass = DENSITY[name] * float(size.prod())
@@ -102,4 +100,4 @@ def _piece(model: mujoco.MjModel, name: str, geom: int) -> Piece:
         reach = float(np.hypot(radius, half))
     else:
         raise SceneError(f"the shape {name} of the cell's model is neither box nor cylinder; its mass is not known")
-    return Piece(name, float(mass), inertia, T, reach)
+    return Piece(name, float(mass), inertia, model.geom_pos[geom], model.geom_quat[geom], reach)

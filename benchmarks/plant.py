@@ -1,0 +1,270 @@
+"""The dynamic KR 16 (`sim://?plant=mujoco`): how well it follows, how fast it is simulated, and where that ends.
+
+Rows `default plan` drive the legs of the built-in Mseke's plan through the simulated controller, without scanning. All
+errors are of the scanner's origin (its laser source) at every step of the simulation, true position against reference:
+`error` is the distance at one time, the time lag included; `along` and `across` are its parts in the direction of the
+reference's motion and perpendicular to it; `off the path` is the distance to the nearest point of the reference path,
+the time lag excluded; `lag` is the error along over the speed, where that is above 0.1 m/s. `at rest` is the
+largest error when the controller says that the arm stands, as the scanner then sees it. `x real time` is the clock of
+the controller over the processor time of one core, best of 3, with nobody looking at the steps.
+
+Rows `stability` drive one move of three legs with every axis (full speed and acceleration, no limit of jerk, so that
+accelerations jump) at each time step, integrator and bandwidth of the servo. `outcome`: settled; `restless`, the arm
+did not come to rest within the time that the controller gives it; `failed`, the plant gave up on the way.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scan import _cell
+from cell.plant import factory
+from cell.plant.mujoco_plant import MujocoPlant
+from cell.plant.servo import Settings
+from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.model import load
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord, open_run
+from cell.scan import driver as scan_driver
+from cell.scan import execute
+from cell.scan.options import ScanOptions
+from drivers.controller import SETTLE_LIMIT
+from drivers.limits import kr16
+from drivers.profile import Reference, interpolate
+from planner.ports import Floats
+
+URL = "sim://?plant=mujoco"
+TIME_STEPS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+BANDWIDTHS_HZ = (3.0, 6.0, 12.0, 24.0, 48.0)
+INTEGRATORS = ("Euler", "implicitfast")
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+MOVE = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])
+AT_SPEED = 0.1
+
+
+class Trace:
+    """Collects what a plant's observer is told."""
+
+    def __init__(self) -> None:
+        self.references: list[Reference] = []
+        self.steps: list[tuple[int, float, Floats]] = []
+
+    def __call__(self, reference: Reference, time: float, axes: Floats) -> None:
+        """As `cell.plant.mujoco_plant.Observer`."""
+        if not self.references or self.references[-1] is not reference:
+            self.references.append(reference)
+        self.steps.append((len(self.references) - 1, time, axes))
+
+    def errors(self, kinematics: Kr16Kinematics, T_flange_scanner: Floats) -> dict[str, Floats]:
+        """Per step: reference and true position (N, 3) [m], speed (N,) [m/s], path deviation (N,) [m]."""
+        found: dict[str, list[Floats]] = {"reference": [], "true": [], "velocity": [], "off": []}
+
+        def position(q: Floats) -> Floats:
+            return np.asarray((kinematics.forward(q) @ T_flange_scanner)[:, :3, 3])
+
+        for number, reference in enumerate(self.references):
+            times = np.array([time for n, time, _ in self.steps if n == number])
+            axes = np.array([q for n, _, q in self.steps if n == number])
+            ahead = position(reference.sample(times + 5e-6)[0]) - position(reference.sample(times - 5e-6)[0])
+            path = position(reference.sample(np.linspace(0.0, reference.duration, 20_000))[0])
+            true = position(axes)
+            found["reference"].append(position(reference.sample(times)[0]))
+            found["true"].append(true)
+            found["velocity"].append(ahead / 1e-5)
+            found["off"].append(_to_polyline(true, path))
+        return {name: np.concatenate(parts) for name, parts in found.items()}
+
+
+def _to_polyline(points: Floats, path: Floats) -> Floats:
+    """(N,) distance of points (N, 3) to a dense path (M, 3): to the segments beside the nearest vertex."""
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(path).query(points)[1]
+    best = np.full(len(points), np.inf)
+    for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(path) - 2)):
+        a, b = path[first], path[first + 1]
+        length = np.maximum(((b - a) ** 2).sum(axis=1), 1e-30)
+        s = np.clip(((points - a) * (b - a)).sum(axis=1) / length, 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(points - a - s[:, None] * (b - a), axis=1))
+    return best
+
+
+def run() -> list[dict[str, Any]]:
+    """The default plan, then the grid."""
+    with tempfile.TemporaryDirectory() as scratch:
+        plan = Path(scratch) / "default"
+        _cell(Path(scratch), "plan", "mseke", "--out", str(plan), "--json")
+        rows = [default_plan(open_run(plan), speed) for speed in (1.0, 0.3)]
+    return rows + stability()
+
+
+def default_plan(run_record: RunRecord, speed: float) -> dict[str, Any]:
+    """One row: the plan's legs at a speed fraction."""
+    motion, T = run_reader.motion(run_record), _mount(run_record)
+    kinematics = Kr16Kinematics.from_model(load())
+    seconds, stands, trace = np.inf, [], Trace()
+    for attempt in range(4):
+        recorded: list[MujocoPlant] = []
+
+        def make(start: Floats, watched: bool = attempt == 0, made: list[MujocoPlant] = recorded) -> MujocoPlant:
+            plant: Any = factory.of_run(run_record, observer=trace if watched else None)["mujoco"](start)
+            made.append(plant)
+            return plant
+
+        driver, clock = scan_driver.prepare(ScanOptions(driver=URL), motion, 1.0, {"mujoco": make})
+        with driver:
+            began, spent = clock.now(), process_time()
+            for leg in execute.legs_of(motion).legs:
+                state = driver.move(leg.set_points, speed)
+                if attempt == 0:
+                    stands.append((state.q, leg.via[-1]))
+            simulated = clock.now() - began
+            if attempt:
+                seconds = min(seconds, process_time() - spent)
+    errors = trace.errors(kinematics, T)
+    error = errors["true"] - errors["reference"]
+    pace = np.linalg.norm(errors["velocity"], axis=1)
+    tangent = errors["velocity"] / np.maximum(pace, 1e-9)[:, None]
+    along = np.where(pace > 1e-6, (error * tangent).sum(axis=1), 0.0)
+    across = np.linalg.norm(error - along[:, None] * tangent, axis=1)
+    fast = pace > AT_SPEED
+    at_rest = [np.linalg.norm(_position(kinematics, T, a) - _position(kinematics, T, b)) for a, b in stands]
+    planned = sum(reference.duration for reference in trace.references)
+    return {
+        "what": "default plan",
+        "speed": speed,
+        "steps": len(error),
+        "error mm": 1e3 * np.linalg.norm(error, axis=1).max(),
+        "along mm": 1e3 * np.abs(along).max(),
+        "across mm": 1e3 * across.max(),
+        "off the path mm": 1e3 * errors["off"].max(),
+        "lag ms": 1e3 * float(np.median(-along[fast] / pace[fast])),
+        "fastest m/s": pace.max(),
+        "at rest mm": 1e3 * max(at_rest),
+        "settling s": (simulated - planned) / len(stands),
+        "x real time": simulated / seconds,
+    }
+
+
+def _mount(run_record: RunRecord) -> Floats:
+    return run_reader.transform(run_record, dict(run_reader.resolved_scene(run_record)), "T_flange_scanner")
+
+
+def _position(kinematics: Kr16Kinematics, T_flange_scanner: Floats, q: Floats) -> Floats:
+    return np.asarray((kinematics.forward(q[None]) @ T_flange_scanner)[0, :3, 3])
+
+
+def stability() -> list[dict[str, Any]]:
+    """One row per time step, integrator and bandwidth."""
+    return [
+        _one_move(Settings(time_step=step / 1e3, integrator=integrator, bandwidth=bandwidth))
+        for integrator in INTEGRATORS
+        for bandwidth in BANDWIDTHS_HZ
+        for step in TIME_STEPS_MS
+    ]
+
+
+def _one_move(settings: Settings) -> dict[str, Any]:
+    limits, kinematics = kr16(), Kr16Kinematics.from_model(load())
+    reference = interpolate(HOME, MOVE, limits.velocity, limits.acceleration)
+    T = np.eye(4)
+    T[2, 3] = 0.12
+    trace = Trace()
+    outcomes = []
+    for observer in (trace, None):
+        plant: Any = factory.built_in(settings, observer)["mujoco"](HOME)
+        plant.follow(reference)
+        spent = process_time()
+        plant.advance(reference.duration)
+        spent = process_time() - spent
+        waited = 0.0
+        while not plant.settled and not plant.failure and waited < SETTLE_LIMIT:
+            plant.advance(0.004)
+            waited += 0.004
+        outcomes.append("failed" if plant.failure else "settled" if plant.settled else "restless")
+    assert outcomes[0] == outcomes[1], "the observer must not change the trajectory"
+    errors = trace.errors(kinematics, T)
+    error = np.linalg.norm(errors["true"] - errors["reference"], axis=1)
+    return {
+        "what": "stability",
+        "integrator": settings.integrator,
+        "bandwidth Hz": settings.bandwidth,
+        "time step ms": 1e3 * settings.time_step,
+        "outcome": outcomes[0],
+        "error mm": 1e3 * float(error.max()),
+        "settling s": waited if outcomes[0] == "settled" else "",
+        "x real time": reference.duration / spent if outcomes[0] != "failed" else "",
+    }
+
+
+def chart(rows: list[dict[str, Any]], folder: Path) -> None:
+    """Error against simulation speed, and the map of time step and bandwidth for each integrator."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.colors import LogNorm
+
+    grid = [row for row in rows if row["what"] == "stability"]
+    default = Settings()
+    figure, axes = plt.subplots(1, 3, figsize=(15, 4.8), width_ratios=(1.15, 1, 1), layout="constrained")
+    colours = {"Euler": "tab:orange", "implicitfast": "tab:blue"}
+    for integrator in INTEGRATORS:
+        line = [
+            row for row in grid if row["integrator"] == integrator and row["bandwidth Hz"] == default.bandwidth
+            and row["outcome"] == "settled"
+        ]  # fmt: skip
+        points = [(row["x real time"], row["error mm"], row["time step ms"]) for row in line]
+        axes[0].plot([p[0] for p in points], [p[1] for p in points], "o-", color=colours[integrator], label=integrator)
+        for x, y, step in points:
+            axes[0].annotate(f"{step:g}", (x, y), textcoords="offset points", xytext=(4, 5), fontsize=8)
+            if integrator == default.integrator and step == 1e3 * default.time_step:
+                axes[0].plot(x, y, "*", color="black", ms=16, label="default", zorder=5)
+        lost = [row["time step ms"] for row in grid
+                if row["integrator"] == integrator and row["bandwidth Hz"] == default.bandwidth
+                and row["outcome"] != "settled"]  # fmt: skip
+        if lost:
+            axes[0].plot(
+                [], [], "x", color=colours[integrator], label=f"{integrator} lost at {min(lost):g} ms and above"
+            )
+    axes[0].axhline(1.0, color="red", lw=1, ls="--")
+    axes[0].axvline(10.0, color="red", lw=1, ls="--", label="1 mm, 10 x real time")
+    axes[0].set(
+        xscale="log", yscale="log", xlabel="simulation speed [x real time]", ylabel="largest error at the scanner [mm]",
+        title=f"time step in ms beside each point; bandwidth {default.bandwidth:g} Hz",
+    )  # fmt: skip
+    axes[0].grid(alpha=0.3, which="both")
+    axes[0].legend(fontsize=8)
+    settled = [row["error mm"] for row in grid if row["outcome"] == "settled"]
+    norm = LogNorm(min(settled), max(settled))
+    for panel, integrator in zip(axes[1:], INTEGRATORS, strict=True):
+        values = np.full((len(BANDWIDTHS_HZ), len(TIME_STEPS_MS)), np.nan)
+        for row in grid:
+            if row["integrator"] != integrator:
+                continue
+            i, j = BANDWIDTHS_HZ.index(row["bandwidth Hz"]), TIME_STEPS_MS.index(row["time step ms"])
+            if row["outcome"] == "settled":
+                values[i, j] = row["error mm"]
+                panel.text(j, i, f"{row['error mm']:.2g}", ha="center", va="center", fontsize=8, color="white")
+            else:
+                panel.text(j, i, row["outcome"], ha="center", va="center", fontsize=7, color="darkred", rotation=40)
+        picture = panel.pcolormesh(values, norm=norm, cmap="viridis", edgecolors="white", lw=0.5)
+        picture.set_transform(picture.get_transform())
+        panel.set(
+            xticks=np.arange(len(TIME_STEPS_MS)) + 0.5, yticks=np.arange(len(BANDWIDTHS_HZ)) + 0.5,
+            xticklabels=[f"{step:g}" for step in TIME_STEPS_MS], yticklabels=[f"{b:g}" for b in BANDWIDTHS_HZ],
+            xlabel="time step [ms]", ylabel="bandwidth of the servo [Hz]", title=f"{integrator}: largest error [mm]",
+        )  # fmt: skip
+        for text in panel.texts:
+            text.set_position((text.get_position()[0] + 0.5, text.get_position()[1] + 0.5))
+        if integrator == default.integrator:
+            i, j = BANDWIDTHS_HZ.index(default.bandwidth), TIME_STEPS_MS.index(1e3 * default.time_step)
+            panel.add_patch(plt.Rectangle((j, i), 1, 1, fill=False, ec="black", lw=2.5))
+    figure.suptitle("Dynamic KR 16: where the simulation of arm and servo is stable (red: it is not); default framed")
+    figure.savefig(folder / "plant_stability.png", dpi=130)
+    plt.close(figure)

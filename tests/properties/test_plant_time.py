@@ -1,0 +1,79 @@
+"""Time of the dynamic plant: however it is cut up, the same trajectory to the bit."""
+
+import numpy as np
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from cell.plant.mujoco_plant import MujocoPlant
+from cell.plant.servo import Settings
+from drivers.limits import kr16
+from drivers.plant import Plant
+from drivers.profile import Reference, interpolate
+
+HOME = np.radians([0.0, -90, 90, 0, 90, 0])
+STEP = Settings().time_step
+
+
+def reference(end: tuple[float, ...]) -> Reference:
+    """From home to home plus so many radians."""
+    limits = kr16()
+    return interpolate(HOME, HOME[None] + np.array(end), limits.velocity, limits.acceleration, limits.jerk)
+
+
+def driven(first: list[float], second: list[float], cut: float) -> tuple[bytes, bool, bool]:
+    """State after two moves, the second taken in the middle of a step; and what was said of rest."""
+    plant: Plant = MujocoPlant(HOME)
+    move = reference((0.05, -0.03, 0.04, 0.1, -0.1, 0.2))
+    plant.follow(move)
+    for seconds in first:
+        plant.advance(seconds)
+    settled = plant.settled
+    plant.follow(move.braked(cut))
+    for seconds in second:
+        plant.advance(seconds)
+    assert isinstance(plant, MujocoPlant)
+    state = np.concatenate([plant.data.qpos, plant.data.qvel, plant.data.ctrl])
+    return state.tobytes(), settled, plant.settled
+
+
+def cuts(total: float, at: list[float]) -> list[float]:
+    """`total` cut at fractions of it, in order; the parts sum to it but for rounding."""
+    marks = [0.0, *sorted(at), 1.0]
+    return [total * (b - a) for a, b in zip(marks, marks[1:], strict=False)]
+
+
+fractions = st.lists(st.floats(0.0, 1.0), max_size=12)
+
+
+@settings(max_examples=25)
+@given(fractions, fractions, st.floats(0.05, 0.2))
+@example([], [], 0.1)
+@example([0.1] * 5, [k / 40 for k in range(40)], 0.123456789)
+@example([1e-9, 1.0], [1.0 - 1e-9], 0.05)
+def test_the_trajectory_does_not_depend_on_how_time_is_cut(first: list[float], second: list[float], cut: float) -> None:
+    """One advance, or a sum of any others, also with a new reference that comes in the middle of a step."""
+    cut = round(cut, 6) + 0.4e-9  # not within rounding of the edge between two nanoseconds
+    assert driven(cuts(cut, first), cuts(0.4, second), cut) == driven([cut], [0.4], cut)
+
+
+@settings(max_examples=10)
+@given(st.lists(st.floats(0.0, 0.02), max_size=20))
+def test_the_same_commands_and_times_give_the_same_bytes(times: list[float]) -> None:
+    """Two plants that are told the same are the same."""
+    assert driven(times, times, 0.1) == driven(times, times, 0.1)
+
+
+@settings(max_examples=20)
+@given(st.floats(0.0, 3e-3))
+def test_nothing_moves_between_two_steps(seconds: float) -> None:
+    """So many whole steps as fit, the rest is carried: the axes are those at the last step."""
+    steps: list[float] = []
+    plant = MujocoPlant(HOME, observer=lambda _, time, axes: steps.append(time))
+    plant.follow(reference((0.1,) * 6))
+    plant.advance(seconds)
+    assert len(steps) == int(seconds / STEP + 1e-6)
+    before = plant.reported_axes
+    plant.advance(max(0.0, (len(steps) + 1) * STEP - seconds - 2e-9))
+    assert plant.reported_axes.tobytes() == before.tobytes()
+    plant.advance(2e-9)
+    assert len(steps) == int(seconds / STEP + 1e-6) + 1
