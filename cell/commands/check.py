@@ -19,6 +19,7 @@ def check(
     part: Annotated[str | None, typer.Option(help="As in cell plan: mesh file or built-in part.")] = None,
     units: Annotated[str | None, typer.Option(help="Unit of the mesh file.")] = None,
     place: Annotated[str | None, typer.Option(metavar="X,Y,Z[,A,B,C]", help="As in cell plan.")] = None,
+    collision: Annotated[str | None, typer.Option(help="As in cell plan: hull, decomposed or exact.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
@@ -31,6 +32,8 @@ def check(
         tables["part"] = options.part(part, units)
     if place is not None:
         tables["placement"] = options.placement(place)
+    if collision is not None:
+        tables["plan"] = {"collision": collision}
     with options.named_as_options(tables):
         checked = load_scene(scene, tables)
     result = check_scene(checked)

@@ -27,6 +27,7 @@ _OPTION_OF_KEY = {
     "plan.fill": "--fill",
     "plan.samples_per_face": "--samples",
     "plan.solver": "--solver",
+    "plan.collision": "--collision",
     "plan.seed": "--seed",
 }
 

@@ -107,6 +107,13 @@ def plan(
         str | None,
         typer.Option(help="auto, greedy, meta-raps, local-search or exact.", rich_help_panel=_VIEWS),
     ] = None,
+    collision: Annotated[
+        str | None,
+        typer.Option(
+            help="What the part is to arm and scanner: hull, decomposed (convex pieces) or exact (its triangles).",
+            rich_help_panel=_VIEWS,
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random choice.", rich_help_panel=_VIEWS)] = None,
     out: Annotated[
         Path | None,
@@ -147,6 +154,7 @@ def plan(
         "samples_per_face": samples,
         "max_sigma_mm": max_sigma,
         "solver": solver,
+        "collision": collision,
         "seed": seed,
     }
     tables["plan"] = {key: value for key, value in given.items() if value is not None}

@@ -137,8 +137,11 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         plan_files.write_meshes(run.folder, reference, planning)
         plan_files.write_viewpoints(run.folder, scanners.swept(scanner, candidates))
 
-    with run.step("compile the cell"):
-        world = compile_world(scene, reference.vertices, baseline_mm=scanners.baseline_mm(settings.scanner, scanner))
+    with run.step("compile the cell") as progress:
+        world = compile_world(
+            scene, reference.vertices, part_faces=reference.faces, use_cache=run.use_cache,
+            baseline_mm=scanners.baseline_mm(settings.scanner, scanner), progress=progress,
+        )  # fmt: skip
         checker = MujocoCollisionChecker(world)
         kinematics = Kr16Kinematics.from_model(world.model)
         described = scanners.described(scene.scanner.type, scanner)

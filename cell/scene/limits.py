@@ -86,8 +86,6 @@ def _part_out_of_room(world: World, T: np.ndarray) -> list[str]:
 
 def _in_each_other(world: World, T: np.ndarray) -> list[str]:
     """Overlaps of what stands still, and the robot at home nearer to anything than the clearance."""
-    import mujoco
-
     data = world.data(T)
     movable = {"part", "post"} | {f.name for f in world.scene.fixtures if f.attached_to == "object"}
     obstacles = movable | {fixture.name for fixture in world.scene.fixtures}
@@ -98,7 +96,7 @@ def _in_each_other(world: World, T: np.ndarray) -> list[str]:
     def gap(one: str, other: str) -> float:
         reach = world.clearance + 1e-3
         return min(
-            float(mujoco.mj_geomDistance(world.model, data, a, b, reach, None))
+            world.distance(data, a, b, reach)
             for a in ids[one]
             for b in ids.get(other, [])
         )

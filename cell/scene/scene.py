@@ -265,6 +265,7 @@ class Plan(_Table):
     coverage: Share = 1.0
     required_visible: Annotated[float, Field(ge=0, le=1)] = 0.0
     max_sigma_mm: Positive | None = None
+    collision: Literal["hull", "decomposed", "exact"] = "hull"
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
 
     @field_validator("fill")

@@ -17,6 +17,12 @@ from cell.world.world import compile as compile_world
 
 Triple = tuple[float, float, float]
 
+_FIDELITY = {
+    "hull": "its convex hull (hull)",
+    "decomposed": "convex pieces that enclose it (decomposed)",
+    "exact": "its triangles (exact)",
+}
+
 _GRID_DEG = 0.5  # of A2 and A3 in the envelope: the wrist's outline is then exact to 0.1 mm
 
 
@@ -60,6 +66,7 @@ class CheckResult:
         baseline_mm: from source to sensor.
         obstacles: names of everything that arm and tool keep clear of.
         clearance_mm: by how much.
+        collision: what stands for the part: hull, decomposed or exact.
         guarded_pairs: pairs of shapes that are looked at.
     """
 
@@ -81,6 +88,7 @@ class CheckResult:
     baseline_mm: float
     obstacles: tuple[str, ...]
     clearance_mm: float
+    collision: str
     guarded_pairs: int
 
     @property
@@ -115,6 +123,7 @@ class CheckResult:
             ("laser source", f"{_list(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
             ("housing", f"{_by(self.housing_size_mm)} mm, middle at {_list(self.housing_mm)} mm in flange{bracket}"),
             ("keeps clear of", f"{', '.join(self.obstacles)} by {self.clearance_mm:g} mm"),
+            ("part in collisions", _FIDELITY[self.collision]),
             ("guarded pairs", f"{self.guarded_pairs} pairs of shapes"),
             *[("note", finding) for finding in self.findings],
         ]
@@ -134,7 +143,9 @@ def check_scene(scene: Scene) -> CheckResult:
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
     baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
-    world = compile_world(scene, part.reference.vertices, baseline_mm=baseline_mm, refuse=False)
+    world = compile_world(
+        scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm, refuse=False
+    )
     checker = MujocoCollisionChecker(world)
     contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
     distance, nearest = checker.distance(world.home[None])
@@ -165,6 +176,7 @@ def check_scene(scene: Scene) -> CheckResult:
         baseline_mm=baseline_mm,
         obstacles=tuple(names),
         clearance_mm=scene.clearance_mm,
+        collision=world.collision,
         guarded_pairs=len(world.pairs),
     )
 

@@ -7,6 +7,9 @@ them the exact distance (`mj_geomDistance`, GJK) between the true shapes decides
 MuJoCo's box-box routine finds every overlap, but overlooks 1 in 200 pairs that are apart by less than a margin, edge to
 edge.
 
+Where the part is to be taken as its triangles (`plan.collision = "exact"`), its hull is in both models and only finds
+the pairs to look at; the distance from the triangles decides (`cell.world.triangle_tree`).
+
 So `free`, `contacts` and `distance` agree, and depend on the configuration alone.
 """
 
@@ -146,22 +149,17 @@ class MujocoCollisionChecker:
         self._data.qpos[:] = configuration
         mujoco.mj_kinematics(self._world.model, self._data)
 
-    def _measure(self, a: int, b: int, reach: float) -> float:
-        """Distance of two geoms at the present configuration [m], `reach` where it is more."""
-        import mujoco
-
-        return float(mujoco.mj_geomDistance(self._world.model, self._data, a, b, reach, None))
-
     def _gap(self, pair: int, reach: float) -> float:
-        """The same for a guarded pair by its index."""
+        """Distance of a guarded pair at the present configuration [m], `reach` where it is more."""
         a, b = self._pairs[pair]
-        return self._measure(int(a), int(b), reach)
+        return self._world.distance(self._data, int(a), int(b), reach)
 
     def _clear_after_all(self, configuration: Floats) -> bool:
         """Whether all pairs that touch in the grown model are at least the clearance apart in the true one."""
         self._set(configuration)
         touching = dict.fromkeys(map(tuple, self._grown.contact.geom.tolist()))
-        return all(self._measure(a, b, self.clearance) >= self.clearance for a, b in touching)
+        world, data, least = self._world, self._data, self.clearance
+        return all(world.distance(data, a, b, least, any_nearer=True) >= least for a, b in touching)
 
     def _candidates(self, reach: float) -> tuple[Floats, NDArray[np.int64]]:
         """Guarded pairs whose bounding spheres are nearer than `reach`, nearest first, and those lower bounds [m]."""

@@ -7,6 +7,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ from planner.surface import TriangleMesh
 
 if TYPE_CHECKING:
     import mujoco
+
+    from cell.world.triangle_tree import TriangleTree
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +51,9 @@ class World:
         home: (6,) joint angles [rad].
         limits: of the axes, at full speed and acceleration.
         clearance: distance that a free configuration keeps [m].
-        part_hull: the part's collision shape, object frame [m].
+        part_hull: convex hull of the part, object frame [m].
+        collision: what stands for the part: "hull", "decomposed" (convex pieces) or "exact" (its triangles).
+        part_tree: the part's triangles where collision is "exact"; its hull is in the model then, as a filter.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
         entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
         pairs: (P, 2) geom ids of every guarded pair.
@@ -67,6 +72,8 @@ class World:
     limits: JointLimits
     clearance: float
     part_hull: TriangleMesh
+    collision: str
+    part_tree: TriangleTree | None
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
     pairs: NDArray[np.int32]
@@ -114,6 +121,49 @@ class World:
         mujoco.mj_kinematics(model, data)
         return data
 
+    def distance(
+        self,
+        data: mujoco.MjData,
+        a: int,
+        b: int,
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: Floats | None = None,
+    ) -> float:
+        """Distance of two geoms in a state of `model`, the part as `collision` says.
+
+        Args:
+            data: kinematics up to date.
+            a: a geom.
+            b: another.
+            reach: nothing beyond is looked for [m].
+            any_nearer: below `reach`, any distance will do: enough for yes or no, and faster with triangles.
+            points: (2, 3) is overwritten with the nearest points of a and b, base frame [m], where they are nearer
+                than `reach`.
+
+        Returns:
+            The distance [m], `reach` where it is more, 0 or less in contact.
+        """
+        import mujoco
+
+        ends = None if points is None else np.empty(6)
+        measured = float(mujoco.mj_geomDistance(self.model, data, a, b, reach, ends))
+        if ends is not None and points is not None:
+            points[:] = ends.reshape(2, 3)
+        part_first = self.entities[a] == "part"
+        if self.part_tree is None or measured >= reach or not (part_first or self.entities[b] == "part"):
+            return measured
+        body = b if part_first else a
+        part = int(self.model.geom_bodyid[a if part_first else b])
+        measured = self.part_tree.distance(
+            cell_shapes.KIND[int(self.model.geom_type[body])], self.model.geom_size[body], data.geom_xpos[body],
+            data.geom_xmat[body], data.xpos[part], data.xmat[part], reach, any_nearer=any_nearer, points=points,
+        )  # fmt: skip
+        if points is not None and part_first:
+            points[:] = points[::-1].copy()
+        return measured
+
     def pair_name(self, geom_a: int, geom_b: int) -> str:
         """What a reader calls a pair of geoms: "housing with part"."""
         names = self.entities[geom_a], self.entities[geom_b]
@@ -122,15 +172,25 @@ class World:
 
 
 def compile(  # noqa: A001 - the field's word; callers write world.compile
-    scene: Scene, part_vertices: ArrayLike, *, baseline_mm: float | None = None, refuse: bool = True
+    scene: Scene,
+    part_vertices: ArrayLike,
+    *,
+    part_faces: ArrayLike | None = None,
+    baseline_mm: float | None = None,
+    refuse: bool = True,
+    use_cache: bool = True,
+    progress: Callable[[int, int], None] | None = None,
 ) -> World:
     """Build and compile the model of a scene.
 
     Args:
         scene: what stands in the cell.
         part_vertices: (N, 3) vertices of the part, or of its convex hull [m], object frame.
+        part_faces: (F, 3) its triangles, for `plan.collision` other than "hull"; None makes the part its hull.
         baseline_mm: the scanner's baseline where the scene leaves it to the part; the housing is centred over it.
         refuse: raise for a scene that cannot be (False: `cell check` lists what is wrong instead).
+        use_cache: whether convex pieces may be taken from and left in the cache.
+        progress: told about the pieces as they are found.
 
     Raises:
         SceneError: if the part or a fixture has no solid, the baseline is not known, or the scene cannot be.
@@ -140,6 +200,8 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
         raise SceneError("the scanner's baseline is not known here; set scanner.baseline_mm")
     vertices = np.asarray(part_vertices, dtype=np.float64)
     hull = solid_hull(vertices)
+    collision = scene.plan.collision if part_faces is not None else "hull"
+    triangles = None if part_faces is None else TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))
     T_object_centre = np.eye(4)
     T_object_centre[:3, 3] = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     T_flange_scanner = scene.mount.T
@@ -153,7 +215,15 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
     cell_shapes.add_ground(spec, scene)
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
     post_body = spec.worldbody.add_body(name="post", mocap=True)
-    cell_shapes.add_mesh(spec, placed_body, "part", hull)
+    pieces = [hull]
+    if triangles is not None and collision == "decomposed":
+        from cell.world.decomposition import enclosing_pieces
+
+        pieces = list(enclosing_pieces(triangles, use_cache=use_cache, progress=progress))
+    for number, piece in enumerate(pieces):
+        name = "part" if number == 0 else f"part_{number + 1}"
+        cell_shapes.add_mesh(spec, placed_body, name, piece)
+        entities[name] = "part"
     if scene.post.enabled:
         radius = scene.post.diameter_mm / 2000.0
         cell_shapes.add_cylinder(
@@ -185,6 +255,8 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
         ),
         clearance=scene.clearance_mm / 1000.0,
         part_hull=hull,
+        collision=collision,
+        part_tree=_tree(triangles) if triangles is not None and collision == "exact" else None,
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         pairs=_guarded_pairs(model),
@@ -194,6 +266,12 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
 
         require_possible(world)
     return world
+
+
+def _tree(triangles: TriangleMesh) -> TriangleTree:
+    from cell.world.triangle_tree import TriangleTree  # its kernels load numba
+
+    return TriangleTree(triangles)
 
 
 def _require_new_names(scene: Scene, taken: set[str]) -> None:

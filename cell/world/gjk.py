@@ -1,0 +1,219 @@
+"""Distance of a box or cylinder from a triangle or an upright box: GJK with a certified lower bound, compiled.
+
+GJK (Gilbert, Johnson and Keerthi 1988, doi:10.1109/56.2083) walks towards the point v of the difference A - B that is
+nearest to the origin. At each step the support point w of A - B against v gives
+
+    v.w / |v|  <=  distance(A, B)  <=  |v|,
+
+the left side being the distance of the origin from a plane that has all of A - B behind it. The largest left side seen
+is what is returned, so a walk that is cut short or stalls on a degenerate simplex says too little, never too much. The
+nearest point of a simplex is looked for among all its faces: slower than Johnson's recursion by a little, and without
+its cases where cancelled digits choose the wrong face.
+
+These are kernels: import this module only where they are used (`planner.compiled`). They are written number by number,
+because arrays made inside a kernel take most of its time, and array expressions most of the time to compile it. One
+frame for everything, metres.
+"""
+
+from planner.compiled import compiled
+from planner.ports import Floats
+
+BOX, CYLINDER = 0, 1
+"""Kinds of A: half sides; radius and half length along z."""
+
+TRIANGLE, BOUNDS = 0, 1
+"""Kinds of B: three corners; lowest and highest corner of an upright box in the first two rows."""
+
+TOLERANCE = 1e-8
+"""Gap between both bounds at which the walk ends [m]."""
+
+WORK = 13
+"""Rows of the scratch array (`WORK`, 4) that a caller hands in."""
+
+POINT, WAY = 11, 9
+
+_TOUCHING = 1e-12  # m; |v| below this is contact
+_INFINITE = 1e300
+
+# Rows of the scratch array: four corners of A - B, their points of A, weights, and single vectors.
+_A, _WEIGHT, _V, _W, _P, _OF_B = 4, 8, 9, 10, 11, 12
+
+
+@compiled
+def distance(
+    kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floats, enough: float, steps: int, s: Floats
+) -> float:
+    """A lower bound on the distance of two convex bodies that is within `TOLERANCE` of it where it is below `enough`.
+
+    Args:
+        kind: of A.
+        size: (3,) of A [m].
+        R: (3, 3) axes of A.
+        p: (3,) middle of A.
+        kind_b: of B.
+        b: (3, 3) B.
+        enough: the walk ends as soon as the distance is known to be this or more [m].
+        steps: most steps of the walk; few give a cheap bound.
+        s: (WORK, 4) scratch; afterwards rows `POINT` and `WAY` hold the nearest point of A, and the way to it from B's.
+
+    Returns:
+        The bound [m]; 0 where they touch or overlap.
+    """
+    for i in range(3):
+        s[_V, i] = p[i] - (b[0, i] + b[1, i]) / 2
+    if s[_V, 0] * s[_V, 0] + s[_V, 1] * s[_V, 1] + s[_V, 2] * s[_V, 2] < _TOUCHING * _TOUCHING:
+        s[_V, 0] = 1.0
+    lower: float = 0.0
+    n, upper = 0, _INFINITE
+    for _ in range(steps):
+        _support(kind, size, R, p, kind_b, b, s)
+        length = (s[_V, 0] * s[_V, 0] + s[_V, 1] * s[_V, 1] + s[_V, 2] * s[_V, 2]) ** 0.5
+        bound = (s[_V, 0] * s[_W, 0] + s[_V, 1] * s[_W, 1] + s[_V, 2] * s[_W, 2]) / length
+        lower = max(lower, bound)
+        if lower >= enough or upper - lower <= TOLERANCE:
+            return lower
+        for k in range(n):
+            if s[k, 0] == s[_W, 0] and s[k, 1] == s[_W, 1] and s[k, 2] == s[_W, 2]:
+                return lower
+        for i in range(3):
+            s[n, i], s[_A + n, i] = s[_W, i], s[_W, i] + s[_OF_B, i]
+        n += 1
+        inside = _nearest(n, s)
+        kept = 0
+        for k in range(n):  # the simplex keeps the corners that hold v
+            if s[_WEIGHT, k] > 0.0:
+                for i in range(3):
+                    s[kept, i], s[_A + kept, i] = s[k, i], s[_A + k, i]
+                s[_WEIGHT, kept] = s[_WEIGHT, k]
+                kept += 1
+        n = kept
+        for i in range(3):
+            s[_V, i] = s[_P, i] = 0.0
+            for k in range(n):
+                s[_V, i] += s[_WEIGHT, k] * s[k, i]
+                s[_P, i] += s[_WEIGHT, k] * s[_A + k, i]
+        shrunk = (s[_V, 0] * s[_V, 0] + s[_V, 1] * s[_V, 1] + s[_V, 2] * s[_V, 2]) ** 0.5
+        if inside or shrunk <= _TOUCHING:
+            return 0.0
+        if shrunk >= upper:  # rounding is all that is left
+            return lower
+        upper = shrunk
+    return lower
+
+
+@compiled
+def _support(kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floats, s: Floats) -> None:
+    """The point of A - B that lies farthest against v, into row w; its point of B into row _OF_B."""
+    vx, vy, vz = s[_V, 0], s[_V, 1], s[_V, 2]
+    x = -(R[0, 0] * vx + R[1, 0] * vy + R[2, 0] * vz)
+    y = -(R[0, 1] * vx + R[1, 1] * vy + R[2, 1] * vz)
+    z = -(R[0, 2] * vx + R[1, 2] * vy + R[2, 2] * vz)
+    if kind == BOX:
+        x = size[0] if x >= 0 else -size[0]
+        y = size[1] if y >= 0 else -size[1]
+        z = size[2] if z >= 0 else -size[2]
+    else:
+        across = (x * x + y * y) ** 0.5
+        x, y = (size[0] * x / across, size[0] * y / across) if across > 0 else (size[0], 0.0)
+        z = size[1] if z >= 0 else -size[1]
+    row = 0
+    if kind_b == TRIANGLE:
+        first = b[0, 0] * vx + b[0, 1] * vy + b[0, 2] * vz
+        second = b[1, 0] * vx + b[1, 1] * vy + b[1, 2] * vz
+        third = b[2, 0] * vx + b[2, 1] * vy + b[2, 2] * vz
+        row = 2 if third > max(first, second) else 1 if second > first else 0
+    for i in range(3):
+        if kind_b == BOUNDS:
+            row = 1 if s[_V, i] >= 0 else 0
+        s[_OF_B, i] = b[row, i]
+        s[_W, i] = p[i] + R[i, 0] * x + R[i, 1] * y + R[i, 2] * z - b[row, i]
+
+
+@compiled
+def _nearest(n: int, s: Floats) -> bool:
+    """Weights of the point of a simplex nearest to the origin; True where the origin is inside a tetrahedron.
+
+    Args:
+        n: number of corners, 1 to 4, in the first rows of s.
+        s: scratch; row _WEIGHT is overwritten, the first n add up to 1.
+    """
+    if n == 4:
+        whole = _volume(s, 0, 1, 2, 3, -1)
+        scale = 0.0
+        for k in range(1, 4):
+            for i in range(3):
+                scale = max(scale, abs(s[k, i] - s[0, i]))
+        if abs(whole) > 1e-12 * scale * scale * scale:
+            inside = True
+            for k in range(4):
+                s[_WEIGHT, k] = _volume(s, 0, 1, 2, 3, k) / whole
+                inside = inside and s[_WEIGHT, k] > 0.0
+            if inside:
+                return True
+    for k in range(4):
+        s[_WEIGHT, k] = 0.0
+    if n == 1:
+        s[_WEIGHT, 0] = 1.0
+    best = _INFINITE
+    if n == 2:
+        best = _of_segment(0, 1, best, s)
+    for left_out in range(4):
+        if n == 4 or (n == 3 and left_out == 3):
+            best = _of_triangle((left_out + 1) % 4, (left_out + 2) % 4, (left_out + 3) % 4, best, s)
+    return False
+
+
+@compiled
+def _of_triangle(i: int, j: int, k: int, best: float, s: Floats) -> float:
+    """Keep the weights of the point of a triangle nearest to the origin where its squared distance is below `best`."""
+    ux, uy, uz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
+    vx, vy, vz = s[k, 0] - s[i, 0], s[k, 1] - s[i, 1], s[k, 2] - s[i, 2]
+    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    ru = -(ux * s[i, 0] + uy * s[i, 1] + uz * s[i, 2])
+    rv = -(vx * s[i, 0] + vy * s[i, 1] + vz * s[i, 2])
+    area = uu * vv - uv * uv
+    if area > 1e-14 * uu * vv:
+        a, b = (vv * ru - uv * rv) / area, (uu * rv - uv * ru) / area
+        if a > 0 and b > 0 and a + b < 1:
+            return _kept(i, j, k, 1 - a - b, a, b, best, s)
+    best = _of_segment(i, j, best, s)
+    best = _of_segment(j, k, best, s)
+    return _of_segment(k, i, best, s)
+
+
+@compiled
+def _of_segment(i: int, j: int, best: float, s: Floats) -> float:
+    """The same for a segment."""
+    dx, dy, dz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
+    along = dx * dx + dy * dy + dz * dz
+    t = -(dx * s[i, 0] + dy * s[i, 1] + dz * s[i, 2]) / along if along > 0 else 0.0
+    t = min(1.0, max(0.0, t))
+    return _kept(i, j, i, 1 - t, t, 0.0, best, s)
+
+
+@compiled
+def _kept(i: int, j: int, k: int, a: float, b: float, c: float, best: float, s: Floats) -> float:
+    squared: float = 0.0
+    for axis in range(3):
+        x = a * s[i, axis] + b * s[j, axis] + c * s[k, axis]
+        squared += x * x
+    if squared < best:
+        for corner in range(4):
+            s[_WEIGHT, corner] = 0.0
+        s[_WEIGHT, i] += a
+        s[_WEIGHT, j] += b
+        s[_WEIGHT, k] += c
+        return squared
+    return best
+
+
+@compiled
+def _volume(s: Floats, i: int, j: int, k: int, m: int, origin: int) -> float:
+    """Six times the signed volume of a tetrahedron, the corner numbered `origin` moved to the origin."""
+    a, b, c, d = i != origin, j != origin, k != origin, m != origin
+    px, py, pz = a * s[i, 0], a * s[i, 1], a * s[i, 2]
+    ux, uy, uz = b * s[j, 0] - px, b * s[j, 1] - py, b * s[j, 2] - pz
+    vx, vy, vz = c * s[k, 0] - px, c * s[k, 1] - py, c * s[k, 2] - pz
+    wx, wy, wz = d * s[m, 0] - px, d * s[m, 1] - py, d * s[m, 2] - pz
+    volume: float = ux * (vy * wz - vz * wy) - uy * (vx * wz - vz * wx) + uz * (vx * wy - vy * wx)
+    return volume

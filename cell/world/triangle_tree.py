@@ -1,0 +1,131 @@
+"""The true triangles of a part, asked for their distance from a box or cylinder: a tree of bounds over GJK, compiled.
+
+Triangles are sorted along Morton's curve and split evenly into the leaves of a complete binary tree. A query goes down
+to the nearer child first and leaves out whatever cannot be nearer than what it has found; the bound of a node is that
+of two upright boxes, then a few steps of GJK. The result is a lower bound within 1e-8 m of the true distance
+(`cell.world.gjk`).
+
+A surface has no depth: bodies that touch or cut it are 0 apart. Where the mesh is closed, a body that floats wholly
+inside is found by counting crossings of a ray, and its distance is negative. Lengths in metres.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.world.decomposition import is_closed
+from cell.world.triangle_kernels import crossings, nearest_triangle
+from planner.surface import TriangleMesh
+
+if TYPE_CHECKING:
+    from planner.ports import Floats
+
+_LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
+
+# Directions along which nothing is built.
+_RAYS = np.array([[0.5391, 0.6173, 0.5729], [-0.7213, 0.3911, 0.5717], [0.2417, -0.8719, 0.4259]])
+
+
+class TriangleTree:
+    """A mesh that answers how far it is from a body; never changed, so that checkers share it.
+
+    Attributes:
+        closed: whether every edge joins two faces, so that there is an inside.
+    """
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        """Sort the triangles and build the tree.
+
+        Args:
+            mesh: at least one face [m].
+        """
+        corners = np.array(mesh.vertices[mesh.faces], dtype=np.float64)
+        order = np.argsort(_morton(corners.mean(axis=1)), kind="stable")
+        self._triangles: Floats = np.ascontiguousarray(corners[order])
+        leaves = 1 << max(0, int(np.ceil(np.log2(max(1.0, len(order) / _LEAF)))))
+        self._first = (np.arange(leaves + 1, dtype=np.int64) * len(order)) // leaves
+        bounds = np.empty((2 * leaves, 3, 3))
+        bounds[:, 2] = 0.0
+        starts = self._first[:-1]
+        bounds[leaves:, 0] = np.minimum.reduceat(self._triangles.min(axis=1), starts)
+        bounds[leaves:, 1] = np.maximum.reduceat(self._triangles.max(axis=1), starts)
+        below = leaves
+        while below > 1:
+            pairs = bounds[below : 2 * below].reshape(-1, 2, 3, 3)
+            below //= 2
+            bounds[below : 2 * below, 0] = pairs[:, :, 0].min(axis=1)
+            bounds[below : 2 * below, 1] = pairs[:, :, 1].max(axis=1)
+        bounds[0] = bounds[1]
+        self._bounds: Floats = bounds
+        self.closed = is_closed(mesh)
+
+    def distance(
+        self,
+        kind: int,
+        size: "Floats",
+        position: "Floats",
+        rotation: "Floats",
+        part_position: "Floats",
+        part_rotation: "Floats",
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: "Floats | None" = None,
+    ) -> float:
+        """Distance of a body from the part.
+
+        Args:
+            kind: `cell.world.gjk.BOX` or `CYLINDER`.
+            size: (3,) half sides; radius, half length [m].
+            position: (3,) its middle, base frame [m].
+            rotation: (9,) its axes, row by row, base frame.
+            part_position: (3,) origin of the part's frame, base frame [m].
+            part_rotation: (9,) its axes, row by row, base frame.
+            reach: nothing beyond is looked for [m].
+            any_nearer: stop at the first triangle nearer than `reach`: enough for yes or no.
+            points: (2, 3) is overwritten with the nearest points of body and part, base frame [m].
+
+        Returns:
+            The distance [m]: `reach` where it is more, 0 in contact, negative where the body floats inside a closed
+            part (and its distance from the surface is what is measured).
+        """
+        found = np.zeros((2, 3)) if points is None else points
+        measured = nearest_triangle(
+            kind, size, position, rotation, part_position, part_rotation, self._triangles, self._first, self._bounds,
+            reach, any_nearer, found,
+        )  # fmt: skip
+        if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
+            return -measured
+        return float(measured)
+
+    def _inside(self, local: "Floats") -> bool:
+        """Whether a point off the surface, object frame, is inside the closed mesh: most of three rays say so."""
+        low, high = self._bounds[1, 0], self._bounds[1, 1]
+        if (local < low).any() or (local > high).any():
+            return False
+        odd = [crossings(local, ray, self._triangles, self._first, self._bounds) % 2 for ray in _RAYS]
+        return sum(odd) >= 2
+
+
+def _morton(points: "Floats") -> NDArray[np.uint64]:
+    """(N,) place of each point on Morton's curve, 21 bits an axis."""
+    low = points.min(axis=0)
+    span = max(float(np.ptp(points, axis=0).max()), 1e-300)
+    cell = np.minimum((points - low) / span * 2097151.0, 2097151.0).astype(np.uint64)
+    code = np.zeros(len(points), dtype=np.uint64)
+    for axis in range(3):
+        x = cell[:, axis]
+        for shift, mask in _SPREAD:
+            x = (x | (x << np.uint64(shift))) & np.uint64(mask)
+        code |= x << np.uint64(axis)
+    return code
+
+
+_SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)

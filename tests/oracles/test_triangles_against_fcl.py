@@ -1,0 +1,179 @@
+"""Distances from true triangles against python-fcl's own tree, and against the plain definition of a distance.
+
+fcl measures boxes against triangles to 1e-6 m or better. Its cylinders are up to a millimetre off, so those are judged
+by a search over every triangle.
+"""
+
+from collections.abc import Callable
+
+import fcl
+import numpy as np
+import pytest
+import trimesh
+
+from cell.world import gjk
+from cell.world.triangle_tree import TriangleTree
+from planner.surface import TriangleMesh
+
+REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)
+ZERO, UPRIGHT = np.zeros(3), np.eye(3).ravel()
+
+
+def _mug() -> trimesh.Trimesh:
+    """A closed mug without a handle: outer wall, inner wall, rim."""
+    outline = [(0.0, 0.0), (0.04, 0.0), (0.04, 0.1), (0.036, 0.1), (0.036, 0.005), (0.0, 0.005)]
+    return trimesh.creation.revolve(np.array(outline), sections=48)
+
+
+def _sheet() -> trimesh.Trimesh:
+    x, y = np.meshgrid(np.linspace(-0.1, 0.1, 12), np.linspace(-0.1, 0.1, 12))
+    points = np.column_stack([x.ravel(), y.ravel(), 0.03 * np.sin(20 * x.ravel())])
+    faces = [[12 * i + j, 12 * i + j + 1, 12 * i + j + 12] for i in range(11) for j in range(11)]
+    return trimesh.Trimesh(points, faces, process=False)
+
+
+def _soup() -> trimesh.Trimesh:
+    rng = np.random.default_rng(5)
+    corners = rng.normal(0, 0.05, (80, 1, 3)) + rng.normal(0, 0.02, (80, 3, 3))
+    return trimesh.Trimesh(corners.reshape(-1, 3), np.arange(240).reshape(-1, 3), process=False)
+
+
+MESHES: dict[str, Callable[[], trimesh.Trimesh]] = {
+    "a mug": _mug,
+    "a torus": lambda: trimesh.creation.torus(0.08, 0.02),
+    "an open, wavy sheet": _sheet,
+    "triangles that cross each other": _soup,
+    "one triangle": lambda: trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]], process=False),
+    "a sliver and a point": lambda: trimesh.Trimesh(
+        [[0, 0, 0], [0.1, 1e-9, 0], [0.2, 0, 0], [0.1, 0.1, 0.1]], [[0, 1, 2], [3, 3, 3]], process=False
+    ),
+}
+
+
+def _tree(mesh: trimesh.Trimesh) -> TriangleTree:
+    return TriangleTree(TriangleMesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int32)))
+
+
+def _model(mesh: trimesh.Trimesh) -> fcl.CollisionObject:
+    model = fcl.BVHModel()
+    model.beginModel(len(mesh.vertices), len(mesh.faces))
+    model.addSubModel(np.array(mesh.vertices), np.array(mesh.faces))
+    model.endModel()
+    return fcl.CollisionObject(model)
+
+
+def _from_cylinder(points: np.ndarray, radius: float, half: float) -> np.ndarray:
+    """Distance of points (..., 3) from an upright cylinder about the origin, in closed form."""
+    across = np.maximum(np.linalg.norm(points[..., :2], axis=-1) - radius, 0.0)
+    return np.hypot(across, np.maximum(np.abs(points[..., 2]) - half, 0.0))
+
+
+def _least_over_triangles(corners: np.ndarray, radius: float, half: float) -> float:
+    """Smallest distance of triangles (F, 3, 3) from that cylinder: convex over each, so a grid is zoomed in on it."""
+    u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 9)] * 2))
+    middle, width, best = np.full((len(corners), 1, 2), 1 / 3), 1.0, np.inf
+    for _ in range(40):
+        at = middle + width * np.stack([u, v], axis=1)
+        at = np.clip(at, 0, 1)
+        at = np.concatenate([at / np.maximum(1.0, at.sum(axis=2, keepdims=True)), middle], axis=1)
+        s, t = at[..., :1], at[..., 1:]
+        points = corners[:, None, 0] * (1 - s - t) + corners[:, None, 1] * s + corners[:, None, 2] * t
+        distance = _from_cylinder(points, radius, half)
+        middle = np.take_along_axis(at, np.argmin(distance, axis=1)[:, None, None], axis=1)
+        best, width = min(best, float(distance.min())), width * 0.7
+    return best
+
+
+def _poses(count: int, near: float, far: float, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(count):
+        direction = rng.normal(size=3)
+        R = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+        found.append((direction / np.linalg.norm(direction) * rng.uniform(near, far), np.ascontiguousarray(R)))
+    return found
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_boxes_are_as_far_as_fcl_says(name: str) -> None:
+    """A housing and a thin bar, near and far: never farther than fcl says, and nearer by 1e-5 m at most."""
+    mesh = MESHES[name]()
+    tree, model = _tree(mesh), _model(mesh)
+    for half in (np.array([0.08, 0.04, 0.03]), np.array([0.002, 0.002, 0.2])):
+        box = fcl.CollisionObject(fcl.Box(*(2 * half)))
+        for position, R in _poses(60, 0.0, 0.3, 1):
+            box.setTransform(fcl.Transform(R, position))
+            truth = 0.0 if fcl.collide(box, model) else fcl.distance(box, model, REQUEST)
+            measured = abs(tree.distance(gjk.BOX, half, position, R.ravel(), ZERO, UPRIGHT, 1.0))
+            assert truth - 1e-5 <= measured <= truth + 1e-9
+
+
+@pytest.mark.parametrize("name", ["an open, wavy sheet", "triangles that cross each other", "one triangle"])
+def test_cylinders_are_as_far_as_the_nearest_point_of_any_triangle(name: str) -> None:
+    """Against a search over every triangle with the closed form of the distance of a point from a cylinder."""
+    mesh = MESHES[name]()
+    tree, radius, half = _tree(mesh), 0.039, 0.06
+    for position, R in _poses(25, 0.02, 0.3, 2):
+        measured = tree.distance(gjk.CYLINDER, np.array([radius, half, 0.0]), position, R.ravel(), ZERO, UPRIGHT, 1.0)
+        truth = _least_over_triangles((mesh.triangles - position) @ R, radius, half)
+        assert measured == pytest.approx(truth, abs=2e-6)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_the_two_nearest_points_are_where_they_are_said_to_be(name: str) -> None:
+    """One on the body, one on a triangle, as far apart as the distance: so it is never too large."""
+    mesh = MESHES[name]()
+    tree = _tree(mesh)
+    half, points = np.array([0.08, 0.04, 0.03]), np.zeros((2, 3))
+    seen = 0
+    for position, R in _poses(80, 0.05, 0.4, 3):
+        measured = tree.distance(gjk.BOX, half, position, R.ravel(), ZERO, UPRIGHT, 1.0, points=points)
+        if measured <= 0:
+            continue
+        seen += 1
+        assert np.linalg.norm(points[0] - points[1]) == pytest.approx(measured, abs=2e-8)
+        assert (np.abs(R.T @ (points[0] - position)) <= half + 1e-9).all()
+        on_triangle = trimesh.triangles.closest_point(mesh.triangles, np.tile(points[1], (len(mesh.faces), 1)))
+        assert np.linalg.norm(on_triangle - points[1], axis=1).min() < 1e-9
+    assert seen > 20
+
+
+def test_yes_or_no_agrees_with_the_distance() -> None:
+    """`any_nearer` stops early and says the same, at limits around the true distance."""
+    tree = _tree(MESHES["a mug"]())
+    half = np.array([0.02, 0.015, 0.03])
+    for position, R in _poses(200, 0.0, 0.15, 4):
+        whole = tree.distance(gjk.BOX, half, position, R.ravel(), ZERO, UPRIGHT, 1.0)
+        for limit in (0.01, max(whole, 0) + 1e-6, max(whole, 1e-3) - 1e-6):
+            early = tree.distance(gjk.BOX, half, position, R.ravel(), ZERO, UPRIGHT, limit, any_nearer=True)
+            assert (early < limit) == (whole < limit)
+
+
+def test_a_body_in_the_material_is_in_contact_and_one_in_the_cavity_is_not() -> None:
+    """A closed solid has an inside; the inside of a mug is not it; an open mesh has none."""
+    crumb = np.full(3, 0.001)
+    mug, ball = _tree(MESHES["a mug"]()), _tree(trimesh.creation.icosphere(3, 0.1))
+    sheet = _tree(MESHES["an open, wavy sheet"]())
+    at = np.array([0.0, 0.0, 0.05])
+    assert mug.closed
+    assert ball.closed
+    assert not sheet.closed
+    assert mug.distance(gjk.BOX, crumb, at, UPRIGHT, ZERO, UPRIGHT, 1.0) == pytest.approx(0.0345, abs=3e-4)
+    assert mug.distance(gjk.BOX, crumb, np.array([0.038, 0.0, 0.05]), UPRIGHT, ZERO, UPRIGHT, 1.0) <= 0
+    assert mug.distance(gjk.BOX, crumb, np.array([0.0, 0.0, 0.0025]), UPRIGHT, ZERO, UPRIGHT, 1.0) < 0
+    assert ball.distance(gjk.BOX, crumb, at, UPRIGHT, ZERO, UPRIGHT, 1.0) < -0.04
+    assert sheet.distance(gjk.BOX, crumb, at, UPRIGHT, ZERO, UPRIGHT, 1.0) > 0
+
+
+def test_a_placed_part_is_as_far_as_its_placed_triangles() -> None:
+    """The pose of the part is applied as a transform of its vertices would be."""
+    mesh = MESHES["a torus"]()
+    T = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.8]))
+    T[:3, 3] = 1.2, 0.5, -0.1
+    moved = mesh.copy()
+    moved.apply_transform(T)
+    one, other, half = _tree(mesh), _tree(moved), np.array([0.05, 0.02, 0.03])
+    for position, R in _poses(50, 0.0, 0.3, 6):
+        where = position + T[:3, 3]
+        placed = one.distance(gjk.BOX, half, where, R.ravel(), T[:3, 3].copy(), T[:3, :3].copy().ravel(), 1.0)
+        assert placed == pytest.approx(other.distance(gjk.BOX, half, where, R.ravel(), ZERO, UPRIGHT, 1.0), abs=3e-8)
