@@ -2,10 +2,15 @@
 
 import json
 import os
+import select
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,3 +84,62 @@ def planned(
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["n_views"] > 1
     return folder / "run"
+
+
+@dataclass
+class Emulated:
+    """A process of `cell emulate`.
+
+    Attributes:
+        process: the process.
+        log: its journal.
+        state: file of its arm's position.
+    """
+
+    process: subprocess.Popen[str]
+    log: Path
+    state: Path
+
+    @cached_property
+    def url(self) -> str:
+        """Where its controller answers; waits until it does."""
+        stdout = self.process.stdout
+        assert stdout is not None
+        ready, _, _ = select.select([stdout], [], [], 60)
+        url = stdout.readline().strip() if ready else ""
+        assert url, "the emulator did not start"
+        return url
+
+    def entries(self, event: str) -> list[dict[str, Any]]:
+        """What the journal says of one kind of event, in order."""
+        found = [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()]
+        return [entry for entry in found if entry["event"] == event]
+
+    def end(self) -> int:
+        """End it as Ctrl-C does."""
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(20)
+
+
+@pytest.fixture(scope="session")
+def emulate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Emulated]]:
+    """Starts `cell emulate` with arguments; given `beside`, with the arm (and the journal) of an earlier one."""
+    started: list[Emulated] = []
+
+    def start(*arguments: str, beside: Emulated | None = None) -> Emulated:
+        folder = beside.log.parent if beside else tmp_path_factory.mktemp("emulated")
+        log, state = folder / "moves.jsonl", folder / "arm.json"
+        process = subprocess.Popen(
+            [sys.executable, "-m", "cell", "emulate", *arguments, "--log", str(log), "--state", str(state)],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        started.append(Emulated(process, log, state))
+        return started[-1]
+
+    yield start
+    for emulated in started:
+        if emulated.process.poll() is None:
+            emulated.process.kill()
+        emulated.process.wait(20)
+        if emulated.process.stdout:
+            emulated.process.stdout.close()

@@ -2,11 +2,13 @@
 
     CELL_DRIVER_URLS="sim:// acme://localhost" pytest tests/contracts/test_driver_contract.py
 
-The moves are small (a few degrees about where the arm stands) and slow; with hardware, clear the cell first.
+The moves are small (a few degrees about where the arm stands) and slow; with hardware, clear the cell first. What is no
+URL is a protocol of `cell emulate`, whose controller is started in a process of its own.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,14 +19,23 @@ from drivers.errors import DriverUrlError, NotConnectedError, RefusedError, SetP
 from drivers.registry import open_driver
 from drivers.setpoints import PER_DEGREE, SetPoints, from_rad
 
-URLS = os.environ.get("CELL_DRIVER_URLS", "sim:// sim://?realtime&time_scale=10000").split()
+URLS = os.environ.get("CELL_DRIVER_URLS", "sim:// sim://?realtime&time_scale=10000 serial modbus modbus-rtu").split()
 SPEED = 0.1
 
 
+@pytest.fixture(scope="module")
+def started(request: pytest.FixtureRequest) -> Callable[[str], str]:
+    """Gives the URL of an entry of URLS; for those that are protocols, emulated controllers are started."""
+    protocols = [entry for entry in URLS if "://" not in entry]
+    emulate: Callable[..., Any] | None = request.getfixturevalue("emulate") if protocols else None
+    running = {entry: emulate(entry, "--time-scale", "1000") for entry in protocols if emulate}
+    return lambda entry: str(running[entry].url) if entry in running else entry
+
+
 @pytest.fixture(params=URLS)
-def driver(request: pytest.FixtureRequest) -> Iterator[Driver]:
+def driver(request: pytest.FixtureRequest, started: Callable[[str], str]) -> Iterator[Driver]:
     """A connected driver without a fault."""
-    with open_driver(request.param) as driver:
+    with open_driver(started(request.param)) as driver:
         driver.reset()
         yield driver
 
@@ -154,8 +165,9 @@ def test_capabilities_describe_a_range_around_the_arm(driver: Driver) -> None:
         assert not array.flags.writeable
 
 
-@pytest.mark.parametrize("url", URLS)
-def test_an_unknown_option_is_refused_by_name(url: str) -> None:
+@pytest.mark.parametrize("entry", URLS)
+def test_an_unknown_option_is_refused_by_name(entry: str, started: Callable[[str], str]) -> None:
     """No driver swallows an option that it does not have."""
+    url = started(entry)
     with pytest.raises(DriverUrlError, match="no option 'no_such_option'"):
         open_driver(url + ("&" if "?" in url else "?") + "no_such_option=1")
