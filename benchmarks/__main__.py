@@ -26,6 +26,7 @@ REGISTRY = {
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked legs against float64 brute force; the matrix at 10,000 x 10,000; what Embree's share is",
     "cover": "view selection: seconds, views, lower bound, gap per solver",
+    "paths": "paths around obstacles on seeded scenes: found, checks and time beside ompl",
     "motion_recheck": "final motions of seeded scenes, judged by triangles every millisecond and by their differences",
     "motion": "order and path: cycle time over the Christofides baseline",
     "plan": "the main job as a whole process: stages, memory, prediction error on every part",

@@ -23,6 +23,7 @@ from planner.tour import plan_motion
 
 _STEP = 1e-3  # s
 _VIEWS = 10
+_DISTANCES = 40  # of a motion, for the column "nearest": distances of triangles are dear
 
 
 def run() -> list[dict[str, Any]]:
@@ -99,7 +100,7 @@ def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
         "checked": len(dense.q),
         "contacts": sum(contacts.values()),
         "between": ", ".join(contacts),
-        "nearest mm": 1000 * triangles.nearest(dense.q[:: max(1, len(dense.q) // 400)]),
+        "nearest mm": 1000 * triangles.nearest(dense.q[:: max(1, len(dense.q) // _DISTANCES)]),
         "over limits": max(_excess(motion), _excess(dense)),
     }
 

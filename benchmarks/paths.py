@@ -1,0 +1,148 @@
+"""Collision-free paths on seeded scenes: where RRT-Connect finds one, beside ompl over the same certified edges.
+
+In each scene two reachable set-points are drawn between which the straight move is blocked. `planner.path.connect`
+searches with its default budget, then, where that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and
+sampling, edges certified by `planner.edge` as ours) searches for `_SECONDS` where ours failed, and on every fifth scene
+for comparison. ompl is no dependency of the project: `pip install ompl`.
+
+SCAN_CELL_SCENES (default 20) is the number of scenes; with SCAN_CELL_PATHS=FILE finished scenes are kept as lines of
+JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes.
+"""
+
+import json
+import os
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from benchmarks.seeded_scenes import SeededCell, usable
+from planner.edge import certify
+from planner.path import PathStatus, connect, path_time
+from planner.ports import Floats
+
+_LONG = 1_000_000  # checks
+_SECONDS = 60.0
+_PAIRS = 400  # drawn until a straight move is blocked
+_COMPARED = 5
+
+
+def run() -> list[dict[str, Any]]:
+    """One row over all scenes, and one for each that our search did not solve."""
+    count = int(os.environ.get("SCAN_CELL_SCENES", "20"))
+    kept = Path(os.environ["SCAN_CELL_PATHS"]) if "SCAN_CELL_PATHS" in os.environ else None
+    done = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
+    for number in range(count):
+        if any(row["scene"] == number for row in done):
+            continue
+        done.append(searched(number))
+        if kept:
+            with kept.open("a") as file:
+                file.write(json.dumps(done[-1]) + "\n")
+    rows = [row for row in done if row["scene"] < count]
+    both = [row for row in rows if row["ompl"] == "found" and row["found"] != "no"]
+    either = [row for row in rows if row["ompl"] == "found" or row["found"] != "no"]
+    summary = {
+        "scene": f"{len(rows)} scenes",
+        "found": f"{sum(row['found'] == 'default' for row in rows)} at the default budget, "
+        f"{sum(row['found'] == 'long' for row in rows)} at {_LONG:,} checks",
+        "of those that ompl or ours solve": f"{sum(row['found'] != 'no' for row in rows)} of {len(either)}",
+        "checks": int(np.median([row["checks"] for row in rows])),
+        "s": float(np.median([row["s"] for row in rows])),
+        "via": float(np.mean([row["via"] for row in rows if row["via"]])),
+        "path s": float(np.mean([row["path s"] for row in both])) if both else float("nan"),
+        "ompl": f"{len(both)} compared",
+        "ompl s": float(np.median([row["ompl s"] for row in both])) if both else float("nan"),
+        "ompl via": float(np.mean([row["ompl via"] for row in both])) if both else float("nan"),
+        "ompl path s": float(np.mean([row["ompl path s"] for row in both])) if both else float("nan"),
+    }
+    return [summary, *(row for row in rows if row["found"] != "default")]
+
+
+def searched(number: int) -> dict[str, Any]:
+    """One scene: our search, and ompl's where ours fails or it is its turn."""
+    cell = usable(number, least=4)
+    q_from, q_to = _blocked_pair(cell)
+    begin = perf_counter()
+    result, found = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number), measure=False), "default"
+    if result.status is PathStatus.NO_PATH_FOUND:
+        found = "long"
+        result = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number), _LONG, measure=False)
+    spent = perf_counter() - begin
+    if result.via is None:
+        found = "no"
+    row = {
+        "scene": number,
+        "found": found,
+        "checks": result.checks,
+        "s": spent,
+        "via": 0 if result.via is None else len(result.via),
+        "path s": result.duration if result.via is not None else None,
+        "ompl": "",
+    }
+    if found != "default" or number % _COMPARED == 0:
+        begin = perf_counter()
+        via = by_ompl(cell, q_from, q_to, _SECONDS, number)
+        row |= {
+            "ompl": "not found" if via is None else "found",
+            "ompl s": perf_counter() - begin,
+            "ompl via": 0 if via is None else len(via),
+            "ompl path s": None if via is None else path_time(via, cell.world.limits),
+        }
+    return row
+
+
+def _rng(number: int) -> np.random.Generator:
+    return np.random.default_rng([number, 1])
+
+
+def _blocked_pair(cell: SeededCell) -> tuple[Floats, Floats]:
+    """Two set-points of different views between which the straight move is blocked."""
+    rng, q = np.random.default_rng(cell.number), cell.reach.q
+    view = np.repeat(np.arange(len(cell.reach)), np.diff(cell.reach.offsets))
+    for _ in range(_PAIRS):
+        i, j = rng.integers(0, len(q), 2)
+        if view[i] != view[j] and not certify(q[i], q[j], cell.checker, ends_free=True)[0]:
+            return q[i], q[j]
+    raise RuntimeError(f"scene {cell.number} has no blocked move among {_PAIRS}")
+
+
+def by_ompl(cell: SeededCell, q_from: Floats, q_to: Floats, seconds: float, seed: int) -> Floats | None:
+    """(m, 6) path of ompl's RRTConnect and its simplifier over certified edges; None where it finds none in time."""
+    from ompl import base, geometric, util
+
+    util.noOutputHandler()
+    util.RNG.setSeed(seed + 1)
+    space, bounds = base.RealVectorStateSpace(6), base.RealVectorBounds(6)
+    for axis, (low, high) in enumerate(zip(cell.world.limits.lower, cell.world.limits.upper, strict=True)):
+        bounds.setLow(axis, float(low))
+        bounds.setHigh(axis, float(high))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+
+    def angles(state: Any) -> Floats:
+        return np.array([state[axis] for axis in range(6)])
+
+    class Certified(base.MotionValidator):  # type: ignore[misc, unused-ignore] - ompl has no types
+        def checkMotion(self, a: Any, b: Any, *_: Any) -> bool:  # noqa: N802 - ompl's name
+            return certify(angles(a), angles(b), cell.checker)[0]
+
+    validator = Certified(information)
+    information.setStateValidityChecker(lambda state: bool(cell.checker.free(angles(state)[None])[0]))
+    information.setMotionValidator(validator)
+    information.setup()
+    ends = [space.allocState() for _ in range(2)]
+    for state, q in zip(ends, (q_from, q_to), strict=True):
+        for axis in range(6):
+            state[axis] = float(q[axis])
+    problem = base.ProblemDefinition(information)
+    problem.setStartAndGoalStates(*ends)
+    planner = geometric.RRTConnect(information)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    if not planner.solve(seconds) or not problem.hasExactSolution():
+        return None
+    path = problem.getSolutionPath()
+    geometric.PathSimplifier(information).simplify(path, 1.0)
+    return np.array([angles(path.getState(k)) for k in range(path.getStateCount())])
