@@ -1,29 +1,41 @@
-"""The generalised travelling salesman: visit every cluster once through one of its nodes, from a start node and back.
+"""The generalised travelling salesman: visit every cluster once through one of its nodes, from the first and back.
 
 Pure combinatorics on a matrix of edge costs. For one order of the clusters the best nodes follow from an exact dynamic
 programme over layers (`best_nodes`). Over orders, `exact` runs the dynamic programme of Held and Karp (1962,
-doi:10.1137/0110015) on subsets of clusters, with nodes as states; `improve` is an iterated local search: neighbours by
-2-opt and or-opt are ranked with the current nodes and the most promising evaluated exactly, each with its own best
-nodes; at a local optimum the order is kicked and the search goes on from there (Lourenco, Martin and Stuetzle 2003,
-doi:10.1007/0-306-48056-5_11).
+doi:10.1137/0110015) on subsets of clusters, with nodes as states. Where that is too dear, `search` looks for a good
+tour (`planner.ruin_and_recreate`), and `bound` says how good it is, up to a proof (`planner.tour_bound`).
 
 Costs are symmetric. An edge that cannot be used costs `BLOCKED`, a number that dwarfs every real cost: a tour is then
 compared first by how many such edges it needs, which an infinite cost could not do.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import tour_bound
 from planner.errors import PlannerError
 from planner.ports import Floats
 from planner.readonly import readonly
 
 BLOCKED = 1e7
 """Cost of an edge that cannot be used."""
+
+ALWAYS_EXACT = 10_000_000
+"""Price (`exact_work`) up to which the exact search is always run: 8 clusters of 24 nodes, 10 ms."""
+
+STEPS = 10_000
+"""Default budget of the search: tours ruined and rebuilt; 0.1 s at 20 clusters of 10 nodes."""
+
+BOUND_WORK = 400_000_000
+"""Default budget of the bound: edges looked at; about 0.3 s."""
+
+_EXACT_PER_STEP = 40_000
+"""Additions of the exact search that are worth one step of the search; at the default, 12 clusters of 24 nodes."""
+
+_HOT, _COLD = 2.5, 0.025  # temperatures of the search, in mean lengths of an edge; see docs/motion.md for what they do
 
 Ints = NDArray[np.int64]
 
@@ -33,19 +45,26 @@ class Instance:
     """Nodes, their clusters and the costs between them.
 
     Attributes:
-        cost: (N, N) symmetric, finite, not negative; node 0 is the start. Entries inside one cluster are never used.
-        offsets: (n + 1,) cluster k holds the nodes offsets[k] to offsets[k + 1] - 1; offsets[0] = 1.
-        layered: (n + 1, n + 1, B, B) the same costs by cluster (the start is cluster 0) and padded node.
+        cost: (N, N) symmetric, finite, not negative. Entries inside one cluster are never used.
+        first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1. Tours begin and end in cluster 0; where
+            that is a place such as home, it is its only node.
     """
 
     cost: Floats
-    offsets: Ints
-    layered: Floats
+    first: Ints
 
     @property
     def n_clusters(self) -> int:
-        """Number of clusters, the start not counted."""
-        return len(self.offsets) - 1
+        """Number of clusters, that of the start included."""
+        return len(self.first) - 1
+
+    def clusters_of(self, nodes: Ints) -> Ints:
+        """The cluster of each node."""
+        return np.asarray(np.searchsorted(self.first, nodes, side="right") - 1)
+
+    def length(self, tour: Ints) -> float:
+        """Cost of a closed tour (m,) of nodes."""
+        return float(self.cost[tour, np.roll(tour, -1)].sum()) if len(tour) > 1 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,65 +72,71 @@ class Found:
     """A tour and what is known about it.
 
     Attributes:
-        order: (n,) clusters in visiting order.
-        cost: cost of the tour through its best nodes.
+        tour: (m,) nodes in visiting order, beginning in cluster 0; of its two directions, the one in which the lower of
+            the two neighbours of the start comes first.
+        cost: cost of the closed tour.
         lower_bound: no tour costs less.
-        evaluations: orders whose best nodes were computed.
+        steps: tours that were looked at.
     """
 
-    order: Ints
+    tour: Ints
     cost: float
     lower_bound: float
-    evaluations: int
+    steps: int
+
+    @property
+    def optimal(self) -> bool:
+        """Whether no tour is cheaper, up to rounding."""
+        return self.cost <= self.lower_bound * (1.0 + 1e-9) + 1e-12
 
 
-def instance(cost: Floats, offsets: Ints) -> Instance:
-    """Check and index an instance.
+def instance(cost: Floats, first: Ints) -> Instance:
+    """Check an instance.
 
     Args:
         cost: (N, N) symmetric costs, not negative; inf where an edge cannot be used.
-        offsets: (n + 1,) first node of each cluster and the number of nodes; the first is 1.
+        first: (m + 1,) first node of each cluster, and the number of nodes.
 
     Raises:
         PlannerError: if a cluster is empty or a cost negative or not symmetric.
     """
-    offsets = readonly("offsets", offsets, (None,), np.int64)
-    cost = readonly("cost", np.minimum(cost, BLOCKED), (int(offsets[-1]), int(offsets[-1])))
-    sizes = np.diff(offsets)
-    if offsets[0] != 1 or (sizes < 1).any():
-        raise PlannerError("every cluster needs at least one node, and the first cluster begins at node 1")
+    first = readonly("first", first, (None,), np.int64)
+    if len(first) < 2 or first[0] != 0 or (np.diff(first) < 1).any():
+        raise PlannerError("every cluster needs at least one node, and the first cluster begins at node 0")
+    cost = readonly("cost", np.minimum(cost, BLOCKED), (int(first[-1]), int(first[-1])))
     if (cost < 0).any() or not np.array_equal(cost, cost.T):
         raise PlannerError("the costs must be symmetric and not negative")
-    n, width = len(sizes), int(sizes.max(initial=1))
-    members = np.full((n + 1, width), -1)
-    members[0, 0] = 0
-    for k in range(n):
-        members[k + 1, : sizes[k]] = np.arange(offsets[k], offsets[k + 1])
-    layered = cost[members[:, None, :, None], members[None, :, None, :]]
-    absent = members < 0
-    # A padded node costs far more than any number of blocked edges, so it is never chosen.
-    layered[absent[:, None, :, None] | absent[None, :, None, :]] = 1e6 * BLOCKED
-    return Instance(cost, offsets, layered)
+    return Instance(cost, first)
 
 
-def evaluate(problem: Instance, orders: Ints) -> Floats:
-    """Cost of each order through its best nodes.
+def solve(
+    problem: Instance, start: Ints, rng: np.random.Generator, steps: int = STEPS, bound_work: int = BOUND_WORK
+) -> Found:
+    """The best tour that the budgets allow, and a bound: by `exact` where that is affordable, else by `search`.
 
     Args:
         problem: the instance.
-        orders: (P, n) clusters, counted from 0, in visiting order.
+        start: (m - 1,) clusters 1.. in the visiting order to begin with.
+        rng: source of the search's randomness.
+        steps: budget of the search.
+        bound_work: budget of the bound.
 
     Returns:
-        (P,) costs.
+        A tour that is never worse than the best one for the order `start`.
     """
-    if orders.shape[1] == 0:
-        return np.zeros(len(orders))
-    layered, clusters = problem.layered, orders + 1
-    reached = layered[0, clusters[:, 0], 0, :]
-    for k in range(1, clusters.shape[1]):
-        reached = (reached[:, :, None] + layered[clusters[:, k - 1], clusters[:, k]]).min(axis=1)
-    totals: Floats = (reached + layered[clusters[:, -1], 0, :, 0]).min(axis=1)
-    return totals
+    if exact_work(problem) <= max(ALWAYS_EXACT, _EXACT_PER_STEP * steps):
+        return exact(problem)
+    cost, tour = best_nodes(problem, start)
+    quick = min(tour_bound.one_tree(problem.cost, problem.first), cost)
+    if cost > quick * (1.0 + 1e-12):
+        cost, tour = search(problem, tour, int(rng.integers(2**63)), steps)
+    if cost <= quick * (1.0 + 1e-12) or bound_work <= 0 or cost >= BLOCKED:
+        return _found(problem, tour, cost, quick, steps)
+    strong = tour_bound.by_walks(problem.cost, problem.first, cost, bound_work)
+    if strong.tour is not None and problem.length(strong.tour) < cost:
+        tour = strong.tour
+        cost = problem.length(tour)
+    return _found(problem, tour, cost, max(quick, strong.value), steps)
 
 
 def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
@@ -119,179 +144,102 @@ def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
 
     Args:
         problem: the instance.
-        order: (n,) clusters in visiting order.
+        order: (m - 1,) clusters 1.. in visiting order.
 
     Returns:
-        The cost, and (n,) node numbers in visiting order.
+        The cost, and the closed tour (m,) of nodes that begins in cluster 0.
     """
-    clusters = order + 1
-    if len(clusters) == 0:
-        return 0.0, np.zeros(0, dtype=np.int64)
-    layered = problem.layered
-    reached, came_from = layered[0, clusters[0], 0], []
-    for before, after in pairwise(clusters):
-        through = reached[:, None] + layered[before, after]
-        came_from.append(through.argmin(axis=0))
-        reached = through.min(axis=0)
-    total = reached + layered[clusters[-1], 0, :, 0]
-    chosen = [int(total.argmin())]
-    for parents in reversed(came_from):
-        chosen.append(int(parents[chosen[-1]]))
-    return float(total.min()), problem.offsets[order] + np.array(chosen[::-1], dtype=np.int64)
+    cost, first = problem.cost, problem.first
+    best, tour = np.inf, np.zeros(1, dtype=np.int64)
+    if len(order) == 0:
+        return 0.0, tour
+    members = [slice(int(first[k]), int(first[k + 1])) for k in order]
+    for start in range(int(first[1])):
+        reached, came_from = cost[start, members[0]], []
+        for before, after in pairwise(members):
+            through = reached[:, None] + cost[before, after]
+            came_from.append(through.argmin(axis=0))
+            reached = through.min(axis=0)
+        total = reached + cost[members[-1], start]
+        if float(total.min()) < best:
+            best = float(total.min())
+            chosen = [int(total.argmin())]
+            for parents in reversed(came_from):
+                chosen.append(int(parents[chosen[-1]]))
+            tour = np.array([start, *(m.start + i for m, i in zip(members, chosen[::-1], strict=True))], dtype=np.int64)
+    return best, tour
 
 
 def exact_work(problem: Instance) -> int:
-    """Additions that `exact` needs: subsets times nodes squared."""
-    return int(2 ** min(problem.n_clusters, 60)) * len(problem.cost) ** 2
+    """Additions that `exact` needs: subsets times nodes squared, for each node of the start."""
+    return int(2 ** min(problem.n_clusters - 1, 60)) * len(problem.cost) ** 2 * int(problem.first[1])
 
 
 def exact(problem: Instance) -> Found:
     """The optimum over all orders and nodes, by dynamic programming over subsets; see `exact_work` for its price."""
-    n, cost, offsets = problem.n_clusters, problem.cost, problem.offsets
-    if n == 0:
-        return Found(np.zeros(0, dtype=np.int64), 0.0, 0.0, 1)
-    nodes = [slice(offsets[k], offsets[k + 1]) for k in range(n)]
+    if problem.n_clusters == 1:
+        return Found(np.zeros(1, dtype=np.int64), 0.0, 0.0, 1)
+    found = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
+    cost, tour = min(found, key=lambda pair: pair[0])
+    return _found(problem, tour, cost, cost, 1)
+
+
+def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float, Ints]:
+    """A good tour within a number of steps, never worse than the one to begin with.
+
+    Args:
+        problem: the instance, of at least three clusters.
+        tour: (m,) nodes of the tour to begin with.
+        seed: from 0 to 2^63 - 1; equal seeds give equal tours.
+        steps: tours to ruin and rebuild.
+
+    Returns:
+        The cost, and the tour (m,), beginning in cluster 0.
+    """
+    if steps <= 0 or problem.n_clusters < 4:  # three clusters and fewer have one cyclic order, which has its best nodes
+        return best_nodes(problem, problem.clusters_of(tour)[1:])
+    from planner.ruin_and_recreate import anneal  # imports numba, which small tours do without
+
+    between = tour_bound.between_clusters(problem.cost, problem.first)
+    np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
+    near = np.argsort(between, axis=1, kind="stable")
+    usable = between[(between > 0) & (between < BLOCKED)]
+    scale = max(tour_bound.one_tree(problem.cost, problem.first) / problem.n_clusters, 1e-12)
+    if scale >= BLOCKED / problem.n_clusters:  # no tour does without a blocked edge
+        scale = float(np.median(usable)) if len(usable) else 1.0
+    best, _ = anneal(problem.cost, problem.first, near, tour.copy(), steps, _HOT * scale, _COLD * scale, seed)
+    best = np.roll(best, -int(np.flatnonzero(best < problem.first[1])[0]))
+    return problem.length(best), best
+
+
+def _exact_from(problem: Instance, start: int) -> tuple[float, Ints]:
+    """The best tour through one node of the start."""
+    n, cost, first = problem.n_clusters - 1, problem.cost, problem.first
+    nodes = [slice(int(first[k]), int(first[k + 1])) for k in range(1, n + 1)]
     full = 2**n - 1
     best = np.full((full + 1, len(cost)), np.inf)  # cheapest way from the start through the subset, by last node
     for k in range(n):
-        best[1 << k, nodes[k]] = cost[0, nodes[k]]
+        best[1 << k, nodes[k]] = cost[start, nodes[k]]
     for subset in range(1, full):
         inside = np.concatenate([np.arange(s.start, s.stop) for k, s in enumerate(nodes) if subset >> k & 1])
         onward = (best[subset, inside, None] + cost[inside]).min(axis=0)
         for k in range(n):
             if not subset >> k & 1:
                 best[subset | 1 << k, nodes[k]] = onward[nodes[k]]
-    order, subset, ends = [], full, best[full] + cost[:, 0]
+    tour, subset, ends = [], full, best[full] + cost[:, start]
     total = float(ends.min())
     while True:
         last = int(ends.argmin())
-        cluster = int(np.searchsorted(offsets, last, side="right")) - 1
-        order.append(cluster)
-        subset &= ~(1 << cluster)
+        tour.append(last)
+        subset &= ~(1 << (int(problem.clusters_of(np.array(last))) - 1))
         if subset == 0:
-            break
+            return total, np.array([start, *tour[::-1]], dtype=np.int64)
         ends = best[subset] + cost[:, last]
-    found = np.array(order[::-1], dtype=np.int64)
-    return Found(_oriented(found), total, total, 1)
 
 
-def improve(problem: Instance, start: Ints, rng: np.random.Generator, evaluations: int) -> Found:
-    """A good order within a budget of evaluated orders, never worse than the start.
-
-    Args:
-        problem: the instance.
-        start: (n,) order to begin with.
-        rng: source of the kicks.
-        evaluations: orders to evaluate at most (each with its own best nodes).
-
-    Returns:
-        The best order found with `lower_bound`.
-    """
-    n = problem.n_clusters
-    bound = lower_bound(problem)
-    moves = _neighbours(n)
-    best, best_cost, used = start, float(evaluate(problem, start[None])[0]), 1
-    current, current_cost = best, best_cost
-    while n > 2 and used < evaluations and best_cost > bound * (1 + 1e-12):
-        nodes = np.concatenate(([0], best_nodes(problem, current)[1]))
-        fixed = problem.cost[np.ix_(nodes, nodes)]  # costs between positions of the order, through the current nodes
-        picked = moves if len(moves) <= _RANKED else moves[rng.choice(len(moves), _RANKED, replace=False)]
-        ends = fixed[0, picked[:, 0]] + fixed[picked[:, -1], 0]
-        ranked = ends + fixed[picked[:, :-1], picked[:, 1:]].sum(axis=1)
-        promising = picked[np.argsort(ranked, kind="stable")[:_EVALUATED]]
-        orders = current[promising - 1]
-        costs = evaluate(problem, orders)
-        used += len(orders)
-        k = int(costs.argmin())
-        if costs[k] < current_cost - 1e-12:
-            current, current_cost = orders[k], float(costs[k])
-            if current_cost < best_cost:
-                best, best_cost = current, current_cost
-            continue
-        # A local optimum: kick the best order, or the current one where it is nearly as good.
-        if current_cost > 1.03 * best_cost:
-            current = best
-        current = _kick(current, rng)
-        current_cost = float(evaluate(problem, current[None])[0])
-        used += 1
-    return Found(_oriented(best), best_cost, min(bound, best_cost), used)
-
-
-def lower_bound(problem: Instance, rounds: int = 40) -> float:
-    """No tour costs less: the bound of Held and Karp (1970, doi:10.1287/opre.18.6.1138) on the clusters.
-
-    Each pair of clusters costs what its cheapest pair of nodes costs, so the bound is that of a travelling salesman
-    who may change the node between arriving and leaving: it is weak where the choice of nodes matters. It is the
-    cheapest 1-tree, lifted by node penalties in a subgradient ascent.
-    """
-    n = problem.n_clusters
-    cheapest = problem.layered.min(axis=(2, 3))
-    if n == 0:
-        return 0.0
-    if n == 1:
-        return float(2.0 * cheapest[0, 1])
-    penalty, bound, step = np.zeros(n + 1), 0.0, 0.5 * float(np.median(cheapest[0, 1:])) / n
-    for _ in range(rounds):
-        lifted = cheapest + penalty[:, None] + penalty[None, :]
-        total, degree = _one_tree(lifted)
-        bound = max(bound, total - 2.0 * float(penalty.sum()))
-        if (degree == 2).all():
-            break
-        penalty += step * (degree - 2)
-        step *= 0.95
-    return bound
-
-
-_RANKED, _EVALUATED = 4000, 32  # neighbours ranked with fixed nodes, and evaluated exactly, per step
-
-
-@lru_cache(maxsize=8)
-def _neighbours(n: int) -> Ints:
-    """(Q, n) positions 1..n of an order, rearranged by each 2-opt move and each or-opt move of up to three clusters."""
-    identity = tuple(range(1, n + 1))
-    found: dict[tuple[int, ...], None] = {}
-    for i in range(n):
-        for j in range(i + 2, n + 1):
-            found[identity[:i] + identity[i:j][::-1] + identity[j:]] = None
-        for length in (1, 2, 3):
-            moved, rest = identity[i : i + length], identity[:i] + identity[i + length :]
-            for place in range(len(rest) + 1):
-                found[rest[:place] + moved + rest[place:]] = None
-                found[rest[:place] + moved[::-1] + rest[place:]] = None
-    found.pop(identity, None)
-    moves = np.array(list(found), dtype=np.int64).reshape(-1, n)
-    moves.flags.writeable = False
-    return moves
-
-
-def _kick(order: Ints, rng: np.random.Generator) -> Ints:
-    """The double bridge: exchange two neighbouring stretches of the order (2-opt and or-opt cannot undo it at once)."""
-    a, b, c = np.sort(rng.choice(len(order) + 1, 3, replace=False))
-    return np.concatenate((order[:a], order[b:c], order[a:b], order[c:]))
-
-
-def _oriented(order: Ints) -> Ints:
-    """The same tour, in the direction in which the first cluster has the smaller number; symmetric costs allow both."""
-    return order[::-1].copy() if len(order) > 1 and order[0] > order[-1] else order
-
-
-def _one_tree(cost: Floats) -> tuple[float, Ints]:
-    """Cost and degrees of the cheapest spanning tree on clusters 1.. plus the two cheapest edges of the start."""
-    count = len(cost)
-    degree = np.zeros(count, dtype=np.int64)
-    near, parent = cost[1].copy(), np.ones(count, dtype=np.int64)
-    near[[0, 1]] = np.inf
-    total = 0.0
-    for _ in range(count - 2):
-        k = int(near.argmin())
-        total += float(near[k])
-        degree[k] += 1
-        degree[parent[k]] += 1
-        near[k] = np.inf
-        closer = np.isfinite(near) & (cost[k] < near)
-        near[closer] = cost[k, closer]
-        parent[closer] = k
-    two = np.argsort(cost[0, 1:], kind="stable")[:2] + 1
-    degree[two] += 1
-    degree[0] += 2
-    return total + float(cost[0, two].sum()), degree
+def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float, steps: int) -> Found:
+    """The tour in the direction in which its second cluster has the smaller number; symmetric costs allow both."""
+    clusters = problem.clusters_of(tour)
+    if len(tour) > 2 and clusters[1] > clusters[-1]:
+        tour = np.concatenate((tour[:1], tour[:0:-1]))
+    return Found(tour, cost, min(lower_bound, cost), steps)

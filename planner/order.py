@@ -3,8 +3,8 @@
 The baseline is the usual two steps: a Christofides tour (networkx) through the scanner's positions in task space,
 then the best joint solutions along it. The joint-space ordering starts there and solves order and joint solutions
 together, as the generalised travelling salesman that they are (`planner.generalised_tsp`), with the time of the
-synchronised joint move as cost and home at both ends: exactly where that is affordable, else by local search with a
-lower bound.
+synchronised joint move as cost and home at both ends: exactly where that is affordable, else by search with a lower
+bound.
 
 Nodes are numbered as `node_offsets` says: 0 is home, then the joint solutions view by view.
 """
@@ -22,15 +22,7 @@ from planner.errors import PlannerError
 from planner.ports import Floats, JointLimits
 from planner.readonly import readonly
 from planner.timing import check_inside, move_time
-
-EVALUATIONS = 10_000
-"""Default budget of the local search: orders evaluated, each with its exact best joint solutions."""
-
-_ALWAYS_EXACT = 10_000_000
-"""Price (`generalised_tsp.exact_work`) up to which the exact search is always run: 8 views of 24 solutions, 10 ms."""
-
-_EXACT_PER_EVALUATION = 6
-"""Additions of the exact search that are worth one of the local search: 4 take its time, and a proof is worth more."""
+from planner.tour_bound import one_tree
 
 EdgeTimes = Mapping[tuple[int, int], float]
 
@@ -68,7 +60,7 @@ class Sequence:
             driven.
         lower_bound: no order of these views through these joint solutions takes less [s].
         status: what is known about the result.
-        evaluations: orders whose best joint solutions were computed.
+        steps: tours that were looked at.
     """
 
     order: NDArray[np.int64]
@@ -78,7 +70,7 @@ class Sequence:
     baseline_duration: float
     lower_bound: float
     status: OrderStatus
-    evaluations: int
+    steps: int
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", readonly("order", self.order, (None,), np.int64))
@@ -105,7 +97,8 @@ def sequence(
     *,
     T_base_scanner: Floats,
     rng: np.random.Generator,
-    budget: int = EVALUATIONS,
+    budget: int = gtsp.STEPS,
+    bound_work: int = gtsp.BOUND_WORK,
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
     start: NDArray[np.int64] | None = None,
@@ -117,13 +110,14 @@ def sequence(
         home: (6,) joint angles at which the tour begins and ends [rad].
         limits: limits of the axes; the cost of a move is its time under them.
         T_base_scanner: (n, 4, 4) scanner pose of each view [m], base frame.
-        rng: source of the local search's kicks.
-        budget: orders that the local search may evaluate; the exact search takes its place wherever that is no dearer
-            (12 views of 24 solutions at the default), and for small problems always.
+        rng: source of the search's randomness.
+        budget: tours that the search may look at; the exact search takes its place wherever that is no dearer, and for
+            small problems always.
+        bound_work: edges that the lower bound may look at; 0 takes the quick, weak bound.
         edge_time: times [s] of single edges between nodes, in either direction, that replace the straight move's time;
             inf where no path exists.
         T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
-        start: (n,) order known from before; the local search begins with it where it beats the baseline.
+        start: (n,) order known from before; the search begins with it where it beats the baseline.
 
     Returns:
         The sequence. Its duration is never above the baseline's.
@@ -133,13 +127,14 @@ def sequence(
     """
     problem = _instance(configurations, home, limits, edge_time)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
-    local_work = budget * len(problem.cost) * problem.layered.shape[-1]
-    if gtsp.exact_work(problem) <= max(_ALWAYS_EXACT, _EXACT_PER_EVALUATION * local_work):
-        found = gtsp.exact(problem)
-    else:
-        starts = np.array([baseline] if start is None else [baseline, _permutation(start, problem.n_clusters)])
-        found = gtsp.improve(problem, starts[int(gtsp.evaluate(problem, starts).argmin())], rng, budget)
-    return _result(problem, configurations, found, baseline)
+    starts = [baseline] if start is None else [baseline, 1 + _permutation(start, len(configurations))]
+    costs = [gtsp.best_nodes(problem, order)[0] for order in starts]
+    return _result(
+        problem,
+        configurations,
+        gtsp.solve(problem, starts[int(np.argmin(costs))], rng, budget, bound_work),
+        baseline,
+    )
 
 
 def christofides(
@@ -149,7 +144,8 @@ def christofides(
     *,
     T_base_scanner: Floats,
     rng: np.random.Generator,
-    budget: int = EVALUATIONS,
+    budget: int = gtsp.STEPS,
+    bound_work: int = gtsp.BOUND_WORK,
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
     start: NDArray[np.int64] | None = None,
@@ -160,9 +156,9 @@ def christofides(
     """
     problem = _instance(configurations, home, limits, edge_time)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
-    cost = float(gtsp.evaluate(problem, baseline[None])[0])
-    found = gtsp.Found(baseline, cost, min(gtsp.lower_bound(problem), cost), 1)
-    return _result(problem, configurations, found, baseline)
+    cost, tour = gtsp.best_nodes(problem, baseline)
+    quick = one_tree(problem.cost, problem.first)
+    return _result(problem, configurations, gtsp.Found(tour, cost, min(quick, cost), 1), baseline)
 
 
 ORDERINGS: dict[str, Callable[..., Sequence]] = {"joint-space": sequence, "christofides": christofides}
@@ -187,7 +183,7 @@ def _instance(
                 f"edge_time[({a}, {b})] is {time}; nodes are 0 to {len(nodes) - 1} and a time is at least 0 s"
             )
         cost[a, b] = cost[b, a] = time
-    return gtsp.instance(cost, node_offsets(solutions))
+    return gtsp.instance(cost, np.concatenate(([0], node_offsets(solutions))))
 
 
 def _permutation(order: NDArray[np.int64], n: int) -> NDArray[np.int64]:
@@ -199,19 +195,16 @@ def _permutation(order: NDArray[np.int64], n: int) -> NDArray[np.int64]:
 
 
 def _christofides(problem: gtsp.Instance, T_base_scanner: Floats, T_base_home: Floats | None) -> NDArray[np.int64]:
-    """(n,) order of the views along a Christofides tour through the scanner's positions."""
-    n = problem.n_clusters
+    """(n,) order of the clusters 1.. along a Christofides tour through the scanner's positions."""
+    n = problem.n_clusters - 1
     positions = readonly("T_base_scanner", T_base_scanner, (n, 4, 4))[:, :3, 3]
     if T_base_home is not None:
         positions = np.concatenate((readonly("T_base_home", T_base_home, (4, 4))[None, :3, 3], positions))
     tour = _task_space_tour(positions)
     if T_base_home is not None:
-        return np.roll(tour, -int(np.flatnonzero(tour == 0)[0]))[1:] - 1
-    if n < 2:
-        return tour
-    cuts = np.stack([np.roll(tour, -k) for k in range(n)])
-    best: NDArray[np.int64] = cuts[int(gtsp.evaluate(problem, cuts).argmin())]
-    return best
+        return np.roll(tour, -int(np.flatnonzero(tour == 0)[0]))[1:]
+    cuts = [np.roll(tour, -k) + 1 for k in range(max(n, 1))]
+    return cuts[int(np.argmin([gtsp.best_nodes(problem, cut)[0] for cut in cuts]))]
 
 
 def _task_space_tour(positions: Floats) -> NDArray[np.int64]:
@@ -231,29 +224,23 @@ def _task_space_tour(positions: Floats) -> NDArray[np.int64]:
 def _result(
     problem: gtsp.Instance, configurations: Many[Floats], found: gtsp.Found, baseline: NDArray[np.int64]
 ) -> Sequence:
-    """Take the better of what was found and the baseline, with its best joint solutions."""
-    baseline_cost, baseline_nodes = gtsp.best_nodes(problem, baseline)
-    cost, nodes = gtsp.best_nodes(problem, found.order)
-    order = found.order
-    if baseline_cost < cost:  # by rounding only: both searches begin with the baseline or are exact
-        cost, nodes, order = baseline_cost, baseline_nodes, baseline
-    choice = nodes - problem.offsets[order]
-    q = np.array([configurations[k][i] for k, i in zip(order, choice, strict=True)]).reshape(-1, 6)
-    if cost >= gtsp.BLOCKED:
+    """What was found, with its status."""
+    clusters = problem.clusters_of(found.tour)[1:]
+    choice = found.tour[1:] - problem.first[clusters]
+    order = clusters - 1
+    if found.cost >= gtsp.BLOCKED:
         status = OrderStatus.NO_TOUR
-    elif cost <= found.lower_bound * (1 + 1e-9) + 1e-12:
-        status = OrderStatus.OPTIMAL
     else:
-        status = OrderStatus.HEURISTIC
+        status = OrderStatus.OPTIMAL if found.optimal else OrderStatus.HEURISTIC
     return Sequence(
         order=order,
         choice=choice,
-        q=q,
-        duration=_time(cost),
-        baseline_duration=_time(baseline_cost),
-        lower_bound=_time(min(found.lower_bound, cost)),
+        q=np.array([configurations[k][i] for k, i in zip(order, choice, strict=True)]).reshape(-1, 6),
+        duration=_time(found.cost),
+        baseline_duration=_time(gtsp.best_nodes(problem, baseline)[0]),
+        lower_bound=_time(found.lower_bound),
         status=status,
-        evaluations=found.evaluations,
+        steps=found.steps,
     )
 
 

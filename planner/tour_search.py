@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from planner import generalised_tsp as gtsp
 from planner import order as ordering_of_views
 from planner.path import CHECKS, path_time
 from planner.ports import Floats, JointLimits
@@ -27,13 +28,15 @@ class MotionBudget:
     """Work that planning a motion may use; no clock is read, so equal input gives an equal motion.
 
     Attributes:
-        orders: orders that one full ordering may evaluate (`planner.order.sequence`).
+        orders: tours that one full ordering may look at (`planner.order.sequence`).
+        bound: edges that the lower bound may look at.
         path_checks: configurations that the search of one detour may check.
         checks: configurations after which detours get only a token search.
         rounds: orderings at most; after them the edges of the last tour are made real without ordering again.
     """
 
-    orders: int = ordering_of_views.EVALUATIONS
+    orders: int = gtsp.STEPS
+    bound: int = gtsp.BOUND_WORK
     path_checks: int = CHECKS
     checks: int = 1_000_000
     rounds: int = 60
@@ -111,7 +114,7 @@ class TourSearch:
         self.tell(edges)
         return not blocked
 
-    def order(self, evaluations: int, before: list[int]) -> list[int]:
+    def order(self, steps: int, before: list[int]) -> list[int]:
         """Order the views under the current prices, beginning with the order of an earlier tour."""
         self.drop_unconnected()
         roadmap, nodes = self.roadmap, [self.roadmap.nodes_of(k) for k in self.views]
@@ -132,7 +135,8 @@ class TourSearch:
             T_base_scanner=self.poses[self.views],
             T_base_home=self.T_base_home,
             rng=np.random.default_rng([self.seed, self.rounds]),
-            budget=evaluations,
+            budget=steps,
+            bound_work=self.budget.bound if self.rounds == 0 else 0,
             edge_time=edge_time,
             start=np.array(start) if len(start) == len(self.views) and start else None,
         )

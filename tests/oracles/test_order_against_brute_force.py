@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from planner import generalised_tsp as gtsp
+from planner import tour_bound
 from planner.order import OrderStatus, sequence
 from planner.ports import JointLimits
 from planner.timing import move_time
@@ -62,33 +63,79 @@ def test_small_sequences_are_the_true_optimum(seed: int) -> None:
     assert found.status is (OrderStatus.OPTIMAL if np.isfinite(truth) else OrderStatus.NO_TOUR)
 
 
-def test_the_local_search_meets_the_exact_optimum() -> None:
-    """On ten instances of nine views, the local search never beats the exact cost and is within 1 % of it on average.
-
-    Precondition: the baseline is worse by more than that, so that the search had something to do.
-    """
-    gaps, baseline_gaps = [], []
-    for seed in range(10):
-        configurations, _ = views(100 + seed, 9, 8)
-        nodes = np.concatenate([HOME[None], *configurations])
-        problem = gtsp.instance(move_time(nodes[:, None], nodes, LIMITS), np.cumsum([1, *map(len, configurations)]))
-        exact = gtsp.exact(problem)
-        start = np.arange(9)
-        local = gtsp.improve(problem, start, np.random.default_rng(seed), 5000)
-        assert exact.cost <= local.cost + 1e-12
-        assert local.lower_bound <= exact.cost + 1e-12
-        assert exact.cost == pytest.approx(gtsp.best_nodes(problem, exact.order)[0], rel=1e-12)
-        gaps.append(local.cost / exact.cost - 1)
-        baseline_gaps.append(float(gtsp.evaluate(problem, start[None])[0]) / exact.cost - 1)
-    assert np.mean(baseline_gaps) > 0.05
-    assert np.mean(gaps) < 0.01
-
-
-def test_the_batch_evaluation_is_the_single_dynamic_programme() -> None:
-    """Evaluating many orders at once gives each order's cost through its exact best nodes."""
-    configurations, _ = views(7, 7, 5)
+def random_problem(seed: int, n: int, solutions: int) -> gtsp.Instance:
+    """Home and n views of random joint solutions."""
+    configurations, _ = views(seed, n, solutions)
     nodes = np.concatenate([HOME[None], *configurations])
-    problem = gtsp.instance(move_time(nodes[:, None], nodes, LIMITS), np.cumsum([1, *map(len, configurations)]))
-    orders = np.array([np.random.default_rng(k).permutation(7) for k in range(20)])
-    single = [gtsp.best_nodes(problem, order)[0] for order in orders]
-    np.testing.assert_allclose(gtsp.evaluate(problem, orders), single, rtol=1e-14)
+    return gtsp.instance(move_time(nodes[:, None], nodes, LIMITS), np.cumsum([0, 1, *map(len, configurations)]))
+
+
+def test_the_search_meets_the_exact_optimum() -> None:
+    """On ten instances of nine views, the search finds the exact cost of each.
+
+    Precondition: the order to begin with is worse by more than 5 % on average, so that the search had something to do.
+    """
+    start_gaps = []
+    for seed in range(10):
+        problem = random_problem(100 + seed, 9, 8)
+        exact = gtsp.exact(problem)
+        start_cost, start = gtsp.best_nodes(problem, np.arange(1, 10))
+        cost, tour = gtsp.search(problem, start, seed, 3000)
+        assert cost == pytest.approx(exact.cost, rel=1e-12)
+        assert cost == pytest.approx(gtsp.best_nodes(problem, problem.clusters_of(tour)[1:])[0], rel=1e-12)
+        assert exact.cost == pytest.approx(problem.length(exact.tour), rel=1e-12)
+        start_gaps.append(start_cost / exact.cost - 1)
+    assert np.mean(start_gaps) > 0.05
+
+
+@pytest.mark.parametrize("work", [0, 10_000, 1_000_000, 100_000_000])
+def test_bounds_are_bounds(work: int) -> None:
+    """Neither bound is above the optimum by more than rounding, whatever its budget and the tour it is told."""
+    for seed in range(6):
+        problem = random_problem(200 + seed, seed % 5 + 3, 6)
+        optimum = gtsp.exact(problem).cost
+        assert tour_bound.one_tree(problem.cost, problem.first) <= optimum * (1 + 1e-12)
+        for told in (optimum, 1.3 * optimum):
+            bound = tour_bound.by_walks(problem.cost, problem.first, told, work)
+            assert bound.value <= optimum * (1 + 1e-9)
+            if bound.tour is not None:
+                assert problem.length(bound.tour) == pytest.approx(optimum, rel=1e-9)
+
+
+def test_the_walks_prove_the_optimum() -> None:
+    """With work enough, the bound of each of six instances is the optimum, which the quick bound is not."""
+    for seed in range(6):
+        problem = random_problem(300 + seed, 8, 6)
+        optimum = gtsp.exact(problem).cost
+        assert tour_bound.by_walks(problem.cost, problem.first, optimum, 10**9).value == pytest.approx(optimum)
+        assert tour_bound.one_tree(problem.cost, problem.first) < 0.99 * optimum
+
+
+def test_a_start_of_several_nodes() -> None:
+    """Without a home, the first cluster has several nodes too: exact search, search and bound agree."""
+    rng = np.random.default_rng(4)
+    first = np.array([0, 3, 5, 8, 10, 11, 14])
+    places = rng.uniform(0, 1, (14, 2))
+    cost = np.linalg.norm(places[:, None] - places, axis=2)
+    problem = gtsp.instance(cost, first)
+    best = np.inf
+    for order in itertools.permutations(range(1, 6)):
+        if order[0] < order[-1]:
+            for nodes in itertools.product(*(range(first[k], first[k + 1]) for k in (0, *order))):
+                best = min(best, problem.length(np.array(nodes)))
+    exact = gtsp.exact(problem)
+    assert exact.cost == pytest.approx(best, rel=1e-12)
+    start = gtsp.best_nodes(problem, np.arange(1, 6))[1]
+    assert gtsp.search(problem, start, 0, 2000)[0] == pytest.approx(best, rel=1e-12)
+    assert tour_bound.by_walks(cost, first, best, 10**8).value == pytest.approx(best)
+
+
+def test_what_is_too_dear_for_the_exact_search_is_found_and_bounded() -> None:
+    """Seventeen views: found by search, within 2 % by walks; with no steps and no work, start and quick bound."""
+    problem = random_problem(400, 17, 6)
+    proven = gtsp.solve(problem, np.arange(1, 18), np.random.default_rng(0), 5000, 10**9)
+    assert gtsp.exact_work(problem) > 5000 * 40_000
+    assert proven.cost <= 1.02 * proven.lower_bound
+    idle = gtsp.solve(problem, np.arange(1, 18), np.random.default_rng(0), 0, 0)
+    assert idle.cost == gtsp.best_nodes(problem, np.arange(1, 18))[0]
+    assert idle.lower_bound < proven.lower_bound <= proven.cost < idle.cost
