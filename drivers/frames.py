@@ -1,6 +1,6 @@
 r"""ASCII frames of the serial line: bytes to values and back, and nothing else. docs/protocol.md describes each byte.
 
-    > 00042,0004,STOP * 9E5FC3F1 CR LF        (without the blanks)
+    > 00042,0004,STOP * 59A379F2 CR LF        (without the blanks)
     | |     |    |      `-- CRC-32 of everything before the asterisk, 8 capital hexadecimal digits
     | |     |    `--------- body: the kind, then its arguments after commas
     | |     `-------------- number of characters of the body, 4 digits

@@ -1,0 +1,109 @@
+"""docs/protocol.md is true: its sessions are what a controller says, its tables are those of the code."""
+
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import register_map as registers
+from drivers.clock import SimulatedClock
+from drivers.commands import Result
+from drivers.endpoint import Endpoint
+from drivers.frames import MAX_FRAME, decode
+from drivers.limits import kr16
+from drivers.modbus_station import ModbusStation
+from drivers.plant import IdealPlant
+from drivers.serial_messages import POINTS_PER_FRAME, hello_of, request_of, status_of
+from drivers.serial_station import SerialStation
+from drivers.wire import MOST_POINTS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+SERIAL, MODBUS = re.findall(r"^```\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+
+
+def endpoint() -> tuple[Endpoint, SimulatedClock]:
+    """A KR 16 at home, as the page says, and its clock."""
+    clock = SimulatedClock()
+    return Endpoint(IdealPlant(np.radians([0, -90, 90, 0, 90, 0])), kr16(), clock, clock), clock
+
+
+def lines(session: str) -> list[str]:
+    """Without comments."""
+    return [line for line in session.splitlines() if not line.startswith("#")]
+
+
+def test_the_serial_session_is_what_a_controller_says() -> None:
+    """Every frame of the page, in order, byte for byte."""
+    robot, clock = endpoint()
+    station, answer, answered = SerialStation(robot), "", 0
+    for line in lines(SERIAL):
+        if pause := re.fullmatch(r"\.\.\. (\S+) s later", line):
+            clock.wait(float(pause[1]))
+        elif line.startswith(">"):
+            answer = station.answer(line.encode() + b"\r\n").decode()
+        else:
+            assert answer == line + "\r\n"
+            answered += 1
+    assert answered >= 10
+
+
+def test_the_modbus_session_is_what_a_controller_says() -> None:
+    """Every telegram of the page, in order, byte for byte."""
+    robot, clock = endpoint()
+    station, answer, answered = ModbusStation(robot, rtu=True), b"", 0
+    for line in lines(MODBUS):
+        if pause := re.fullmatch(r"\.\.\. (\S+) s later", line):
+            clock.wait(float(pause[1]))
+        elif line.startswith(">"):
+            answer = station.answer(bytes.fromhex(line[2:]))
+        else:
+            assert answer == bytes.fromhex(line[2:])
+            answered += 1
+    assert answered >= 5
+
+
+@pytest.mark.parametrize("line", [line for line in lines(SERIAL) if line[0] in "<>"])
+def test_the_pages_frames_can_be_taken_apart_by_its_words(line: str) -> None:
+    """Read as a reader of the page would: fields by position, the length counted, the CRC computed by zlib."""
+    head, crc = line.rsplit("*", 1)
+    start, number, length, body = head[0], head[1:6], head[7:11], head[12:]
+    assert start in "<>"
+    assert head[6] == head[11] == ","
+    assert number.isdigit()
+    assert int(length) == len(body)
+    assert crc == f"{zlib.crc32(head.encode()):08X}"
+    frame = decode(line.encode() + b"\r\n")
+    assert frame is not None
+    if start == ">":
+        assert request_of(frame) is not None or frame.kind == "JOG"
+    elif frame.kind == "STATE":
+        assert status_of(frame) is not None
+    elif frame.kind == "HELLO":
+        assert hello_of(frame) is not None
+
+
+def test_the_register_tables_are_the_codes() -> None:
+    """The page holds what the table of the code prints."""
+    assert registers.page().strip() in PAGE
+
+
+def test_the_numbers_in_the_text_are_the_codes() -> None:
+    """Sizes, check values and result codes."""
+    assert f"{zlib.crc32(b'123456789'):08X}" in PAGE
+    assert f"at most {MAX_FRAME} bytes" in PAGE
+    assert f"a frame holds {POINTS_PER_FRAME}, a register block {registers.POINTS_PER_BLOCK}" in PAGE
+    assert f"up to {MOST_POINTS:,} via points" in PAGE
+    for result in Result:
+        assert f"| {int(result)} | " in PAGE
+
+
+def test_the_blocks_fit_their_telegrams() -> None:
+    """123 registers in an FC16, 125 in an FC04."""
+    full = registers.COMMAND.registers + registers.POINTS_PER_BLOCK * registers.REGISTERS_PER_POINT
+    assert full <= 123
+    assert full + registers.REGISTERS_PER_POINT > 123
+    assert registers.STATUS.registers <= 125
+    assert registers.CAPABILITIES.registers <= 125
+    assert registers.STATUS.address + registers.STATUS.registers <= registers.CAPABILITIES.address
