@@ -13,14 +13,13 @@ taken as standing still, one that jumps ahead finishes the motion.
 
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
-
-import numpy as np
 
 from drivers.clock import Clock
 from drivers.commands import LAST_SEQUENCE, Answer, Command, Move, Reset, Result, Stop, is_newer, same
 from drivers.contract import Fault, Mode, RobotState
-from drivers.errors import DriverError
+from drivers.errors import DriverError, SetPointError
 from drivers.limits import Limits, refuse
 from drivers.plant import Plant
 from drivers.profile import TICK, interpolate, resting
@@ -245,18 +244,23 @@ class Controller:
         self._in_position = False
 
     def _plant_failed(self) -> bool:
-        """Whether the plant no longer follows; latches the fault. Else remembers where it says it is."""
+        """Whether the plant no longer follows; latches the fault. Remembers where it says it is, also then."""
+        with suppress(SetPointError):  # axes that are no numbers are nowhere; the last ones stay
+            self._axes = from_rad(self.plant.reported_axes)
         if failure := self._plant_failure():
             self._latch(Fault.PLANT, f"{Fault.PLANT.sentence}: {failure}")
             self._braking = False  # nothing can be asked of it any more
             return True
-        self._axes = from_rad(self.plant.reported_axes)
         return False
 
     def _plant_failure(self) -> str:
         if self.plant.failure:
             return self.plant.failure
-        return "" if np.isfinite(self.plant.reported_axes).all() else "its axes are no numbers"
+        try:
+            from_rad(self.plant.reported_axes)
+        except SetPointError:
+            return "its axes are no numbers"
+        return ""
 
     def _depth(self) -> int:
         return len(self._queue) + (self._running is not None)

@@ -6,10 +6,10 @@ is carried to the next, so the trajectory does not depend on how `advance` is cu
 
 The encoders sit on the joints of a rigid arm, so the reported axes are the true ones; they are those at the last step.
 
-The plant fails, and says why, when an axis is further from its reference than `FOLLOWING_ERROR` (every controller
-watches that; a simulation that diverges passes it on its way) or when its state is no number any more. It then stands
-still where it is, brakes closed. A reset brings it back where its axes still are numbers. The brakes also close when
-the arm has been at rest for `BRAKE_DELAY`; time that passes with closed brakes costs nothing.
+The plant fails, and says why, when the arm is further from its reference than `FOLLOWING_ERROR` (every controller
+watches that; a simulation that diverges passes it on its way), faster than `OVERSPEED`, or when its state is no number
+any more. It then stands still where it is, brakes closed. A reset brings it back where its axes still are numbers. The
+brakes also close when the arm has been at rest for `BRAKE_DELAY`; time that passes with closed brakes costs nothing.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 FOLLOWING_ERROR = 0.01
 """Largest distance of the axes from their reference, length of the vector of six [rad]: 16 mm at 1.6 m."""
 
+OVERSPEED = 20.0
+"""Largest speed of the axes, length of the vector of six [rad/s]: at full speed of all of them it is 14.4."""
+
 AT_REST = 5e-5
 """Largest error [m] of any point of the tool at which the arm counts as settled: the robot's repeatability."""
 
@@ -47,6 +50,7 @@ Observer = Callable[[Reference, float, Floats], None]
 _BLOCK = 1000  # steps that are prepared at once
 _ROUNDING = 1e-6  # of a step: sums of times have rounding, and what is a whole step but for that is one
 _NANOSECOND = 1e-9
+_TOO_FAR, _TOO_FAST = FOLLOWING_ERROR**2, OVERSPEED**2
 
 
 class MujocoPlant:
@@ -151,7 +155,7 @@ class MujocoPlant:
     def _go(self, steps: int) -> None:
         """Servo and simulation, `steps` times."""
         first, h, ahead = self._steps, self._h, self._speed_ahead
-        times = np.arange(first, first + steps + 1, dtype=np.float64) * h - self._offset
+        times = np.maximum(np.arange(first, first + steps + 1, dtype=np.float64) * h - self._offset, 0.0)
         q, qd, qdd = self._reference.sample(times)
         if times[0] >= self._reference.duration:
             torque = np.broadcast_to(self._holding, q.shape)
@@ -159,10 +163,10 @@ class MujocoPlant:
             torque = self._feed_forward.torque(q[:-1], qd[:-1], qdd[:-1])
         gains, data, model, step, integral = self._gains, self.data, self.model, self._step, self._integral
         steady = gains.stiffness * q[:-1] + gains.damping * qd[ahead : steps + ahead] + torque[:steps]
-        per_step, limit, axes = gains.integral * h, FOLLOWING_ERROR**2, data.qpos
+        per_step, axes, speeds = gains.integral * h, data.qpos, data.qvel
         for k in range(steps):
             error = q[k] - axes
-            if not error @ error <= limit:  # NaN too
+            if not (error @ error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):  # NaN too
                 self._fail(error)
                 return
             integral += per_step * error
@@ -170,7 +174,7 @@ class MujocoPlant:
             step(model, data)
         self._steps += steps
         self._error = q[-1] - axes
-        if not self._error @ self._error <= limit:
+        if not (self._error @ self._error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):
             self._fail(self._error)
         self._brake_in -= steps
         if self._brake_in == 0:
@@ -186,7 +190,7 @@ class MujocoPlant:
         self._offset = round(self._pending / _NANOSECOND) * _NANOSECOND
         self._holding = self._feed_forward.torque(reference.end[None], np.zeros((1, 6)), np.zeros((1, 6)))[0]
         self._brake_in = math.ceil(reference.duration / self._h) + 1 + self._brake_steps
-        self._error = reference.sample(np.array([self._time()]))[0][0] - self.data.qpos
+        self._error = reference.sample(np.zeros(1))[0][0] - self.data.qpos
 
     def _time(self) -> float:
         """Time of the reference at the last step [s]."""
@@ -218,13 +222,17 @@ class MujocoPlant:
 
     def _fail(self, error: Floats) -> None:
         """Say why; the arm stands from here on."""
+        speeds = np.array(self.data.qvel)
         self._braked = True
         self.data.qvel[:] = 0.0
-        if not np.isfinite(error).all():
-            self._failure = "the simulation diverged: an axis of the arm is no number"
-            return
-        axis = int(np.abs(error).argmax())
-        self._failure = (
-            f"{AXES[axis]} is {np.degrees(abs(error[axis])):.2f} deg off its reference; its drive cannot follow, or "
-            "the simulation diverges"
-        )
+        far, fast = int(np.abs(error).argmax()), int(np.abs(speeds).argmax())
+        if not (np.isfinite(error).all() and np.isfinite(speeds).all()):
+            self._failure = "the simulation diverged: its state is no number"
+        elif speeds @ speeds > _TOO_FAST:
+            speed = np.degrees(abs(speeds[fast]))
+            self._failure = f"{AXES[fast]} turns at {speed:.0f} deg/s, faster than it can; the simulation diverged"
+        else:
+            self._failure = (
+                f"{AXES[far]} is {np.degrees(abs(error[far])):.2f} deg off its reference: its drive cannot follow, or "
+                "the simulation diverges"
+            )

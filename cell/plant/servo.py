@@ -52,9 +52,11 @@ class Settings:
     friction_error: float = -0.3
 
     def __post_init__(self) -> None:
-        for name in ("time_step", "bandwidth"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise UsageError(f"the plant's {name} is {getattr(self, name)}; it must be above 0 and finite")
+        for name, most in (("time_step", 0.1), ("bandwidth", 500.0)):
+            if not 0.0 < getattr(self, name) <= most:
+                raise UsageError(
+                    f"the plant's {name} is {getattr(self, name)}; it must be above 0 and at most {most:g}"
+                )
         for name in ("mass_error", "friction_error"):
             if not -1.0 < getattr(self, name) < np.inf:
                 raise UsageError(f"the plant's {name} is {getattr(self, name)}; it must be above -1 and finite")

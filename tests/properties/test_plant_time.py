@@ -1,5 +1,7 @@
 """Time of the dynamic plant: however it is cut up, the same trajectory to the bit."""
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -39,7 +41,7 @@ def driven(first: list[float], second: list[float], cut: float) -> tuple[bytes, 
 def cuts(total: float, at: list[float]) -> list[float]:
     """`total` cut at fractions of it, in order; the parts sum to it but for rounding."""
     marks = [0.0, *sorted(at), 1.0]
-    return [total * (b - a) for a, b in zip(marks, marks[1:], strict=False)]
+    return [total * (b - a) for a, b in pairwise(marks)]
 
 
 fractions = st.lists(st.floats(0.0, 1.0), max_size=12)

@@ -1,0 +1,196 @@
+"""Simulations that diverge, drives that are too weak, clocks that jump: the plant says so, and nothing is scanned."""
+
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from cell.plant import factory
+from cell.plant.mujoco_plant import FOLLOWING_ERROR, MujocoPlant
+from cell.plant.servo import Settings
+from drivers.clock import SimulatedClock
+from drivers.contract import Fault, Mode
+from drivers.controller import Controller
+from drivers.errors import DriverError, FaultError
+from drivers.limits import kr16
+from drivers.plant import Plant
+from drivers.profile import interpolate, resting
+from drivers.registry import Context, open_driver
+from drivers.setpoints import from_rad
+from drivers.sim import SimDriver
+
+HOME = np.radians([0.0, -90, 90, 0, 90, 0])
+GOAL = from_rad(HOME[None] + np.array([0.6, 0.5, -0.4, 0.8, -0.6, 1.0]))
+UNSTABLE = {
+    "time step 20 ms": Settings(time_step=0.02),
+    "time step 10 ms, explicit": Settings(time_step=0.01, integrator="Euler"),
+    "time step 5 ms, gain x 4": Settings(time_step=0.005, bandwidth=48.0),
+    "gain x 20": Settings(bandwidth=240.0),
+}
+WITHIN_THE_MARGIN = {
+    "default": Settings(),
+    "time step x 5": Settings(time_step=0.005),
+    "time step / 5": Settings(time_step=0.0002),
+    "gain x 4": Settings(bandwidth=48.0),
+    "explicit, time step x 2": Settings(time_step=0.002, integrator="Euler"),
+    "masses 30 % wrong": Settings(mass_error=-0.3),
+    "masses 30 % too heavy": Settings(mass_error=0.3),
+    "no friction compensation": Settings(friction_error=-0.99),
+}
+
+
+def context(settings: Settings, made: list[MujocoPlant] | None = None) -> Context:
+    """A controller that moves such a plant; every plant made is kept in `made`."""
+
+    def make(start: np.ndarray) -> Plant:
+        plant = factory.built_in(settings)["mujoco"](start)
+        assert isinstance(plant, MujocoPlant)
+        if made is not None:
+            made.append(plant)
+        return plant
+
+    return Context(plants={"mujoco": make})
+
+
+@pytest.mark.parametrize("case", UNSTABLE)
+def test_a_simulation_that_diverges_is_a_latched_fault(case: str) -> None:
+    """The move does not end in position: plant failure or not settled, with a sentence; the state stays finite."""
+    with open_driver("sim://?plant=mujoco", context(UNSTABLE[case])) as driver:
+        with pytest.raises(FaultError) as raised:
+            driver.move(GOAL, 1.0)
+        state = driver.state()
+        assert state.mode is Mode.FAULT
+        assert state.fault_code in (Fault.PLANT, Fault.NOT_SETTLED)
+        assert state.fault_sentence in str(raised.value)
+        assert isinstance(driver, SimDriver)
+        assert np.isfinite(driver.plant.true_axes).all()
+
+
+@pytest.mark.parametrize("case", WITHIN_THE_MARGIN)
+def test_the_default_has_room_on_every_side(case: str) -> None:
+    """The same move settles, and stays within 1.5 mm at 1.6 m on the way, with each figure far from its default."""
+    worst = 0.0
+
+    def watch(reference: object, time: float, axes: np.ndarray) -> None:
+        nonlocal worst
+        worst = max(worst, float(np.abs(axes - move.sample(np.array([time]))[0][0]).max()) if follows else 0.0)
+
+    limits, follows = kr16(), False
+    move = interpolate(HOME, GOAL / 1e4 * np.pi / 180, limits.velocity, limits.acceleration, limits.jerk)
+    plant = factory.built_in(WITHIN_THE_MARGIN[case], watch)["mujoco"](HOME)
+    plant.follow(move)
+    follows = True
+    plant.advance(move.duration)
+    for _ in range(1200):
+        if plant.settled:
+            break
+        plant.advance(0.004)
+    assert plant.settled, plant.failure
+    assert worst < 1e-3
+
+
+def test_a_drive_that_is_too_weak_trips_and_can_be_reset() -> None:
+    """Behind by more than the following error: the fault names the axis, the arm stands, a reset cures it."""
+    made: list[MujocoPlant] = []
+    with open_driver("sim://?plant=mujoco", context(Settings(), made)) as driver:
+        full = made[0].model.actuator_forcerange.copy()
+        made[0].model.actuator_forcerange[0] /= 10.0
+        with pytest.raises(FaultError, match=r"A1 is 0\.5[0-9] deg off its reference"):
+            driver.move(GOAL, 1.0)
+        stands = driver.state().axes
+        assert not (stands == from_rad(HOME)).all()
+        made[0].model.actuator_forcerange[:] = full
+        driver.reset()
+        state = driver.state()
+        assert state.mode is Mode.IDLE
+        assert np.abs(state.axes - stands).max() <= 1
+        assert driver.move(GOAL, 1.0).mode is Mode.IN_POSITION
+
+
+@pytest.mark.parametrize("poison", ["qpos", "qvel"])
+def test_a_state_that_is_no_number_is_never_reported_as_a_pose(poison: str) -> None:
+    """NaN in any part of the state latches the fault, and the axes of before stay reported."""
+    made: list[MujocoPlant] = []
+    with open_driver("sim://?plant=mujoco", context(Settings(), made)) as driver:
+        before = driver.state().axes
+        getattr(made[0].data, poison)[2] = np.nan
+        with pytest.raises(DriverError, match="no number"):
+            driver.move(GOAL, 1.0)
+        state = driver.state()
+        assert state.fault_code is Fault.PLANT
+        assert (state.axes == before).all()
+
+
+def test_no_log_file_is_left(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes MUJOCO_LOG.TXT into the working directory when it meets a bad state: the plant stops before."""
+    from pathlib import Path
+
+    folder = Path(str(tmp_path))
+    monkeypatch.chdir(folder)
+    for settings in UNSTABLE.values():
+        plant = MujocoPlant(HOME, None, settings)
+        plant.follow(resting(HOME + 0.003))
+        plant.advance(1.0)
+    plant = MujocoPlant(HOME)
+    plant.data.qvel[0] = np.nan
+    plant.advance(1.0)
+    assert plant.failure
+    assert list(folder.iterdir()) == []
+
+
+def test_a_jump_of_the_reference_is_a_failure() -> None:
+    """A reference that does not begin where the arm is, as after a bug, is not driven."""
+    plant = MujocoPlant(HOME)
+    plant.follow(resting(HOME + 0.02))
+    plant.advance(0.1)
+    assert "off its reference" in plant.failure
+    np.testing.assert_allclose(plant.true_axes, HOME, atol=1e-9)
+    plant.follow(resting(HOME))
+    assert plant.failure == ""
+    plant.advance(1.0)
+    assert plant.settled
+
+
+def test_a_failure_stays_where_the_reset_is_elsewhere() -> None:
+    """The drives go on only for a reference that stands where the arm stands."""
+    plant = MujocoPlant(HOME)
+    plant.follow(resting(HOME + 2 * FOLLOWING_ERROR))
+    plant.advance(0.1)
+    for elsewhere in (resting(HOME + 0.1), interpolate(HOME, HOME[None] + 0.1, kr16().velocity, kr16().acceleration)):
+        plant.follow(elsewhere)
+        assert plant.failure
+        plant.advance(1.0)
+    np.testing.assert_allclose(plant.true_axes, HOME, atol=1e-9)
+
+
+@pytest.mark.parametrize("seconds", [86_400.0, 3e7, 1e12])
+def test_a_clock_that_jumps_ahead_costs_nothing(seconds: float) -> None:
+    """With closed brakes a day, a year and far more pass at once; then the arm moves as if nothing had been."""
+    clock = SimulatedClock()
+    controller = Controller(MujocoPlant(HOME), kr16(), clock)
+    start = perf_counter()
+    clock.wait(seconds)
+    assert controller.state().mode is Mode.IDLE
+    assert perf_counter() - start < 2.0
+    plant = controller.plant
+    limits = kr16()
+    plant.follow(interpolate(HOME, HOME[None] + 0.1, limits.velocity, limits.acceleration, limits.jerk))
+    plant.advance(2.0)
+    assert plant.settled
+    np.testing.assert_allclose(plant.true_axes, HOME + 0.1, atol=1e-4)
+
+
+def test_a_thousand_moves_leave_no_drift() -> None:
+    """Moves of a count, taken at odd times, end where they should; the integral does not wind up."""
+    plant = MujocoPlant(HOME)
+    limits, at = kr16(), HOME
+    for k in range(1000):
+        goal = HOME + 1e-5 * (k % 2)
+        move = interpolate(at, goal[None], limits.velocity, limits.acceleration, limits.jerk)
+        plant.follow(move)
+        plant.advance(move.duration + 0.000_3)
+        at = goal
+    plant.follow(resting(at))
+    plant.advance(1.0)
+    assert plant.settled
+    np.testing.assert_allclose(plant.true_axes, at, atol=2e-5)

@@ -1,0 +1,194 @@
+"""The dynamic plant behind a controller: what it reports, when it rests, what the flange carries, what is refused."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from cell.errors import FileError, SceneError, UsageError
+from cell.plant import dynamics, factory, tool
+from cell.plant.mujoco_plant import AT_REST, MujocoPlant
+from cell.plant.servo import Settings, gains
+from cell.plant.tool import Piece, Tool
+from cell.robot import model as robot
+from cell.robot.kinematics import Kr16Kinematics
+from drivers.clock import SimulatedClock
+from drivers.contract import Mode
+from drivers.errors import DriverError
+from drivers.limits import kr16
+from drivers.profile import interpolate, resting
+from drivers.registry import Context, open_driver
+from drivers.setpoints import from_rad
+from drivers.sim import SimDriver
+
+HOME = np.radians([0.0, -90, 90, 0, 90, 0])
+CONTEXT = Context(plants=factory.built_in())
+URL = "sim://?plant=mujoco"
+
+
+def test_a_move_ends_in_position_within_the_repeatability() -> None:
+    """The controller waits until no point of the tool is off by 0.05 mm; reported axes are the true ones, in counts."""
+    kinematics = Kr16Kinematics.from_model(robot.load())
+    goal = np.array([[200_000, -850_000, 800_000, 300_000, 600_000, -400_000]], dtype=np.int32)
+    with open_driver(URL, CONTEXT) as driver:
+        assert isinstance(driver, SimDriver)
+        state = driver.move(goal, 1.0)
+        assert state.mode is Mode.IN_POSITION
+        assert (from_rad(driver.plant.true_axes) == state.axes).all()
+        reached = kinematics.forward(np.stack([state.q, np.radians(goal[0] / 1e4)]))
+        for lever in (np.zeros(3), np.array([0.1, 0.05, 0.12])):  # the flange, a point of the housing
+            points = reached[:, :3, 3] + reached[:, :3, :3] @ lever
+            assert 0.0 < np.linalg.norm(points[0] - points[1]) < AT_REST + 3e-6  # a count is some micrometres
+
+
+def test_it_takes_the_references_time_and_then_settles() -> None:
+    """Motion takes longer than that of the ideal arm, by less than half a second."""
+    goal = from_rad(HOME[None] + 0.3)
+    took = {}
+    for name in ("ideal", "mujoco"):
+        clock = SimulatedClock()
+        with open_driver(f"sim://?plant={name}", Context(clock=clock, plants=factory.built_in())) as driver:
+            driver.move(goal, 1.0)
+            took[name] = clock.now()
+    assert took["ideal"] < took["mujoco"] < took["ideal"] + 0.5
+
+
+def test_a_stop_brakes_on_the_path_and_settles() -> None:
+    """A braked reference is followed like any other."""
+    limits = kr16()
+    move = interpolate(HOME, HOME[None] + 0.5, limits.velocity, limits.acceleration, limits.jerk)
+    plant = MujocoPlant(HOME)
+    plant.follow(move)
+    plant.advance(0.3)
+    braked = move.braked(0.3)
+    plant.follow(braked)
+    assert not plant.settled
+    plant.advance(braked.duration + 0.5)
+    assert plant.settled
+    assert plant.failure == ""
+    np.testing.assert_allclose(plant.true_axes, braked.end, atol=1e-4)
+
+
+def test_it_starts_at_rest_and_stays_there() -> None:
+    """At the start the integral already holds what the light model lacks: nothing sags."""
+    for start in (HOME, np.zeros(6), np.radians([30.0, -20, 40, 10, 50, 0])):
+        plant = MujocoPlant(start, Tool())
+        assert plant.settled
+        plant.advance(1.0)
+        assert plant.settled
+        np.testing.assert_allclose(plant.true_axes, start, atol=1e-8)
+
+
+def test_a_move_of_no_length_is_settled_at_once() -> None:
+    """Whatever is left of a step."""
+    plant = MujocoPlant(HOME)
+    for seconds in (0.0, 0.0004, 0.0123, 7.0):
+        plant.advance(seconds)
+        plant.follow(resting(HOME))
+        assert plant.settled
+
+
+def test_the_mass_on_the_flange_is_that_of_the_shapes() -> None:
+    """Housing at the density of sensors, bracket of aluminium, where the cell's model has them."""
+    plant = factory.built_in()["mujoco"](HOME)
+    assert isinstance(plant, MujocoPlant)
+    masses = {plant.model.body(name).name: float(plant.model.body(name).mass[0]) for name in ("housing", "bracket")}
+    assert masses["housing"] == pytest.approx(0.16 * 0.08 * 0.06 * 1300)
+    assert masses["bracket"] == pytest.approx(np.pi * 0.039**2 * 0.06 * 2700)
+    kilograms = sum(masses.values())
+    assert plant.model.body_subtreemass[1] == pytest.approx(235.1 + kilograms, abs=0.1)
+    # A box of 16 x 8 x 6 cm about its middle, m / 12 (b^2 + c^2), in the order of its axes.
+    size = np.array([0.16, 0.08, 0.06])
+    expected = masses["housing"] / 12 * (np.roll(size, 1) ** 2 + np.roll(size, 2) ** 2)
+    np.testing.assert_allclose(plant.model.body("housing").inertia, expected)
+    assert not (plant.model.geom_contype.size), "the dynamic model has no shapes"
+
+
+def test_a_heavier_tool_is_felt() -> None:
+    """Eight kilograms more on the flange add to the torque on A2 what they weigh at their lever."""
+    heavy = Piece("housing", 8.0, np.full(3, 0.02), np.array([0.0, 0.0, 0.1]), np.eye(4)[0], 0.1)
+    torque = []
+    for carried in (Tool(), Tool((heavy,))):
+        model = dynamics.arm(carried)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        torque.append(float(data.qfrc_bias[1]))
+    assert torque[1] - torque[0] == pytest.approx(-8.0 * 9.81 * (0.68 + 0.67 + 0.158 + 0.1), rel=1e-9)
+
+
+def test_planning_knows_nothing_of_dynamics() -> None:
+    """The planner's compilation of the same file has no actuator, no rotor, no friction."""
+    model = robot.load()
+    assert model.nu == 0
+    for values in (model.dof_armature, model.dof_damping, model.dof_frictionloss):
+        assert not values.any()
+    dynamic = dynamics.arm(Tool())
+    assert dynamic.nu == 6
+    assert dynamic.ngeom == 0
+    for q in (HOME, np.zeros(6)):
+        poses = []
+        for each in (model, dynamic):
+            data = mujoco.MjData(each)
+            data.qpos[:] = q
+            mujoco.mj_kinematics(each, data)
+            poses.append(np.concatenate([data.site(robot.FLANGE).xpos, data.site(robot.FLANGE).xmat]))
+        assert poses[0].tobytes() == poses[1].tobytes()
+
+
+def test_levers_bound_what_an_axis_moves() -> None:
+    """No pose moves the tool's farthest point by more than the lever times the angle."""
+    carried = Tool((Piece("housing", 1.0, np.full(3, 0.01), np.array([0.0, 0.0, 0.2]), np.eye(4)[0], 0.0),))
+    levers = dynamics.levers(dynamics.arm(carried), carried)
+    kinematics, rng = Kr16Kinematics.from_model(robot.load()), np.random.default_rng(0)
+    q = rng.uniform(
+        np.radians([-185, -155, -130, -350, -130, -350]), np.radians([185, 35, 154, 350, 130, 350]), (500, 6)
+    )
+    for axis in range(6):
+        ends = [kinematics.forward(q + s * np.eye(6)[axis])[:, :3] @ np.array([0, 0, 0.2, 1]) for s in (-1e-4, 1e-4)]
+        moved = np.linalg.norm(ends[1] - ends[0], axis=1) / 2e-4
+        assert moved.max() <= levers[axis] * (1 + 1e-6)
+
+
+def test_gains_are_one_bandwidth() -> None:
+    """With the inertia that they are made for, all roots lie within 1.6 of the bandwidth, and are damped."""
+    made = gains(np.full(6, 3.0), 5.0)
+    roots = np.roots([3.0, made.damping[0], made.stiffness[0], made.integral[0]]) / (2 * np.pi * 5.0)
+    assert (roots.real < -0.2).all()
+    assert np.abs(roots).max() < 1.6
+    assert np.abs(roots.imag / roots.real).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"time_step": 0.0}, {"time_step": np.nan}, {"bandwidth": -1.0}, {"mass_error": -1.0}, {"friction_error": np.inf}],
+    ids=str,
+)
+def test_settings_that_cannot_be_are_refused(values: dict[str, float]) -> None:
+    """By the name of what is wrong."""
+    with pytest.raises(UsageError, match=f"plant's {next(iter(values))}"):
+        Settings(**values)  # type: ignore[arg-type] # one float by name
+
+
+def test_broken_input_is_refused() -> None:
+    """A start that is no pose, time that passes backwards, a cell without a housing, a robot file without drives."""
+    with pytest.raises(DriverError, match="6 finite joint angles"):
+        MujocoPlant([0.0, np.nan, 0, 0, 0, 0])
+    with pytest.raises(DriverError, match="only passes forwards"):
+        MujocoPlant(HOME).advance(-1e-9)
+    with pytest.raises(DriverError, match="only passes forwards"):
+        MujocoPlant(HOME).advance(float("nan"))
+    with pytest.raises(SceneError, match="no shape named housing"):
+        tool.of_model(robot.load())
+
+
+def test_a_robot_without_drives_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The missing figure and the file."""
+    real = robot.spec
+
+    def without() -> mujoco.MjSpec:
+        spec = real()
+        spec.delete(spec.numeric("axis_rotor_inertia_kg_m2"))
+        return spec
+
+    monkeypatch.setattr(robot, "spec", without)
+    with pytest.raises(FileError, match="axis_rotor_inertia_kg_m2"):
+        MujocoPlant(HOME)
