@@ -35,7 +35,7 @@ class TriangleCell:
         mujoco.mj_kinematics(model, data)  # only for where everything is at A1..A6 = 0
         joints = [model.joint(f"A{i}").id for i in range(1, 7)]
         self._axes, self._anchors = data.xaxis[joints].copy(), data.xanchor[joints].copy()
-        self._link, self._rest, self._shape, self._radius = [], [], [], []
+        self._link, self._rest, self._shape, self._radius, self._half = [], [], [], [], []
         for geom, name in enumerate(world.entities):
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
@@ -53,6 +53,7 @@ class TriangleCell:
             shape.addSubModel(vertices, np.array(mesh.faces))
             shape.endModel()
             self._shape.append(fcl.CollisionObject(shape))
+            self._half.append(np.abs(vertices).max(axis=0))
             self._radius.append(float(np.linalg.norm(vertices, axis=1).max()))
             self._rest.append(T)
             self._link.append(int(name[5:]) if name.startswith("link_") else 6 if name in ("housing", "bracket") else 0)
@@ -95,14 +96,30 @@ class TriangleCell:
         return float(best)
 
     def _near(self, q: Floats, reach: float) -> Iterator[tuple[Floats, int, int, NDArray[np.int64]]]:
-        """Pairs with the configurations at which their bounding spheres are within reach."""
+        """Pairs with the configurations at which neither their spheres nor the faces of their boxes part them."""
         for start in range(0, len(q), 2000):
             places = self._places(q[start : start + 2000])
             for a, b in self._pairs:
                 gap = np.linalg.norm(places[:, a, :3, 3] - places[:, b, :3, 3], axis=1)
                 near = np.flatnonzero(gap <= self._radius[a] + self._radius[b] + reach)
                 if len(near):
+                    near = near[self._boxes_meet(places[near, a], places[near, b], a, b, reach)]
+                if len(near):
                     yield places, a, b, near
+
+    def _boxes_meet(self, T_a: Floats, T_b: Floats, a: int, b: int, reach: float) -> NDArray[np.bool_]:
+        """(n,) False where a face of one bounding box keeps the other farther than reach."""
+        into_a = T_a[:, :3, :3].transpose(0, 2, 1)
+        turn = into_a @ T_b[:, :3, :3]
+        shift = into_a @ (T_b[:, :3, 3] - T_a[:, :3, 3])[..., None]
+        spread = np.abs(turn)
+        gap_a = np.abs(shift[..., 0]) - self._half[a] - spread @ self._half[b]
+        gap_b = (
+            np.abs((turn.transpose(0, 2, 1) @ shift)[..., 0])
+            - self._half[b]
+            - spread.transpose(0, 2, 1) @ self._half[a]
+        )
+        return np.asarray(np.maximum(gap_a, gap_b).max(axis=1) <= reach + 1e-9)
 
     def _placed(self, geom: int, T: Floats) -> fcl.CollisionObject:
         self._shape[geom].setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))
