@@ -111,12 +111,9 @@ class Narrator:
         from cell.study.study import shown
 
         if result.rows:
-            columns = list(dict.fromkeys(key for row in result.rows for key in row))
-            table = Table(title_justify="left")
-            for column in columns:
-                table.add_column(column)
+            table = Table(*result.shown)
             for row in result.rows[:_ROWS_SHOWN]:
-                table.add_row(*(shown(row.get(column)) for column in columns))
+                table.add_row(*(shown(row.get(column)) for column in result.shown))
             self._results.print(table)
             if len(result.rows) > _ROWS_SHOWN:
                 self._results.print(f"... and {len(result.rows) - _ROWS_SHOWN} rows more in rows.csv")

@@ -112,7 +112,7 @@ def _on_cluster(trials: Sequence[Trial], address: str) -> Iterator[Outcome]:
         client: Any = Client(address, timeout=_PATIENCE_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise UsageError(f"no Dask scheduler answers at {address}; start one with dask scheduler ({error})") from error
-    with client:
+    with client, client.as_current():
         digest = sources_digest()
         keys = [trial.key for trial in trials]
         futures = client.map(compute, trials, [digest] * len(trials), key=keys, pure=True, retries=_RETRIES)

@@ -41,6 +41,7 @@ class Study:
         rows: one row per trial that succeeded, or more.
         pictures: file stem and figure of each picture.
         sentences: what the rows say, for a reader in a hurry; Markdown paragraphs.
+        shown: columns for a terminal, where the whole table is too wide; empty: all.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Study:
     rows: Callable[[Sequence[Outcome]], list[Row]]
     pictures: Callable[[Sequence[Row]], Iterable[tuple[str, Figure]]] = field(default=lambda rows: ())
     sentences: Callable[[Sequence[Row]], Sequence[str]] = field(default=lambda rows: ())
+    shown: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,7 @@ class StudyResult:
         sentences: what they say.
         failed: trials that failed, each with its reason.
         computed: how many trials were computed now; the others were kept from before.
+        shown: columns for a terminal.
     """
 
     folder: Path
@@ -68,6 +71,7 @@ class StudyResult:
     sentences: Sequence[str]
     failed: Sequence[Outcome]
     computed: int
+    shown: Sequence[str]
 
     def summary(self) -> dict[str, Any]:
         """The object that `--json` prints."""
@@ -112,6 +116,7 @@ def conduct(study: Study, *, processes: int, cluster: str | None, out: Path | No
         list(study.sentences(rows)) if rows else [],
         [outcome for outcome in outcomes if outcome.failure],
         sum(not outcome.cached for outcome in outcomes),
+        study.shown or list(dict.fromkeys(key for row in rows for key in row)),
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from cell.scene.scene import load_scene
 from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
@@ -23,8 +24,14 @@ FINE_RESOLUTION_DEG = 0.25
 """Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
 
 PARAMETER = "parameter"
+_SHOWN = (
+    "table", "part", PARAMETER, "viewpoints", "views paper", "views rays", "views ours",
+    "visible rays %", "visible ours %",
+)  # fmt: skip
 TOLERANCE_POINTS = 0.2
 """Points of visible coverage that two methods may differ by and still count as equal."""
+
+_LOG_FROM = 8  # ratio of most to fewest views from which a logarithmic axis shows more
 
 _METHODS = ("paper", "paper's method on our parts", "ours")
 _COLOURS = ("#b0b0b0", "#ca6f1e", "#2471a3")
@@ -60,7 +67,7 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
         return [_row(name, paper, values[trial]) for name, paper, trial in asked if trial in values]
 
     title = "The paper's tables" if table == "all" else f"The paper's Table {table.removeprefix('table')}"
-    return Study(table, title, [trial for _, _, trial in asked], rows, pictures, sentences)
+    return Study(table, title, [trial for _, _, trial in asked], rows, pictures, sentences, _SHOWN)
 
 
 def _row(table: str, paper: PaperRow, values: Mapping[str, Any]) -> Row:
@@ -143,9 +150,12 @@ def _picture(rows: Sequence[Row]) -> Figure:
             axes.bar(x + offset, [row[column] for row in rows], 0.25, label=name, color=colour)
         axes.set_ylabel(unit)
         axes.grid(axis="y", alpha=0.3)
-    above.set_yscale("log")
+    counts = [row[c] for row in rows for c in ("views paper", "views rays", "views ours")]
+    if max(counts) > _LOG_FROM * min(counts):
+        above.set_yscale("log")
+        above.yaxis.set_major_formatter(ScalarFormatter())
     above.legend(ncols=3, loc="upper left")
-    above.set_ylim(top=2.2 * max(row[c] for row in rows for c in ("views paper", "views rays", "views ours")))
+    above.set_ylim(top=(2.2 if max(counts) > _LOG_FROM * min(counts) else 1.2) * max(counts))
     bounds = [row["bound ours"] for row in rows]
     above.plot(x + 0.27, bounds, linestyle="none", marker="_", color="#111111", markersize=10)
     least = min(row[c] for row in rows for c in ("coverage paper %", "visible rays %", "visible ours %"))

@@ -1,0 +1,100 @@
+"""Studies whose workers die: nothing that was finished is lost, what was being computed is computed again."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.errors import UsageError
+from cell.study.run import run
+from cell.study.trial import Outcome, Trial
+
+
+def _trials(count: int) -> list[Trial]:
+    return [Trial.of("table-row", {"part": "petanque", "faces": 16 + number}) for number in range(count)]
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
+    """What one process makes of the trials, undisturbed."""
+    outcomes = run(_trials(4), processes=1, folder=tmp_path_factory.mktemp("local"))
+    assert not [outcome.failure for outcome in outcomes if outcome.failure]
+    return outcomes
+
+
+def _values(outcomes: list[Outcome]) -> list[Any]:
+    return [(outcome.trial, outcome.values, outcome.failure) for outcome in outcomes]
+
+
+def test_a_process_that_dies_costs_no_trial(local: list[Outcome], tmp_path: Path) -> None:
+    """Killed at the first result: all trials come out, as those of an undisturbed run do."""
+    killed: list[int] = []
+
+    def kill_one(done: int, total: int, outcome: Outcome) -> None:
+        if not killed:
+            victim = multiprocessing.active_children()[0]
+            killed.append(victim.pid or 0)
+            os.kill(killed[0], signal.SIGKILL)
+
+    outcomes = run(_trials(4), processes=2, folder=tmp_path, told=kill_one)
+    assert killed
+    assert _values(outcomes) == _values(local)
+
+
+def test_a_stopped_study_goes_on_where_it_was(local: list[Outcome], tmp_path: Path) -> None:
+    """Ctrl-C after the first result: it is kept, and only the others are computed by the next run."""
+
+    def stop(done: int, total: int, outcome: Outcome) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(_trials(2), processes=1, folder=tmp_path, told=stop)
+    outcomes = run(_trials(2), processes=1, folder=tmp_path)
+    assert [outcome.cached for outcome in outcomes] == [True, False]
+    assert _values(outcomes) == _values(local[:2])
+
+
+def test_no_processes_is_refused(tmp_path: Path) -> None:
+    """The sentence names the option."""
+    with pytest.raises(UsageError, match="--processes 0"):
+        run(_trials(1), processes=0, folder=tmp_path)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A scheduler and two worker processes, on loopback."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+    ) as made:
+        yield made
+
+
+@pytest.mark.filterwarnings("default")  # Dask's own, about the worker that the test kills
+def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
+    local: list[Outcome], cluster: Any, tmp_path: Path
+) -> None:
+    """A worker is killed at the first result; the other takes over what it had."""
+    killed: list[int] = []
+
+    def kill_one(done: int, total: int, outcome: Outcome) -> None:
+        if not killed:
+            nanny = next(iter(cluster.workers.values()))
+            killed.append(nanny.pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    outcomes = run(_trials(4), processes=1, cluster=cluster.scheduler_address, folder=tmp_path, told=kill_one)
+    assert killed
+    assert _values(outcomes) == _values(local)
+
+
+def test_a_cluster_that_does_not_answer_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the address, and what would start one."""
+    monkeypatch.setattr("cell.study.run._PATIENCE_S", 0.5)
+    with pytest.raises(UsageError, match="dask scheduler"):
+        run(_trials(1), processes=1, cluster="tcp://127.0.0.1:9", folder=tmp_path)

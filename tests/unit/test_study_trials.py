@@ -1,0 +1,97 @@
+"""Trials of studies: their keys, what is kept of them and what is not, and how one that fails is told."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.errors import FileError
+from cell.study import store, trial
+from cell.study.run import run
+from cell.study.trial import Outcome, Trial, compute, sources_digest
+
+_SMALL: dict[str, Any] = {"part": "petanque", "faces": 30}
+
+
+def _kept(folder: Path, **change: Any) -> Outcome:
+    outcome = Outcome(Trial.of("table-row", _SMALL), {"views": 3}, "", {"total": 1.5})
+    store.save(outcome, folder)
+    (path,) = folder.rglob("*.json")
+    if change:
+        path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    return outcome
+
+
+def test_equal_settings_are_one_trial_in_whatever_order_they_are_given() -> None:
+    """The key is of the content."""
+    one = Trial.of("table-row", {"part": "mug", "faces": 40})
+    assert one == Trial.of("table-row", {"faces": 40, "part": "mug"})
+    assert one.key != Trial.of("table-row", {"faces": 41, "part": "mug"}).key
+
+
+def test_a_changed_program_has_other_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What another version computed is not taken for this version's."""
+    before = Trial.of("table-row", _SMALL).key
+    monkeypatch.setattr(trial, "sources_digest", lambda: "another")
+    assert Trial.of("table-row", _SMALL).key != before
+
+
+def test_settings_that_json_cannot_hold_exactly_are_refused() -> None:
+    """NaN is equal to nothing, so no key could find it again."""
+    with pytest.raises(ValueError, match="JSON"):
+        Trial.of("table-row", {"faces": float("nan")})
+    with pytest.raises(KeyError):
+        Trial.of("no-such-trial", {})
+
+
+def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> None:
+    """Values and seconds; nothing is computed."""
+    outcome = _kept(tmp_path)
+    told: list[tuple[int, int, Outcome]] = []
+    (found,) = run([outcome.trial], processes=1, folder=tmp_path, told=lambda *each: told.append(each))
+    assert found == Outcome(outcome.trial, {"views": 3}, "", {"total": 1.5}, cached=True)
+    assert told == [(1, 1, found)]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"schema": "scan-cell/trial/0"}, {"settings": "{}"}, {"failure": "no memory"}, {"values": 3}, {"seconds": None}],
+    ids=lambda change: next(iter(change)),
+)
+def test_what_is_no_finished_result_of_this_trial_is_not_taken(change: dict[str, Any], tmp_path: Path) -> None:
+    """Another version, other settings, a failure, a damaged file: the trial is computed again."""
+    outcome = _kept(tmp_path, **change)
+    assert store.load(outcome.trial, tmp_path) is None
+
+
+def test_a_torn_file_is_not_taken(tmp_path: Path) -> None:
+    """Half a file reads as none."""
+    outcome = _kept(tmp_path)
+    (path,) = tmp_path.rglob("*.json")
+    path.write_text(path.read_text()[:40])
+    assert store.load(outcome.trial, tmp_path) is None
+
+
+def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
+    """It names the folder and what to do."""
+    (tmp_path / "file").write_text("")
+    outcome = Outcome(Trial.of("table-row", _SMALL), {}, "", {})
+    with pytest.raises(FileError, match="XDG_CACHE_HOME"):
+        store.save(outcome, tmp_path / "file")
+
+
+def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> None:
+    """A standoff of zero is a sentence of ours; the failure is not kept as a result."""
+    bad = Trial.of("table-row", {**_SMALL, "standoff_mm": -1.0})
+    outcome = compute(bad, sources_digest())
+    assert "standoff" in outcome.failure
+    assert outcome.values == {}
+    store.save(outcome, tmp_path)
+    assert store.load(bad, tmp_path) is None
+
+
+def test_a_worker_of_another_version_refuses() -> None:
+    """Its result would be kept under a key that says otherwise."""
+    outcome = compute(Trial.of("table-row", _SMALL), "another program")
+    assert "version" in outcome.failure
