@@ -1,0 +1,167 @@
+"""Sweeps where methods fail: singularities in the way, no length, out of reach, no branch that goes through."""
+
+import numpy as np
+import pytest
+
+from cell.robot.kinematics import Kr16Kinematics
+from planner.ports import Floats, JointLimits
+from planner.sweep_motion import SweepRefusal, sweeps_of
+from planner.sweeps import straight_poses, turned_poses
+
+KINEMATICS = Kr16Kinematics.load()
+LIMITS = KINEMATICS.limits
+MOUNT = np.eye(4)
+MOUNT[2, 3] = 0.12
+
+
+def _pose(*angles_deg: float) -> Floats:
+    """(4, 4) T_base_scanner."""
+    T: Floats = KINEMATICS.forward(np.radians([angles_deg]))[0] @ MOUNT
+    return T
+
+
+def _reasons(column: Floats, limits: JointLimits = LIMITS) -> tuple[int, dict[int, SweepRefusal]]:
+    found = sweeps_of(column, MOUNT, KINEMATICS, limits)
+    return len(found.paths), {refused.branch: refused.reason for refused in found.refused}
+
+
+@pytest.mark.parametrize("off_deg", [0.0, 1e-7, 1e-3, 0.1])
+def test_through_the_wrist_singularity(off_deg: float) -> None:
+    """A5 passes 0 in the middle of the line, exactly or nearly: both wrist branches of this arm posture are refused.
+
+    Turning the flange about its own y axis at A4 = 0 moves A5 alone: a path through the singularity exists there, but
+    not on one slot; off it A4 must turn half a turn at once.
+    """
+    column = _pose(10, -60, 80, 40, off_deg, 30) @ straight_poses(0.1, 5, (0, 1, 0))
+    paths, reasons = _reasons(column)
+    assert reasons[0] in (SweepRefusal.SINGULAR, SweepRefusal.TOO_FAST)
+    assert reasons[1] in (SweepRefusal.SINGULAR, SweepRefusal.TOO_FAST)
+    assert 0 not in {path.branch for path in sweeps_of(column, MOUNT, KINEMATICS, LIMITS).paths}
+    assert paths >= 0
+
+
+def test_through_the_wrist_singularity_the_axes_are_named() -> None:
+    """A4 and A6 are what turns against each other there."""
+    column = _pose(10, -60, 80, 40, 0.0, 30) @ straight_poses(0.1, 5, (0, 1, 0))
+    found = {refused.branch: refused for refused in sweeps_of(column, MOUNT, KINEMATICS, LIMITS).refused}
+    assert "A4" in found[0].detail
+    assert found[0].detail in found[0].sentence
+
+
+@pytest.mark.parametrize("elbow", [-2.990345, -2.990345 + 1e-7])
+def test_through_the_stretched_elbow(elbow: float) -> None:
+    """The line crosses the boundary of the reach: no branch follows it."""
+    paths, reasons = _reasons(_pose(0, -45, elbow, 0, 40, 0) @ straight_poses(0.1, 5, (0, 0, 1)))
+    assert paths == 0
+    assert set(reasons.values()) == {SweepRefusal.OUT_OF_REACH}
+
+
+def test_through_the_shoulder_singularity() -> None:
+    """The wrist centre crosses the axis of A1, which would have to turn half round at once."""
+    column = _pose(0, -120, 33.857864, 0, 60, 0) @ straight_poses(0.1, 4, (1, 0, 0))
+    found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS)
+    assert not found.paths
+    assert any(r.reason is SweepRefusal.SINGULAR and "A1" in r.detail for r in found.refused)
+
+
+@pytest.mark.parametrize("count", [2, 7])
+def test_a_sweep_of_zero_length_is_a_stop(count: int) -> None:
+    """All poses equal: every free branch stands there, for no time, in one direction."""
+    column = np.tile(_pose(12, -75, 110, 35, -60, 140), (count, 1, 1))
+    found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS)
+    assert found.paths
+    for path in found.paths:
+        assert path.duration == 0.0
+        assert (path.q == path.q[0]).all()
+        assert path.pose.tolist() == list(range(count))
+        T = KINEMATICS.forward(path.q[:1])[0] @ MOUNT
+        assert np.linalg.norm(T[:3, 3] - column[0, :3, 3]) < 2e-5
+    assert len({tuple(path.q[0]) for path in found.paths}) == len(found.paths)
+
+
+def test_a_sweep_longer_than_the_reach() -> None:
+    """Three metres: out of reach on every branch, or beyond a limit on the way."""
+    paths, reasons = _reasons(_pose(12, -75, 110, 35, -60, 140) @ straight_poses(3.0, 8))
+    assert paths == 0
+    assert SweepRefusal.OUT_OF_REACH in reasons.values()
+
+
+def test_a_sweep_all_of_whose_branches_jump() -> None:
+    """Past the axis of A1 at 2 mm: every branch needs half a turn of A1 within a few millimetres."""
+    column = _pose(0, -120, 33.857864, 0, 60, 0)
+    column[1, 3] += 0.002
+    paths, reasons = _reasons(column @ straight_poses(0.3, 6, (1, 0, 0)))
+    assert paths == 0
+    assert reasons
+    assert set(reasons.values()) <= {SweepRefusal.SINGULAR, SweepRefusal.TOO_FAST, SweepRefusal.OUT_OF_REACH}
+
+
+def test_a_sweep_that_only_just_keeps_a_joint_limit() -> None:
+    """The limits moved onto what the sweep takes: it stays; a hundredth of a degree nearer: the axis is named."""
+    column = _pose(12, -75, 110, 35, -60, 140) @ straight_poses(0.15, 8)
+    path = next(path for path in sweeps_of(column, MOUNT, KINEMATICS, LIMITS).paths if path.branch == 1)
+    low, high = path.q.min(axis=0), path.q.max(axis=0)
+    room = np.radians(0.3)  # what the bounds between two samples need
+    wide = JointLimits(low - room, high + room, LIMITS.velocity, LIMITS.acceleration, LIMITS.jerk)
+    assert any(found.branch == 1 for found in sweeps_of(column, MOUNT, KINEMATICS, wide).paths)
+    upper = high + room
+    upper[0] = high[0] - np.radians(0.01)
+    narrow = JointLimits(low - room, upper, LIMITS.velocity, LIMITS.acceleration, LIMITS.jerk)
+    refused = {r.branch: r for r in sweeps_of(column, MOUNT, KINEMATICS, narrow).refused}
+    assert refused[1].reason is SweepRefusal.JOINT_LIMIT
+    assert refused[1].detail == "A1"
+
+
+def test_slow_axes_slow_the_sweep_down_and_then_refuse_it() -> None:
+    """Axes too slow for the speed: the sweep is slower, up to four times; then it is refused."""
+    column = _pose(12, -75, 110, 35, -60, 140) @ straight_poses(0.15, 8)
+    durations = []
+    for factor in (1.0, 0.012, 0.008):
+        slow = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity * factor, LIMITS.acceleration, LIMITS.jerk)
+        paths = [path for path in sweeps_of(column, MOUNT, KINEMATICS, slow).paths if path.branch == 1]
+        durations.append(paths[0].duration)
+    assert durations[0] < durations[1] < durations[2]
+    crawl = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity * 1e-3, LIMITS.acceleration, LIMITS.jerk)
+    paths_left, reasons = _reasons(column, crawl)
+    assert paths_left == 0
+    assert SweepRefusal.TOO_FAST in reasons.values()
+
+
+def test_poses_that_are_no_line() -> None:
+    """An arc cannot be driven as a line; the whole sweep is refused, once."""
+    bent = straight_poses(0.1, 5) @ turned_poses(0.2, 5)
+    bent[2, 1, 3] += 0.001
+    found = sweeps_of(_pose(12, -75, 110, 35, -60, 140) @ bent, MOUNT, KINEMATICS, LIMITS)
+    assert [refused.reason for refused in found.refused] == [SweepRefusal.NO_LINE]
+
+
+class _Wall:
+    """A checker that calls everything with A1 above an angle not free."""
+
+    clearance = 0.01
+
+    def __init__(self, limit: float) -> None:
+        self.limit = limit
+
+    def free(self, q: Floats) -> np.ndarray:
+        return np.asarray(q[:, 0] < self.limit)
+
+    def contacts(self, q: Floats) -> tuple[str, ...]:
+        return ("housing with wall",) if q[0] >= self.limit else ()
+
+    def distance(self, q: Floats) -> tuple[Floats, tuple[str, ...]]:
+        return self.limit - q[:, 0], ("housing with wall",) * len(q)
+
+    def travel(self, q_from: Floats, q_to: Floats) -> Floats:
+        return np.abs(q_to - q_from).sum(axis=1) * 2.0
+
+
+def test_a_line_that_collides_is_refused_with_what_is_in_the_way() -> None:
+    """One vertex too near to the wall is enough."""
+    column = _pose(12, -75, 110, 35, -60, 140) @ straight_poses(0.15, 8)
+    free = sweeps_of(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(10.0))
+    assert free.paths
+    highest = max(float(path.q[:, 0].max()) for path in free.paths if path.branch == 1)
+    found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(highest))
+    refused = {r.branch: r for r in found.refused}
+    assert refused[1].sentence == "the line comes nearer to something than the clearance (housing with wall)"

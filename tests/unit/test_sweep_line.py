@@ -1,0 +1,86 @@
+"""The line of a sweep: through its poses, half a step beyond them, constant in its twist."""
+
+import numpy as np
+import pytest
+
+from planner.ports import Floats
+from planner.sweep_line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
+from planner.sweeps import straight_poses, turned_poses
+
+
+def _somewhere(seed: int) -> Floats:
+    """(4, 4) a random pose."""
+    rng = np.random.default_rng(seed)
+    T = np.eye(4)
+    T[:3, :3] = rotations(rng.uniform(-2, 2, (1, 3)))[0]
+    T[:3, 3] = rng.uniform(-1, 1, 3)
+    return T
+
+
+@pytest.mark.parametrize("count", [2, 3, 8, 40])
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_poses_stand_in_the_middles_of_the_lines_cells(count: int, turned: bool) -> None:
+    """At u = (k + 0.5) / K; the line is as long as the sweep that was asked for."""
+    poses = _somewhere(count) @ (turned_poses(0.4, count) if turned else straight_poses(0.15, count, (1, 2, 0.5)))
+    line = line_through(poses)
+    assert line is not None
+    np.testing.assert_allclose(line.at((np.arange(count) + 0.5) / count), poses, atol=1e-12)
+    assert (line.length, line.angle) == pytest.approx((0.0, 0.4) if turned else (0.15, 0.0), abs=1e-12)
+    assert not line.stands
+
+
+def test_a_screw_is_a_line_too() -> None:
+    """Straight and turning at once, each in proportion."""
+    T = _somewhere(5)
+    u = np.linspace(0, 1, 6)
+    poses = np.tile(T, (6, 1, 1))
+    poses[:, :3, :3] = rotations(u[:, None] * np.array([0.1, -0.2, 0.3])) @ T[:3, :3]
+    poses[:, :3, 3] += u[:, None] * np.array([0.05, 0.0, -0.1])
+    line = line_through(poses)
+    assert line is not None
+    np.testing.assert_allclose(line.at((np.arange(6) + 0.5) / 6), poses, atol=1e-12)
+
+
+def test_what_is_no_line_is_none() -> None:
+    """A bend, unequal steps, a single pose, more than half a turn."""
+    straight = straight_poses(0.1, 5)
+    bent = straight.copy()
+    bent[3, 1, 3] += 1e-4
+    uneven = straight.copy()
+    uneven[4, 0, 3] += 1e-4
+    assert line_through(bent) is None
+    assert line_through(uneven) is None
+    assert line_through(straight[:1]) is None
+    assert line_through(turned_poses(3.1, 3) @ turned_poses(3.1, 3)) is None
+
+
+def test_a_sweep_without_length_stands() -> None:
+    """All poses equal: no speed is asked of it."""
+    line = line_through(np.tile(_somewhere(2), (4, 1, 1)))
+    assert line is not None
+    assert line.stands
+
+
+@pytest.mark.parametrize("count", [2, 8, 64])
+@pytest.mark.parametrize("length", [1e-3, 0.15, 2.0])
+def test_the_ramps_end_before_the_first_pose_and_keep_the_acceleration(count: int, length: float) -> None:
+    """Between the first and the last pose the speed is constant, and at most what was asked for."""
+    from planner.s_curve import sample
+
+    line = line_through(straight_poses(length, count))
+    assert line is not None
+    speed = SweepSpeed(linear=0.2)
+    profile = line.profile(line.cruise(speed))
+    t = np.linspace(0, float(profile.duration), 4001)
+    u, ud, udd = sample(profile, t)
+    between = (u >= 0.5 / count - 1e-12) & (u <= 1 - 0.5 / count + 1e-12)
+    np.testing.assert_allclose(ud[between], 1 / float(profile.cruise), rtol=1e-9)
+    assert ud.max() * length <= speed.linear * (1 + 1e-9)
+    assert np.abs(udd).max() * length <= DEFAULT_SPEED.linear_acceleration * (1 + 1e-9)
+    assert np.abs(np.diff(udd) / np.diff(t)).max() * length <= DEFAULT_SPEED.linear_acceleration * 10 * (1 + 1e-6)
+
+
+def test_rotation_vectors_and_rotations_are_inverse() -> None:
+    """Also for no turn and tiny ones."""
+    vectors = np.array([[0, 0, 0], [1e-9, 0, 0], [0.3, -0.4, 0.5], [0, 0, 3.0], [-1.2, 0.1, 2.0]], dtype=float)
+    np.testing.assert_allclose(rotation_vectors(rotations(vectors)), vectors, atol=1e-12)
