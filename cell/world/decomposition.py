@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from cell.world import piece_cache
 from cell.world.solid_hull import solid_hull
-from planner.surface import TriangleMesh, face_areas, face_normals
+from planner.surface import TriangleMesh, face_areas, face_centres, face_normals
 
 Floats = NDArray[np.float64]
 
@@ -129,7 +129,8 @@ class _Surface:
         face = rng.choice(len(areas), _SAMPLES, p=areas / total if total > 0 else None)
         corners = mesh.vertices[mesh.faces[face]]
         weights = rng.dirichlet((1.0, 1.0, 1.0), _SAMPLES)
-        outmost = np.argmax(mesh.vertices[mesh.faces].mean(axis=1) @ _directions(128).T, axis=0)
+        centres = face_centres(mesh)
+        outmost = np.array([np.argmax(centres @ direction) for direction in _directions(128)])
         farthest = mesh.vertices[mesh.faces[outmost]].reshape(-1, 3)
         self.samples: Floats = np.concatenate([np.einsum("pk,pkj->pj", weights, corners), farthest])
         self._normals = np.concatenate([normals[face], np.repeat(normals[outmost], 3, axis=0)])

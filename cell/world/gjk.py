@@ -138,7 +138,7 @@ def _nearest(n: int, s: Floats) -> bool:
         s: scratch; row _WEIGHT is overwritten, the first n add up to 1.
     """
     if n == 4:
-        whole = _volume(s, 0, 1, 2, 3, -1)
+        whole = _volume(s, n)
         scale = 0.0
         for k in range(1, 4):
             for i in range(3):
@@ -146,7 +146,7 @@ def _nearest(n: int, s: Floats) -> bool:
         if abs(whole) > 1e-12 * scale * scale * scale:
             inside = True
             for k in range(4):
-                s[_WEIGHT, k] = _volume(s, 0, 1, 2, 3, k) / whole
+                s[_WEIGHT, k] = _volume(s, k) / whole
                 inside = inside and s[_WEIGHT, k] > 0.0
             if inside:
                 return True
@@ -156,7 +156,7 @@ def _nearest(n: int, s: Floats) -> bool:
         s[_WEIGHT, 0] = 1.0
     best = _INFINITE
     if n == 2:
-        best = _of_segment(0, 1, best, s)
+        best = _of_segment(n - 2, n - 1, best, s)
     for left_out in range(4):
         if n == 4 or (n == 3 and left_out == 3):
             best = _of_triangle((left_out + 1) % 4, (left_out + 2) % 4, (left_out + 3) % 4, best, s)
@@ -188,7 +188,7 @@ def _of_segment(i: int, j: int, best: float, s: Floats) -> float:
     along = dx * dx + dy * dy + dz * dz
     t = -(dx * s[i, 0] + dy * s[i, 1] + dz * s[i, 2]) / along if along > 0 else 0.0
     t = min(1.0, max(0.0, t))
-    return _kept(i, j, i, 1 - t, t, 0.0, best, s)
+    return _kept(i, j, i, 1 - t, t, 0 * t, best, s)
 
 
 @compiled
@@ -208,12 +208,12 @@ def _kept(i: int, j: int, k: int, a: float, b: float, c: float, best: float, s: 
 
 
 @compiled
-def _volume(s: Floats, i: int, j: int, k: int, m: int, origin: int) -> float:
-    """Six times the signed volume of a tetrahedron, the corner numbered `origin` moved to the origin."""
-    a, b, c, d = i != origin, j != origin, k != origin, m != origin
-    px, py, pz = a * s[i, 0], a * s[i, 1], a * s[i, 2]
-    ux, uy, uz = b * s[j, 0] - px, b * s[j, 1] - py, b * s[j, 2] - pz
-    vx, vy, vz = c * s[k, 0] - px, c * s[k, 1] - py, c * s[k, 2] - pz
-    wx, wy, wz = d * s[m, 0] - px, d * s[m, 1] - py, d * s[m, 2] - pz
+def _volume(s: Floats, origin: int) -> float:
+    """Six times the signed volume of the tetrahedron, the corner numbered `origin` moved to the origin."""
+    a, b, c, d = origin != 0, origin != 1, origin != 2, origin != 3
+    px, py, pz = a * s[0, 0], a * s[0, 1], a * s[0, 2]
+    ux, uy, uz = b * s[1, 0] - px, b * s[1, 1] - py, b * s[1, 2] - pz
+    vx, vy, vz = c * s[2, 0] - px, c * s[2, 1] - py, c * s[2, 2] - pz
+    wx, wy, wz = d * s[3, 0] - px, d * s[3, 1] - py, d * s[3, 2] - pz
     volume: float = ux * (vy * wz - vz * wy) - uy * (vx * wz - vz * wx) + uz * (vx * wy - vy * wx)
     return volume

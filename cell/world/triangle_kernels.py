@@ -9,6 +9,7 @@ from planner.ports import Floats
 
 Ints = NDArray[np.int64]
 
+# As int64: numba would compile GJK anew for each constant that it is called with.
 _NODE_STEPS = 6  # of GJK for the bound of a node: most of what the walk would find, for a third of its time
 _FULL_STEPS = 64
 _DEPTH = 128  # nodes that wait at most: two for each level
@@ -52,7 +53,7 @@ def nearest_triangle(
             continue
         if node >= leaves:
             for t in range(first[node - leaves], first[node - leaves + 1]):
-                apart = distance(kind, size, R, p, TRIANGLE, triangles[t], best, _FULL_STEPS, s)
+                apart = distance(kind, size, R, p, np.int64(TRIANGLE), triangles[t], best, np.int64(_FULL_STEPS), s)
                 if apart < best:
                     best, found = apart, True
                     for i in range(3):
@@ -94,7 +95,7 @@ def _node_bound(
     rough: float = squared**0.5
     if rough >= enough:
         return rough
-    return max(rough, distance(kind, size, R, p, BOUNDS, box, enough, _NODE_STEPS, s))
+    return max(rough, distance(kind, size, R, p, np.int64(BOUNDS), box, enough, np.int64(_NODE_STEPS), s))
 
 
 @compiled

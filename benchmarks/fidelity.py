@@ -1,0 +1,260 @@
+"""Hull, convex pieces or triangles: what each misses or refuses falsely against triangle-exact truth, and its time.
+
+Configurations are joint solutions of candidate viewpoints (what `reach` asks about) and of random scanner poses close
+to the surface; kept are those at which nothing but the part can be too near. Truth is python-fcl on the part's true
+triangles: boxes as boxes, cylinders as the prism around and the prism inside them; the few that these two decide
+differently, or that lie within 10 um of the clearance, are left out. Times are processor times of one run; the first
+includes finding the pieces, without cache.
+"""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import fcl
+import mujoco
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from benchmarks.parts import meshes
+from cell.part import workpiece
+from cell.part.workpiece import Workpiece
+from cell.plan.candidates import first
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.resolve import resolve
+from cell.scene.scene import Scene, load_scene
+from cell.stand_ins import NAMES
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+from planner import reach, surface
+
+FIDELITIES = ("hull", "decomposed", "exact")
+_CANDIDATES, _NEAR = 250, 250  # configurations of each kind, per part
+_SIDES = 96
+_UNDECIDED = 1e-5  # m
+_REPEATS = 3
+
+Floats = NDArray[np.float64]
+
+
+def run() -> list[dict[str, Any]]:
+    """One row per part and fidelity, and one over all parts for each fidelity."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, part, scene in _parts(Path(folder)):
+            rows += _rows(name, part, scene)
+    for fidelity in FIDELITIES:
+        of = [row for row in rows if row["collision"] == fidelity]
+        total: dict[str, Any] = {"part": "all", "collision": fidelity}
+        for column in ("configurations", "truly free", "missed", "refused falsely", "reachable", "setup s"):
+            total[column] = round(sum(row[column] for row in of), 2)
+        total["us each"] = round(float(np.mean([row["us each"] for row in of])), 1)
+        total["reach s"] = round(sum(row["reach s"] for row in of), 2)
+        rows.append(total)
+    return rows
+
+
+def _parts(folder: Path) -> Iterator[tuple[str, Workpiece, Scene]]:
+    for name in NAMES:
+        yield name, workpiece.load(name), load_scene(None, {"part": {"name": name}, "post": {"enabled": False}})
+    bucket = folder / "bucket.stl"
+    deep_bucket().export(bucket)
+    files = [("bucket", (str(bucket), "--units", "mm")), *meshes(folder)]
+    for name, (path, _, units) in files:
+        table = {"path": path, "units": units}
+        plan = {"standoffs_mm": [100.0]} if name == "bucket" else {}
+        scene = load_scene(None, {"part": table, "post": {"enabled": False}, "plan": plan})
+        yield name.removesuffix(" (file)"), workpiece.load(path, units), scene
+
+
+def deep_bucket() -> trimesh.Trimesh:
+    """A bucket 480 mm wide and 360 mm deep with a 12 mm wall [mm]: the scanner has to go down into it."""
+    outline = [(0.0, 0.0), (240.0, 0.0), (240.0, 360.0), (228.0, 360.0), (228.0, 12.0), (0.0, 12.0)]
+    return trimesh.creation.revolve(np.array(outline), sections=160)
+
+
+def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
+    mesh = part.reference
+    settings = resolve(scene, part)
+    planning = surface.decimate(mesh, settings.faces)
+    views = first(scene, settings, part, planning)
+    worlds, rows, judged = {}, [], None
+    for fidelity in FIDELITIES:
+        table = scene.model_dump(exclude_unset=True)
+        chosen = Scene.model_validate({**table, "plan": {**table.get("plan", {}), "collision": fidelity}})
+        started = time.process_time()
+        worlds[fidelity] = world = compile_world(
+            chosen, mesh.vertices, part_faces=mesh.faces, baseline_mm=75.0, refuse=False, use_cache=False
+        )
+        setup = time.process_time() - started
+        checker = MujocoCollisionChecker(world)
+        checker.distance(world.home[None])
+        if judged is None:
+            q = _configurations(world, part, views.T_object_scanner[:, 0], settings.standoffs[0])
+            judged = _judged(world, part, q)
+        q, truth = judged
+        checker.free(q)
+        seconds = []
+        for _ in range(_REPEATS):
+            started = time.process_time()
+            free = checker.free(q)
+            seconds.append(time.process_time() - started)
+        kinematics = Kr16Kinematics.from_model(world.model)
+        started = time.process_time()
+        reached = reach.solve(views, world.T_base_object, world.T_flange_scanner, kinematics, checker)
+        rows.append(
+            {
+                "part": name,
+                "collision": fidelity,
+                "shapes": world.entities.count("part"),
+                "configurations": len(q),
+                "truly free": int(truth.sum()),
+                "missed": int((free & ~truth).sum()),
+                "refused falsely": int((~free & truth).sum()),
+                "us each": round(1e6 * min(seconds) / max(1, len(q)), 1),
+                "setup s": round(setup, 2),
+                "reachable": int(reached.reachable.sum()),
+                "of": len(views),
+                "reach s": round(time.process_time() - started, 2),
+            }
+        )
+    return rows
+
+
+def _configurations(world: World, part: Workpiece, T_object_scanner: Floats, standoff: float) -> Floats:
+    """(N, 6) in limits, and clear of everything but the part."""
+    rng = np.random.default_rng(0)
+    apart = np.eye(4)
+    apart[:3, 3] = 0.0, 0.0, 50.0
+    elsewhere = MujocoCollisionChecker(world, apart)
+    kinematics = Kr16Kinematics.from_model(world.model)
+
+    def solutions(T: Floats, count: int) -> Floats:
+        T_base_flange = world.T_base_object @ T @ np.linalg.inv(world.T_flange_scanner)
+        q = kinematics.inverse(T_base_flange).reshape(-1, 6)
+        q = q[np.isfinite(q).all(axis=1)]
+        q = q[((q >= world.limits.lower) & (q <= world.limits.upper)).all(axis=1)]
+        q = q[rng.permutation(len(q))[: 6 * count]]
+        return q[elsewhere.free(q)][:count]
+
+    faces = rng.integers(len(part.reference.faces), size=4 * _NEAR)
+    normals = surface.face_normals(part.reference)[faces]
+    near = np.tile(np.eye(4), (len(faces), 1, 1))
+    for k, normal in enumerate(normals):
+        tilted = normal + 0.4 * rng.normal(size=3)
+        z = -tilted / np.linalg.norm(tilted)
+        x = np.cross(rng.normal(size=3), z)
+        x /= np.linalg.norm(x)
+        near[k, :3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+        corner = part.reference.vertices[part.reference.faces[faces[k], 0]]
+        near[k, :3, 3] = corner - z * rng.uniform(0.005, max(0.08, standoff))
+    return np.concatenate([solutions(T_object_scanner, _CANDIDATES), solutions(near, _NEAR)])
+
+
+def _judged(world: World, part: Workpiece, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """The configurations that fcl decides, and whether they keep the clearance from the true triangles."""
+    mesh = part.reference
+    model = fcl.BVHModel()
+    model.beginModel(len(mesh.vertices), len(mesh.faces))
+    model.addSubModel(np.array(mesh.vertices), np.array(mesh.faces))
+    model.endModel()
+    T = world.T_base_object
+    placed = fcl.CollisionObject(model, fcl.Transform(np.ascontiguousarray(T[:3, :3]), T[:3, 3].copy()))
+    tree = cKDTree(mesh.vertices @ T[:3, :3].T + T[:3, 3])
+    corners = mesh.vertices[mesh.faces]
+    longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    data = world.data()
+    moving = [g for g in range(world.model.ngeom) if _moves(world, g)]
+    shapes = {g: _fcl_shapes(world, g) for g in moving}
+    decided, truth = [], []
+    for k, configuration in enumerate(q):
+        data.qpos[:] = configuration
+        mujoco.mj_kinematics(world.model, data)
+        low = high = 1.0
+        for geom in moving:
+            position, R = data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy()
+            if tree.query(position)[0] - longest - world.model.geom_rbound[geom] > world.clearance + _UNDECIDED:
+                continue
+            gaps = []
+            for shape in shapes[geom]:
+                shape.setTransform(fcl.Transform(R, position))
+                gaps.append(0.0 if fcl.collide(shape, placed) else fcl.distance(shape, placed))
+            low, high = min(low, gaps[0]), min(high, gaps[-1])
+            if high < world.clearance - _UNDECIDED:
+                break
+        free = low >= world.clearance + _UNDECIDED
+        if free or high < world.clearance - _UNDECIDED:
+            decided.append(k)
+            truth.append(free)
+    return q[decided], np.array(truth, dtype=bool)
+
+
+def _moves(world: World, geom: int) -> bool:
+    """Whether a shape is guarded against the part."""
+    part = {g for g, entity in enumerate(world.entities) if entity == "part"}
+    return any(geom in pair and part & set(pair) for pair in world.pairs.tolist() if geom not in part)
+
+
+def _fcl_shapes(world: World, geom: int) -> list[fcl.CollisionObject]:
+    """The shape, or what is around and what is inside it."""
+    size = world.model.geom_size[geom]
+    if world.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+        return [fcl.CollisionObject(fcl.Box(*(2 * size)))]
+    found = []
+    for radius in (size[0] / np.cos(np.pi / _SIDES), size[0]):
+        prism = trimesh.creation.cylinder(radius, 2 * size[1], sections=_SIDES)
+        model = fcl.BVHModel()
+        model.beginModel(len(prism.vertices), len(prism.faces))
+        model.addSubModel(np.array(prism.vertices), np.array(prism.faces))
+        model.endModel()
+        found.append(fcl.CollisionObject(model))
+    return found
+
+
+def chart(rows: list[dict[str, Any]], folder: Path) -> None:
+    """Draw `collision_fidelity.png`: false refusals per part and fidelity; over time for each fidelity; misses."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    colours = {"hull": "#c4622d", "decomposed": "#8a9a5b", "exact": "#2a6f97"}
+    figure = Figure(figsize=(11, 3.9), dpi=120, layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
+    names = list(dict.fromkeys(row["part"] for row in rows if row["part"] != "all"))
+    for k, fidelity in enumerate(FIDELITIES):
+        of = {row["part"]: row for row in rows if row["collision"] == fidelity}
+        shares = [100 * of[name]["refused falsely"] / max(1, of[name]["truly free"]) for name in names]
+        at = np.arange(len(names)) + 0.27 * (k - 1)
+        bars = left.bar(at, shares, 0.26, color=colours[fidelity], label=fidelity)
+        left.bar_label(
+            bars,
+            [f"{share:.0f}" if share >= 0.5 else "0" if share == 0 else "<1" for share in shares],
+            fontsize=7,
+            color="0.3",
+        )
+        total = of["all"]
+        share = 100 * total["refused falsely"] / total["truly free"]
+        right.plot(total["us each"], share, "o", color=colours[fidelity], markersize=9)
+        right.annotate(
+            f"{fidelity}\n{total['missed']} missed of {total['configurations'] - total['truly free']:.0f}\n"
+            f"setup {total['setup s'] / len(names):.1f} s a part",
+            (total["us each"], share), (10, 4), textcoords="offset points", fontsize=8,
+        )  # fmt: skip
+    left.set_xticks(range(len(names)), names, rotation=20, ha="right", fontsize=8)
+    left.set_title("free by the true triangles, and refused [%]", fontsize=10, loc="left")
+    left.legend(frameon=False, fontsize=9)
+    right.set_title("refused falsely [%] over time for a check [us]", fontsize=10, loc="left")
+    right.set_xlim(0, 1.7 * max(row["us each"] for row in rows if row["part"] == "all"))
+    right.set_ylim(-2, None)
+    right.margins(y=0.3)
+    for axis in (left, right):
+        axis.grid(color="0.92", linewidth=0.6)
+        axis.set_axisbelow(True)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    FigureCanvasAgg(figure)
+    figure.savefig(folder / "collision_fidelity.png", format="png", metadata={"Software": "scan-cell"})
