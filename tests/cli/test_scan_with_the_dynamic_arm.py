@@ -1,0 +1,128 @@
+"""`cell scan --driver sim://?plant=mujoco`: scans from where the arm stands, and none from an arm that diverged."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.commands.narrator import Narrator
+from cell.plant import servo
+from cell.plant.servo import Settings
+from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.model import load
+from cell.run import reader as run_reader
+from cell.run.record import open_run
+from cell.scan import scan as scan_command
+from cell.scan.options import ScanOptions
+
+URL = "sim://?plant=mujoco"
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def scanned(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: Run) -> Path:
+    """A copy of the small run, executed with the dynamic arm (0001, 0002) and with the ideal one (0003)."""
+    run = tmp_path_factory.mktemp("dynamic") / "run"
+    shutil.copytree(planned, run)
+    done = run_cell("scan", "run", "--driver", URL, "--resolution", "2", "--json", cwd=run.parent)
+    assert done.returncode == 0, done.stderr
+    for url in (URL, "sim://"):
+        options = ScanOptions(driver=url, resolution_deg=2.0)
+        assert scan_command.scan(run, options, argv=[], narrator=Narrator(quiet_stdout=True)).exit_code == 0
+    return run
+
+
+def scans(run: Path, execution: str) -> list[dict[str, Any]]:
+    """Content of the scan files in order."""
+    return [dict(np.load(path)) for path in sorted((run / "executions" / execution / "scans").iterdir())]
+
+
+def test_every_scan_is_taken_from_the_pose_that_the_controller_reports(scanned: Path) -> None:
+    """The reported axes are near the commanded ones but not they; poses and points are of the reported ones."""
+    record = open_run(scanned)
+    resolved = dict(run_reader.resolved_scene(record))
+    T_base_object = run_reader.transform(record, resolved, "T_base_object")
+    T_flange_scanner = run_reader.transform(record, resolved, "T_flange_scanner")
+    kinematics = Kr16Kinematics.from_model(load())
+    ideal = scans(scanned, "0003")
+    taken = scans(scanned, "0001")
+    assert len(taken) == len(ideal) > 1
+    for scan, without in zip(taken, ideal, strict=True):
+        assert not (scan["q_reported"] == scan["q_commanded"]).all()
+        poses = kinematics.forward(np.stack([scan["q_reported"], scan["q_commanded"]])) @ T_flange_scanner
+        assert 1e-7 < np.linalg.norm(poses[0, :3, 3] - poses[1, :3, 3]) < 5.5e-5
+        np.testing.assert_allclose(scan["T_object_scanner"], np.linalg.inv(T_base_object) @ poses[0], atol=1e-12)
+        np.testing.assert_array_equal(scan["T_object_scanner_true"], scan["T_object_scanner"])
+        assert (without["q_reported"] == without["q_commanded"]).all()
+        assert abs(len(scan["points"]) - len(without["points"])) < 0.05 * len(without["points"])
+
+
+def test_the_same_execution_twice_is_the_same_to_the_byte(scanned: Path) -> None:
+    """Scans and the times of events; only the wall clock differs."""
+    names = sorted(path.name for path in (scanned / "executions" / "0001" / "scans").iterdir())
+    for name in names:
+        first, second = (scanned / "executions" / number / "scans" / name for number in ("0001", "0002"))
+        assert first.read_bytes() == second.read_bytes()
+    events = []
+    for number in ("0001", "0002"):
+        lines = (scanned / "executions" / number / "events.jsonl").read_text().splitlines()
+        events.append([{key: value for key, value in json.loads(line).items() if key != "utc"} for line in lines])
+    assert events[0] == events[1]
+
+
+def test_the_report_tells_the_time_that_the_arm_took(scanned: Path) -> None:
+    """Longer than with the ideal arm by the settling at each stop, at most half a second."""
+    reports = [json.loads((scanned / "executions" / n / "report.json").read_text()) for n in ("0001", "0003")]
+    extra = reports[0]["motion"]["executed_s"] - reports[1]["motion"]["executed_s"]
+    stops = reports[0]["n_views"] + 1
+    assert 0.02 * stops < extra < 0.5 * stops
+
+
+def test_replay_shows_the_reported_stops(scanned: Path) -> None:
+    """The timeline of the execution rests at the reported axes."""
+    from cell.replay.timeline import of_execution
+    from cell.scan.execution_reader import read_execution
+
+    record = open_run(scanned)
+    motion = run_reader.motion(record)
+    recorded = read_execution(record, "0001")
+    timeline = of_execution(recorded, motion, motion.via_q[0])
+    for scan in scans(scanned, "0001"):
+        at_rest = np.abs(timeline.q - scan["q_reported"]).max(axis=1) == 0.0
+        assert at_rest.any()
+
+
+def test_a_diverging_simulation_ends_the_scan_with_its_reason_and_without_a_scan(
+    scanned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 5 and one sentence; the execution says that it failed, and holds no scan and no surface."""
+    from cell.cli import main
+    from cell.plant import mujoco_plant
+
+    run = tmp_path / "run"
+    shutil.copytree(scanned, run)
+    monkeypatch.setattr(mujoco_plant, "Settings", lambda: Settings(time_step=0.02))
+    assert servo.Settings().time_step == 0.001
+    with pytest.raises(SystemExit) as ended:
+        main(["scan", str(run), "--driver", URL, "--resolution", "2", "--json"])
+    assert ended.value.code == 5
+    written = capsys.readouterr()
+    said = json.loads(written.out)
+    assert said["exit_code"] == 5
+    assert "does not follow" in said["reason"]
+    assert "diverge" in said["reason"]
+    assert said["reason"] in written.err
+    execution = run / "executions" / "0004"
+    manifest = json.loads((execution / "manifest.json").read_text())
+    assert manifest["status"] == "failed"
+    assert list((execution / "scans").iterdir()) == []
+    assert not (execution / "cloud.ply").exists()
+    last = json.loads((execution / "events.jsonl").read_text().splitlines()[-1])
+    assert last["event"] == "failed"
+    assert "diverge" in last["reason"]
