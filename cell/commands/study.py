@@ -44,9 +44,11 @@ def conducted(
     """Run a study and show what it says."""
     from cell.commands.narrator import Narrator
     from cell.study.study import conduct
+    from cell.study.workers import open_workers
 
     narrator = Narrator(quiet_stdout=as_json)
-    result = conduct(make(), processes=processes or os.cpu_count() or 1, cluster=cluster, out=out, narrator=narrator)
+    with open_workers(os.cpu_count() or 1 if processes is None else processes, cluster) as workers:
+        result = conduct(make(), workers, out=out, narrator=narrator)
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:

@@ -23,6 +23,7 @@ from cell.commands.narrator import Narrator
 from cell.errors import FileError
 from cell.study.run import run
 from cell.study.trial import Outcome, Trial
+from cell.study.workers import Workers
 
 SCHEMA = "scan-cell/study/1"
 
@@ -85,18 +86,16 @@ class StudyResult:
         }
 
 
-def conduct(study: Study, *, processes: int, cluster: str | None, out: Path | None, narrator: Narrator) -> StudyResult:
+def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narrator) -> StudyResult:
     """Run a study and write its folder.
 
     Args:
         study: what is asked.
-        processes: local worker processes.
-        cluster: address of a Dask scheduler, in place of local processes; None: local.
+        workers: who computes.
         out: the folder; None: sim_runs/study-<name>.
         narrator: is told of progress and of trials that fail.
 
     Raises:
-        UsageError: if the cluster cannot be reached.
         FileError: if the folder holds something else or cannot be written.
     """
     folder = Path("sim_runs") / f"study-{study.name}" if out is None else out
@@ -108,7 +107,7 @@ def conduct(study: Study, *, processes: int, cluster: str | None, out: Path | No
             if outcome.failure:
                 narrator.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study goes on")
 
-        outcomes = run(study.trials, processes=processes, cluster=cluster, told=told)
+        outcomes = run(study.trials, workers, told=told)
     rows = study.rows([outcome for outcome in outcomes if not outcome.failure])
     result = StudyResult(
         folder,

@@ -10,12 +10,22 @@ from typing import Any
 import pytest
 
 from cell.errors import UsageError
-from cell.study.run import run
+from cell.study import run as study_run
+from cell.study.run import Told
 from cell.study.trial import Outcome, Trial
+from cell.study.workers import open_workers
 
 
 def _trials(count: int) -> list[Trial]:
     return [Trial.of("table-row", {"part": "petanque", "faces": 16 + number}) for number in range(count)]
+
+
+def run(
+    trials: list[Trial], *, processes: int, folder: Path, cluster: str | None = None, told: Told | None = None
+) -> list[Outcome]:
+    """Run trials on workers of their own."""
+    with open_workers(processes, cluster) as workers:
+        return study_run.run(trials, workers, folder=folder, told=told)
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +105,6 @@ def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
 
 def test_a_cluster_that_does_not_answer_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the address, and what would start one."""
-    monkeypatch.setattr("cell.study.run._PATIENCE_S", 0.5)
+    monkeypatch.setattr("cell.study.workers._PATIENCE_S", 0.5)
     with pytest.raises(UsageError, match="dask scheduler"):
         run(_trials(1), processes=1, cluster="tcp://127.0.0.1:9", folder=tmp_path)

@@ -10,6 +10,7 @@ from cell.errors import FileError
 from cell.study import store, trial
 from cell.study.run import run
 from cell.study.trial import Outcome, Trial, compute, sources_digest
+from cell.study.workers import Processes
 
 _SMALL: dict[str, Any] = {"part": "petanque", "faces": 30}
 
@@ -49,7 +50,7 @@ def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> Non
     """Values and seconds; nothing is computed."""
     outcome = _kept(tmp_path)
     told: list[tuple[int, int, Outcome]] = []
-    (found,) = run([outcome.trial], processes=1, folder=tmp_path, told=lambda *each: told.append(each))
+    (found,) = run([outcome.trial], Processes(1), folder=tmp_path, told=lambda *each: told.append(each))
     assert found == Outcome(outcome.trial, {"views": 3}, "", {"total": 1.5}, cached=True)
     assert told == [(1, 1, found)]
 
