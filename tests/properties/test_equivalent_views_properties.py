@@ -1,0 +1,123 @@
+"""Exchanging views for stand-ins: never longer, nothing lost, whatever is picked."""
+
+import itertools
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from planner import equivalent_views
+from planner.equivalent_views import Exchange, Matrix, exchange
+from planner.ports import JointLimits
+
+LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.arange(1.0, 7.0), np.arange(2.0, 8.0))
+HOME = np.full(6, 0.25)
+
+
+class Case:
+    """A seeded part of 40 samples with 60 candidates of up to three joint solutions, and a cover of it."""
+
+    def __init__(self, seed: int, density: float = 0.25, demand: int = 1) -> None:
+        rng = np.random.default_rng(seed)
+        self.M = rng.random((40, 60)) < density
+        self.areas = rng.uniform(0.5, 2.0, 40)
+        self.usable = rng.random(60) < 0.9
+        self.q = [rng.uniform(-3, 3, (int(rng.integers(1, 4)), 6)) for _ in range(60)]
+        usable = np.flatnonzero(self.usable)
+        self.required = np.minimum(self.M[:, usable].sum(axis=1), demand)
+        chosen: list[int] = []
+        while (self.M[:, chosen].sum(axis=1) < self.required).any():
+            missing = self.M[:, chosen].sum(axis=1) < self.required
+            gain = [self.M[missing, v].sum() if v not in chosen else -1 for v in usable]
+            chosen.append(int(usable[int(np.argmax(gain))]))
+        self.views = np.array(chosen)
+        self.demand = demand
+
+    def exchanged(self, **arguments: object) -> Exchange:
+        """The exchange with these arguments."""
+        matrix = Matrix(sp.csr_array(self.M), self.areas, self.usable)
+        rng = np.random.default_rng(0)
+        return exchange(matrix, self.views, lambda v: self.q[v], HOME, LIMITS, rng, demand=self.demand, **arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("demand", [1, 2])
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_is_lost_in_any_combination(seed: int, demand: int) -> None:
+    """Every combination of picks (or 300 random ones) measures each sample as often as before, up to the demand.
+
+    The views are not more than before and usable, and the motion is not longer.
+    """
+    case = Case(seed, demand=demand)
+    found = case.exchanged()
+    assert found.duration <= found.duration_before * (1 + 1e-12)
+    assert len(found.views) <= len(case.views)
+    assert case.usable[np.concatenate(found.groups)].all()
+    assert [group[0] for group in found.groups] == found.views.tolist()
+    members = np.concatenate(found.groups)
+    assert len(np.unique(members)) == len(members)
+    rng = np.random.default_rng(seed)
+    total = int(np.prod([len(group) for group in found.groups]))
+    picked = (
+        itertools.product(*found.groups) if total < 300 else ([rng.choice(g) for g in found.groups] for _ in range(300))
+    )
+    for picks in picked:
+        assert (case.M[:, list(picks)].sum(axis=1) >= case.required).all()
+
+
+def test_the_motion_gets_shorter_somewhere() -> None:
+    """Over the seeds the exchange saves at least 5 % on average: there is something to test."""
+    found = [Case(seed).exchanged() for seed in range(6)]
+    assert np.mean([x.duration / x.duration_before for x in found]) < 0.95
+
+
+def test_equal_seeds_give_equal_exchanges() -> None:
+    """Same input and seed, same views and groups."""
+    one, two = Case(3).exchanged(), Case(3).exchanged()
+    np.testing.assert_array_equal(one.views, two.views)
+    for a, b in zip(one.groups, two.groups, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_pinned_views_stay_and_stand_in_for_nobody() -> None:
+    """A pinned view's group is itself alone."""
+    case = Case(1)
+    pinned = case.views[:2].tolist()
+    found = case.exchanged(pinned=pinned)
+    for view in pinned:
+        assert view in found.views
+        assert found.groups[found.views.tolist().index(view)].tolist() == [view]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_spare_area_bounds_what_is_lost(seed: int) -> None:
+    """What the views found measure is at most the spare area less than what the views given did."""
+    case = Case(seed)
+    spare = 0.05 * case.areas.sum()
+    found = case.exchanged(spare=spare)
+    before, after = (float(case.areas[case.M[:, v].any(axis=1)].sum()) for v in (case.views, found.views))
+    assert after >= before - spare - 1e-12
+    assert found.duration <= found.duration_before * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_no_view_and_one_view(count: int) -> None:
+    """No view stays no view; one view may be picked among all that measure as much."""
+    case = Case(0)
+    case.views = case.views[:count]
+    found = case.exchanged()
+    assert len(found.views) == count
+    if count:
+        alone = case.M[:, case.views[0]]
+        expected = np.flatnonzero(case.usable & case.M[alone].all(axis=0))
+        assert set(found.groups[0]) == set(expected[: equivalent_views.STAND_INS])
+
+
+def test_a_candidate_without_joint_solutions_stands_in_for_nobody() -> None:
+    """Equal columns, the copy without joint solutions: it is in no group."""
+    case = Case(2)
+    view = int(case.views[0])
+    copy = next(v for v in range(60) if v not in case.views)
+    case.M[:, copy] = case.M[:, view]
+    case.q[copy] = np.zeros((0, 6))
+    case.usable[copy] = True
+    assert copy not in np.concatenate(case.exchanged().groups)
