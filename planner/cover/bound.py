@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from planner.cover.budget import STEP_WORK, Budget
+from planner.cover.interrupts import interruptible
 from planner.cover.problem import CoverProblem, Floats, Ints
 from planner.readonly import readonly
 
@@ -34,6 +35,9 @@ FIRST_STEP, LAST_STEP, SHRINK, PATIENCE, DEFLECTION = 0.1, 1e-3, 0.6, 20, 0.8
 
 PIVOT_WORK = 10
 """Charge of one simplex pivot for each row and column of the matrix."""
+
+MOST_STEPS, MOST_PIVOTS = 1000, 5
+"""At most so many subgradient steps are made, and so many pivots for each row and column; this is what is charged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,11 +103,12 @@ def bound(problem: CoverProblem, upper: int, budget: Budget) -> Bound:
     Args:
         problem: the problem (reduce it first: the bound costs less and is the same).
         upper: cost of a known cover; scales the subgradient steps, and nothing is done once the bound reaches it.
-        budget: work, charged as a whole unless the first evaluation closes the gap; also receives the bound.
+        budget: work, charged with all that the bound could have cost unless the first evaluation closes the gap; also
+            receives the bound.
     """
     rows_by_columns = problem.matrix()
     columns_by_rows = rows_by_columns.T.tocsr()
-    everything = budget.spent + budget.left
+    everything = budget.spent + min(budget.left, _most_work(problem))
     best, _ = evaluate(problem, _first_multipliers(problem), columns_by_rows)
     largest = _largest_columns(problem)
     budget.prove(max(best.value, largest))
@@ -122,7 +127,7 @@ def _raise(
 ) -> Bound:
     """Improve the multipliers with an LP solver or by subgradient steps."""
     if problem.n_entries <= LP_ENTRIES:
-        lp, work = _linear_programme(problem, rows_by_columns, columns_by_rows, budget.left)
+        lp, work = _linear_programme(problem, rows_by_columns, columns_by_rows, budget)
         budget.spend(work)
         best = max(best, lp, key=lambda candidate: candidate.dual)
         solved = lp.dual > 0.999 * best.dual
@@ -132,6 +137,13 @@ def _raise(
         best = _subgradient(problem, best, upper, budget, rows_by_columns, columns_by_rows)
     budget.prove(best.value)
     return best
+
+
+def _most_work(problem: CoverProblem) -> int:
+    """Charge of a bound, whatever way it takes."""
+    size = problem.n_rows + problem.n_columns
+    pivots = MOST_PIVOTS * PIVOT_WORK * size**2 if problem.n_entries <= LP_ENTRIES else 0
+    return 4 * problem.n_entries + pivots + MOST_STEPS * (problem.n_entries + STEP_WORK)
 
 
 def _first_multipliers(problem: CoverProblem) -> Floats:
@@ -169,7 +181,9 @@ def _subgradient(
     step = FIRST_STEP
     stalled = 0
     work = problem.n_entries + STEP_WORK
-    while best.value < upper and step > LAST_STEP and budget.spend(work):
+    for _ in range(MOST_STEPS):
+        if best.value >= upper or step <= LAST_STEP or not budget.spend(work):
+            break
         current, y = evaluate(problem, multipliers, columns_by_rows)
         if current.dual > best.dual * (1.0 + 1e-6):
             best, stalled = current, 0
@@ -188,7 +202,7 @@ def _subgradient(
 
 
 def _linear_programme(
-    problem: CoverProblem, rows_by_columns: Any, columns_by_rows: Any, work: int
+    problem: CoverProblem, rows_by_columns: Any, columns_by_rows: Any, budget: Budget
 ) -> tuple[Bound, int]:
     """The dual of the linear relaxation by HiGHS, evaluated exactly here; and the work it was charged."""
     import scipy.sparse as sp
@@ -196,7 +210,10 @@ def _linear_programme(
 
     n_rows, n_columns = problem.shape
     per_pivot = PIVOT_WORK * (n_rows + n_columns)
-    limit = min(max(work // per_pivot, 1), 2**31 - 1)  # HiGHS counts in int32
+    limit = min(max(budget.left // per_pivot, 1), MOST_PIVOTS * (n_rows + n_columns))
+    options: Any = {"maxiter": limit}
+    if budget.seconds_left is not None:
+        options["time_limit"] = budget.seconds_left
     scale = float(problem.costs.mean())
     if problem.full:
         costs, A, b = problem.costs / scale, -rows_by_columns, -problem.demand.astype(np.float64)
@@ -210,7 +227,7 @@ def _linear_programme(
         b = np.concatenate((np.zeros(n_rows), [-target]))
     # Where once is enough no column is wanted more than once, and the dual needs no multiplier for that.
     bounds = (0, None) if problem.full and problem.once else (0, 1)
-    result = linprog(costs, A_ub=A, b_ub=b, bounds=bounds, method="highs-ds", options={"maxiter": limit})
+    result = interruptible(lambda: linprog(costs, A_ub=A, b_ub=b, bounds=bounds, method="highs-ds", options=options))
     multipliers: Floats = np.zeros(n_rows)
     if getattr(result, "ineqlin", None) is not None and result.status == 0:
         multipliers = np.maximum(-scale * np.asarray(result.ineqlin.marginals[:n_rows], dtype=np.float64), 0.0)

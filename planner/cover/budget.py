@@ -1,8 +1,8 @@
 """What a solver may spend, and what is known so far.
 
 Work is counted in *touched matrix entries* plus a fixed charge for each step, not in seconds: the same seed and
-budget then give the same plan on every machine. On a current core 10^8 units take about 0.2 s. The wall clock is only
-a guard; when it stops a search, `time_limited` says so and the promise of identical results is void.
+budget then give the same plan on every machine. A current core does `WORK_PER_SECOND` units in about a second. The wall
+clock is only a guard; when it stops a search, `time_limited` says so and the promise of identical results is void.
 
 The incumbent is kept here and not in the solver, so that whoever holds the budget still has the best cover when a
 solver is interrupted.
@@ -24,8 +24,14 @@ if TYPE_CHECKING:
 STEP_WORK = 12_000
 """Charge of one step of a search beyond the entries it touches: what its NumPy calls cost anyway."""
 
+WORK_PER_SECOND = 500_000_000
+"""Units that one core does in about a second; a budget of so many seconds is this many times that."""
+
 DEFAULT_WORK = 600_000_000
 """Default budget of a selection: about one second."""
+
+UNLIMITED_WORK = 10**15
+"""A budget that only a clock ends."""
 
 
 class Budget:

@@ -15,14 +15,17 @@ from planner.cover.problem import CoverProblem, Ints
 Solver = Callable[[CoverProblem, np.random.Generator, Budget], Ints]
 """Takes a reduced problem, gives a cover without redundant columns; best cover, bound and work stay in the budget."""
 
-BOUND_SHARE, SEARCH_SHARE = 0.35, 0.5
-"""`auto`: share of the budget for the bound, and of what is left then for the search before the exact solver."""
+BOUND_SHARE, SEARCH_SHARE = 0.2, 0.5
+"""`auto`: most of the budget that the bound may take, and share of what is left for the search before `exact`."""
 
 HOPEFUL_EXCESS = 0.1
 """`auto` tries the exact solver on a cover that exceeds the bound by at most this share, or by 2 columns."""
 
 SMALL = 150
-"""With no more columns than this the exact solver is tried whatever the gap."""
+"""With no more columns than this the exact solver is tried whatever the gap, and before the search where that is small.
+
+What the reductions leave of most parts is so small that the exact solver ends it in an instant.
+"""
 
 
 def auto(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Ints:
@@ -33,14 +36,22 @@ def auto(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Int
     if budget.dual is None:
         with budget.portion(BOUND_SHARE):
             budget.dual = bound(problem, problem.cost(best), budget)
-    with budget.portion(SEARCH_SHARE):
-        best = local_search(problem, rng, budget)
-    excess = (problem.cost(best) - budget.lower_bound) / float(problem.costs.mean())
-    if not budget.proven and (excess <= max(2, HOPEFUL_EXCESS * len(best)) or problem.n_columns <= SMALL):
-        best = improve_or_prove(problem, best, budget.dual, budget, at_least_root=False)
+    if _hopeful(problem, best, budget):
+        best = improve_or_prove(problem, best, budget.dual, budget, most_columns=SMALL)
+    if budget.spend(0):
+        with budget.portion(SEARCH_SHARE):
+            best = local_search(problem, rng, budget)
+    if (_hopeful(problem, best, budget) or problem.n_columns <= SMALL) and budget.spend(0):
+        best = improve_or_prove(problem, best, budget.dual, budget)
     if budget.spend(0):
         best = local_search(problem, rng, budget)
     return best
+
+
+def _hopeful(problem: CoverProblem, best: Ints, budget: Budget) -> bool:
+    """Whether a cover is so near to the bound that the exact solver may close the gap."""
+    excess = (problem.cost(best) - budget.lower_bound) / float(problem.costs.mean())
+    return excess <= max(2.0, HOPEFUL_EXCESS * len(best))
 
 
 SOLVERS: dict[str, Solver] = {
