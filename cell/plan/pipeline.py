@@ -22,16 +22,18 @@ from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan.candidates import first, grow
+from cell.plan.clearances import clearance_summary
 from cell.plan.summary import draw, plan_summary
 from cell.plan.view_plan import select_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import limit_sigma, part_matrix, surface_features
-from cell.rays.occluders import Occluder, occluder_triangles
+from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import Prediction, held_out
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run.folder import SCHEMA, RunFolder
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
+from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
 from planner import measurability, reach, surface, timing
@@ -163,7 +165,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
 
     with run.step("measurability") as progress:
         casters = [EmbreeRayCaster(reference.vertices, reference.faces)]
-        casters.append(_caster_of(occluder_triangles(world)))
+        casters.append(caster_of(occluder_triangles(world)))
 
         def measure(views: Viewpoints) -> tuple[Measurability, Scanner]:
             views = scanners.swept(scanner, views)
@@ -197,8 +199,12 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             coverage=scene.plan.coverage, solver=scene.plan.solver,
             selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress,
         )  # fmt: skip
+        measured = clearance.of_motion(
+            checker, chosen.tour.via, chosen.tour.segment, len(chosen.tour.between), progress
+        )
+        chosen = replace(chosen, tour=replace(chosen.tour, clearance=measured.distance, between=measured.between))
         motion = timing.retime(chosen.tour.via, chosen.tour.segment, chosen.via_candidate, limits)
-        plan_files.write_motion(run.folder, motion, chosen.tour)
+        plan_files.write_motion(run.folder, motion, chosen.tour, measured)
 
     with run.step("report"):
         visible = chosen.visible
@@ -215,6 +221,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             visible.fraction,
             prediction.coverable_with(visible),
         )
+        summary["clearance"] = clearance_summary(measured, motion, world.collision)
         plan_files.write_plan(run.folder, summary, chosen, candidates)
         plan_files.write_report(run.folder, summary)
         draw(run.folder, scene, part, planning, candidates, reached, prediction, chosen, motion, world)
@@ -241,13 +248,6 @@ def _below(narrator: Narrator, summary: Mapping[str, Any]) -> bool:
         )
         return True
     return missed
-
-
-def _caster_of(pieces: Sequence[Occluder]) -> EmbreeRayCaster:
-    """One ray caster over several meshes."""
-    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
-    return EmbreeRayCaster(np.concatenate([piece.vertices for piece in pieces]), np.concatenate(faces))
 
 
 def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:

@@ -6,12 +6,14 @@ the convex hull that collides. Arm and scanner move and are left out; `arm_trian
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cell.rays.embree import EmbreeRayCaster
 from cell.robot.model import LINKS
 from cell.world.world import World
 from planner.readonly import readonly
@@ -95,6 +97,13 @@ def occluder_triangles(
     return [
         Occluder(o.name, o.vertices @ to_object[:3, :3].T + to_object[:3, 3], o.faces, o.attached_to) for o in found
     ]
+
+
+def caster_of(pieces: Sequence[Occluder]) -> EmbreeRayCaster:
+    """One ray caster over several pieces, at least one."""
+    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
+    return EmbreeRayCaster(np.concatenate([piece.vertices for piece in pieces]), np.concatenate(faces))
 
 
 def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
