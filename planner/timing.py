@@ -8,11 +8,16 @@ difference of samples, above a limit.
 
 Every via point is an exact stop: rounding a corner would leave the path that was checked, and driving it exactly means
 to stop there. So the same moves under trapezoids of speed are the time-optimal motion along the path without a limit of
-jerk; `jerk_free` gives those limits.
+jerk; `jerk_free` gives those limits. The line of a sweep is the exception: it brings its own timing, and its via points
+are passed on it.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +41,7 @@ SAMPLE_PERIOD = 0.012
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """A timed motion through via points, at rest at each of them.
+    """A timed motion through via points, at rest at each of them but those inside the line of a sweep.
 
     Samples are spaced evenly inside a move, at most `sample_period` apart, and every via point is a sample. A sample
     at a via point belongs to the move that ends there.
@@ -53,6 +58,8 @@ class Motion:
         segment_of_sample: (M,) number of the leg to which the sample belongs.
         duration: time from first to last via point [s].
         limits: the limits used, after scaling.
+        pose: (N,) pose of the view that is taken at the via point: 0 of a view at rest, -1 where none is.
+        line: (N,) number of the sweep on whose line the via point is reached, from 0; -1 where a joint move reaches it.
     """
 
     via_q: Floats
@@ -66,10 +73,16 @@ class Motion:
     segment_of_sample: NDArray[np.int64]
     duration: float
     limits: JointLimits
+    pose: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    line: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "via_q", readonly("via_q", self.via_q, (None, 6)))
         n = len(self.via_q)
+        pose = self.pose if len(self.pose) else np.where(np.asarray(self.view) >= 0, 0, -1)
+        line = self.line if len(self.line) else np.full(n, -1)
+        object.__setattr__(self, "pose", readonly("pose", pose, (n,), np.int64))
+        object.__setattr__(self, "line", readonly("line", line, (n,), np.int64))
         object.__setattr__(self, "segment", readonly("segment", self.segment, (n,), np.int64))
         object.__setattr__(self, "view", readonly("view", self.view, (n,), np.int64))
         object.__setattr__(self, "via_t", readonly("via_t", self.via_t, (n,)))
@@ -79,6 +92,26 @@ class Motion:
             object.__setattr__(self, name, readonly(name, getattr(self, name), (m, 6)))
         segment_of_sample = readonly("segment_of_sample", self.segment_of_sample, (m,), np.int64)
         object.__setattr__(self, "segment_of_sample", segment_of_sample)
+
+    @property
+    def stops(self) -> NDArray[np.int64]:
+        """(n,) via point of each view in driving order: where it stands, or the middle pose of its sweep."""
+        rows = np.flatnonzero(self.view >= 0)
+        groups = np.split(rows, np.flatnonzero(np.diff(self.view[rows])) + 1) if len(rows) else []
+        return np.array([group[self.pose[group] == len(group) // 2][0] for group in groups], dtype=np.int64)
+
+
+class TimedLine(Protocol):
+    """The line of a sweep, from rest to rest, with a timing of its own."""
+
+    @property
+    def times(self) -> Floats:
+        """(m,) times after its start at which its via points are passed [s], from 0; the last is its duration."""
+        ...
+
+    def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """(n, 6) joint angles [rad], speeds [rad/s] and accelerations [rad/s^2] at (n,) times after its start [s]."""
+        ...
 
 
 def check_limits(limits: JointLimits) -> None:
@@ -154,7 +187,6 @@ def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats
     Returns:
         (...) time [s]; 0 where both ends are equal.
     """
-    check_limits(limits)
     a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
     times = np.empty(np.broadcast_shapes(a.shape, b.shape)[:-1])
     for rows, profile in _profiles(a, b, limits):
@@ -171,8 +203,10 @@ def retime(
     *,
     speed: float = 1.0,
     acceleration: float = 1.0,
+    pose: ArrayLike | None = None,
+    lines: Mapping[int, TimedLine] | None = None,
 ) -> Motion:
-    """Time a motion that stops exactly at every via point.
+    """Time a motion that stops exactly at every via point, those inside the lines of sweeps excepted.
 
     Args:
         via_q: (N, 6) via points [rad], N >= 1, inside the joint range.
@@ -182,6 +216,8 @@ def retime(
         sample_period: largest time between samples [s].
         speed: fraction of the velocity limits to use, above 0 up to 1.
         acceleration: fraction of the acceleration and jerk limits to use, above 0 up to 1.
+        pose: (N,) pose of the view taken at each via point; None: every view is one pose.
+        lines: by the number of the via point at which each begins; the via points that follow are its own.
 
     Returns:
         The motion; a via point that repeats its predecessor takes no time and adds no sample.
@@ -207,9 +243,27 @@ def retime(
     for rows, profile in _profiles(vias[:-1], vias[1:], limits):
         widths[:, *rows] = profile
     durations = Profile(*widths).duration
+    on_line = np.full(len(vias), -1)
+    for number, begin in enumerate(sorted(lines or {})):
+        times = (lines or {})[begin].times
+        if begin + len(times) > len(vias) or (on_line[begin + 1 : begin + len(times)] >= 0).any():
+            raise PlannerError(
+                f"the line that begins at via point {begin} has {len(times)} via points, and there is no room for them"
+            )
+        on_line[begin + 1 : begin + len(times)] = number
+        durations[begin : begin + len(times) - 1] = np.diff(times)
     via_t = np.concatenate(([0.0], np.cumsum(durations)))
     t, q, qd, qdd, owner = [np.zeros(1)], [vias[:1]], [np.zeros((1, 6))], [np.zeros((1, 6))], [segments[:1]]
-    for k in np.flatnonzero(durations > 0):
+    for k in np.flatnonzero(durations > 0).tolist():
+        if on_line[k + 1] >= 0:
+            if lines is not None and k in lines:
+                tau, *sampled = _along(lines[k], vias[k : k + len(lines[k].times)], sample_period)
+                qdd[-1][-1] = sampled[2][0]
+                t.append(via_t[k] + tau[1:])
+                for kept, values in zip((q, qd, qdd), sampled, strict=True):
+                    kept.append(values[1:])
+                owner.append(np.full(len(tau) - 1, segments[k + 1]))
+            continue
         steps = max(2, int(np.ceil(durations[k] / sample_period)))
         tau = np.arange(steps + 1) * (durations[k] / steps)
         s, sd, sdd = sample(Profile(*widths[:, k]), tau)
@@ -238,16 +292,31 @@ def retime(
         segment_of_sample=np.concatenate(owner),
         duration=float(via_t[-1]),
         limits=limits,
+        pose=np.zeros(0, dtype=np.int64) if pose is None else readonly("pose", pose, (len(vias),), np.int64),
+        line=on_line,
     )
+
+
+def _along(line: TimedLine, vias: Floats, period: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Times, angles, speeds and accelerations of a line's samples, its via points among their times, its ends exact."""
+    pieces = [
+        begin + np.arange(steps := max(1, int(np.ceil((end - begin) / period)))) * ((end - begin) / steps)
+        for begin, end in pairwise(line.times)
+    ]
+    tau = np.concatenate([*pieces, line.times[-1:]])
+    q, qd, qdd = (np.array(values) for values in line.at(tau))
+    q[0], q[-1] = vias[0], vias[-1]
+    return tau, q, qd, qdd
 
 
 def jerk_free_duration(motion: Motion) -> float:
     """Time of the same moves without a limit of jerk [s]: what any motion along the path needs at least.
 
     The path has corners at its via points, so driving it exactly means to stop at each; between two stops a trapezoid
-    of speed is time-optimal.
+    of speed is time-optimal. A sweep has a speed of its own, and keeps its time.
     """
-    return float(move_time(motion.via_q[:-1], motion.via_q[1:], jerk_free(motion.limits)).sum())
+    moves = move_time(motion.via_q[:-1], motion.via_q[1:], jerk_free(motion.limits))
+    return float(np.where(motion.line[1:] >= 0, np.diff(motion.via_t), moves).sum())
 
 
 def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
@@ -271,45 +340,46 @@ def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
         )
 
 
-_BLOCK = 8192  # moves that are timed at once: their temporaries stay in the core's cache
+_BLOCK = 4096  # moves that are timed at once: their temporaries stay in the core's cache
 _EQUAL_RATIO = 1e-12  # relative differences up to which limits of the axes are in one ratio
 
 
-def _profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
-    """Profiles of all moves, in blocks along the first axis of the broadcast shape.
+@lru_cache(maxsize=64)
+def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
+    """Inverse limits of speed, acceleration and jerk, and what makes the first the others, for limits that can be used.
 
     Where the limits of all axes are in one ratio (each acceleration reached in the same time, say), the axis that
-    limits the speed limits acceleration and jerk as well, and two of the three maxima over the axes are left out.
+    limits the speed limits acceleration and jerk as well, and two of the three maxima over the axes can be left out.
+
+    Returns:
+        (3, 6) 1 / limit, `MARGIN` added, and the ratios of acceleration and jerk to speed; NaN where the axes differ.
     """
+    check_limits(limits)
+    inverse = (1.0 + MARGIN) / np.stack([limits.velocity, limits.acceleration, limits.jerk])
+    ratios = np.divide(inverse[1:], inverse[0], out=np.full((2, 6), np.inf), where=inverse[0] > 0)
+    one = np.isfinite(ratios).all(axis=1) & (ratios.max(axis=1) <= ratios.min(axis=1) * (1.0 + _EQUAL_RATIO))
+    acceleration, jerk = np.where(one, ratios.max(axis=1), np.nan).tolist()
+    return inverse, (acceleration, jerk)
+
+
+def _profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
+    """Profiles of all moves, in blocks along the first axis of the broadcast shape."""
+    inverse, ratios = _inverse(limits)
     shape = np.broadcast_shapes(q_from.shape, q_to.shape)[:-1]
+    if 0 in shape:
+        return
     ends = [np.ascontiguousarray(np.moveaxis(q, -1, 0)) for q in (q_from, q_to)]  # axis by axis
-    ends = [q.reshape(6, *[1] * (len(shape) + 1 - q.ndim), *q.shape[1:]) for q in ends]
-    slower = 1.0 + MARGIN
-    with np.errstate(invalid="ignore"):
-        ratios = [limits.velocity / limits.acceleration, limits.velocity / limits.jerk]
-    together = [bool(np.isfinite(r).all() and np.ptp(r) <= _EQUAL_RATIO * r.max()) for r in ratios]
-    per_row = int(np.prod(shape[1:])) if shape else 1
-    step = max(1, _BLOCK // max(per_row, 1))
-    for start in range(0, shape[0], step) if shape else (0,):
+    a, b = (q.reshape(6, *[1] * (len(shape) + 1 - q.ndim), *q.shape[1:]) for q in ends)
+    speed, *others = (rates.reshape(6, *[1] * len(shape)) for rates in inverse)
+    step = max(1, _BLOCK * shape[0] // math.prod(shape)) if shape else 1
+    for start in range(0, shape[0] if shape else 1, step):
         rows = (slice(start, start + step),) if shape else ()
-        block = (min(step, shape[0] - start), *shape[1:]) if shape else ()
-        a, b = ([axis[rows] if axis.ndim and axis.shape[0] > 1 else axis for axis in end] for end in ends)
-        at_speed, at_acceleration, at_jerk = np.zeros(block), np.zeros(block), np.zeros(block)
-        distance, scratch = np.empty(block), np.empty(block)
-        for axis in range(6):
-            np.subtract(b[axis], a[axis], out=distance)
-            np.abs(distance, out=distance)
-            np.multiply(distance, distance > RESOLUTION, out=distance)
-            distance *= slower
-            np.maximum(at_speed, np.divide(distance, limits.velocity[axis], out=scratch), out=at_speed)
-            if not together[0]:
-                np.maximum(
-                    at_acceleration, np.divide(distance, limits.acceleration[axis], out=scratch), out=at_acceleration
-                )
-            if not together[1]:
-                np.maximum(at_jerk, np.divide(distance, limits.jerk[axis], out=scratch), out=at_jerk)
-        if together[0]:
-            np.multiply(at_speed, ratios[0].max(), out=at_acceleration)
-        if together[1]:
-            np.multiply(at_speed, ratios[1].max(), out=at_jerk)
+        distance = (b[:, *rows] if b.shape[1:2] != (1,) else b) - (a[:, *rows] if a.shape[1:2] != (1,) else a)
+        np.abs(distance, out=distance)
+        distance *= distance > RESOLUTION
+        at_speed = (distance * speed).max(axis=0)
+        at_acceleration, at_jerk = (
+            (distance * rates).max(axis=0) if math.isnan(ratio) else at_speed * ratio
+            for rates, ratio in zip(others, ratios, strict=True)
+        )
         yield rows, fastest(at_speed, at_acceleration, at_jerk)
