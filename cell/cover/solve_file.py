@@ -1,0 +1,114 @@
+"""`cell cover`: read a set-cover file, solve it with the planner's own selection, and say what is proven."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.cover.cover_files import CoverFile, read
+from cell.errors import FileError, UsageError
+from planner import cover
+from planner.cover.budget import DEFAULT_WORK, UNLIMITED_WORK, WORK_PER_SECOND
+from planner.errors import PlannerError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoverOutcome:
+    """A solved file.
+
+    Attributes:
+        path: the file.
+        problem: what it holds.
+        result: the cover.
+        seconds: time that the solution took [s].
+    """
+
+    path: Path
+    problem: CoverFile
+    result: cover.Cover
+    seconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that `--json` prints; columns are numbered from 1, as in the file."""
+        rows, columns = self.problem.matrix.shape
+        return {
+            "file": str(self.path),
+            "format": self.problem.format,
+            "rows": rows,
+            "columns": columns,
+            "entries": int(self.problem.matrix.nnz),
+            "solver": self.result.solver,
+            "views": sorted(int(view) + 1 for view in self.result.views),
+            "n_views": len(self.result.views),
+            "cost": self.result.cost,
+            "lower_bound": self.result.cost_bound,
+            "gap": self.result.gap,
+            "status": self.result.status.name.lower(),
+            "sentence": self.result.sentence,
+            "uncoverable_rows": [int(row) + 1 for row in self.result.uncoverable_rows],
+            "work": self.result.work,
+            "seconds": round(self.seconds, 3),
+        }
+
+
+def solve_file(
+    path: Path,
+    *,
+    form: str | None,
+    solver: str,
+    budget_s: float | None,
+    time_limit_s: float | None,
+    unicost: bool,
+    coverage: float,
+    multiplicity: int,
+    seed: int,
+) -> CoverOutcome:
+    """Solve a set-cover file.
+
+    Args:
+        path: the file, see `cell.cover.cover_files`.
+        form: its format; None: the one that fits.
+        solver: a name of `planner.cover.SOLVERS`.
+        budget_s: work in seconds of a usual core; None: the default budget, or, with a time limit, no end but that.
+        time_limit_s: wall-clock guard [s].
+        unicost: whether every column costs 1, whatever the file says.
+        coverage: share of the coverable rows that must be covered.
+        multiplicity: how many columns must cover a row.
+        seed: of the solver's random choices.
+
+    Raises:
+        FileError: if the file is not a set-cover file.
+        UsageError: for an option out of its range.
+    """
+    if budget_s is not None and not 0 <= budget_s <= UNLIMITED_WORK / WORK_PER_SECOND:
+        most = UNLIMITED_WORK // WORK_PER_SECOND
+        raise UsageError(f"--budget is {budget_s:g}; it must be from 0 to {most} seconds' worth of work")
+    if seed < 0:
+        raise UsageError(f"--seed is {seed}; it must be zero or above")
+    problem = read(path, form)
+    if not min(problem.matrix.shape):
+        raise FileError(
+            f"{path} has {problem.matrix.shape[0]} rows and {problem.matrix.shape[1]} columns; both must be 1 or more"
+        )
+    if budget_s is not None:
+        budget = round(budget_s * WORK_PER_SECOND)
+    else:
+        budget = DEFAULT_WORK if time_limit_s is None else UNLIMITED_WORK
+    start = time.perf_counter()
+    try:
+        result = cover.solve(
+            problem.matrix,
+            np.ones(problem.matrix.shape[0]),
+            rng=np.random.default_rng(seed),
+            solver=solver,
+            coverage=coverage,
+            budget=budget,
+            time_limit_s=time_limit_s,
+            multiplicity=multiplicity,
+            costs=None if unicost else problem.costs,
+        )
+    except PlannerError as error:
+        raise UsageError(str(error)) from error
+    return CoverOutcome(path, problem, result, time.perf_counter() - start)

@@ -1,0 +1,163 @@
+"""`cell cover` as a user meets it: formats, table, JSON, guards, exit codes."""
+
+import gzip
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+# Six rows in a ring, each covered by two neighbouring columns; columns 1, 3, 5 cover all, and so do 2, 4, 6.
+RING = [(1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 1)]
+ROWS = "6 6\n5 1 5 1 5 1\n" + "\n".join(f"2\n{a} {b}" for a, b in RING)
+RAIL = "6 6\n" + "\n".join(f"{cost} 2 {j} {(j - 2) % 6 + 1}" for j, cost in enumerate((5, 1, 5, 1, 5, 1), start=1))
+FANO = "7 7\n1 2 3\n1 4 5\n1 6 7\n2 4 6\n2 5 7\n3 4 7\n3 5 6\n"
+
+
+def solved(run_cell: Run, path: Path, *options: str) -> dict[str, object]:
+    """The JSON of a run that must succeed."""
+    done = run_cell("cover", path.name, "--json", *options, cwd=path.parent)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    answer: dict[str, object] = json.loads(done.stdout)
+    return answer
+
+
+@pytest.mark.parametrize(("name", "content"), [("rows", ROWS), ("rail", RAIL)])
+@pytest.mark.parametrize("packed", [False, True])
+def test_both_library_formats_are_told_apart_and_solved(
+    run_cell: Run, tmp_path: Path, name: str, content: str, packed: bool
+) -> None:
+    """Plain or gzip, the three cheap columns are the proven cheapest; numbered as in the file."""
+    path = tmp_path / "problem"
+    path.write_bytes(gzip.compress(content.encode()) if packed else content.encode())
+    answer = solved(run_cell, path)
+    assert answer["format"] == name
+    assert (answer["views"], answer["cost"], answer["lower_bound"]) == ([2, 4, 6], 3.0, 3.0)
+    assert answer["status"] == "proven"
+
+
+def test_steiner_triples_are_covered(run_cell: Run, tmp_path: Path) -> None:
+    """The seven lines of the Fano plane need three points, a line; proven."""
+    path = tmp_path / "data.7"
+    path.write_text(FANO)
+    answer = solved(run_cell, path)
+    assert answer["format"] == "steiner"
+    assert (answer["n_views"], answer["lower_bound"], answer["status"]) == (3, 3, "proven")
+    chosen = set(answer["views"])
+    assert all(chosen & set(map(int, line.split())) for line in FANO.splitlines()[1:])
+
+
+def test_unicost_ignores_the_costs_and_a_multiplicity_demands_more(run_cell: Run, tmp_path: Path) -> None:
+    """Three columns either way at cost 1; covered twice, all six."""
+    path = tmp_path / "ring"
+    path.write_text(ROWS)
+    assert solved(run_cell, path, "--unicost")["cost"] == 3
+    assert solved(run_cell, path, "--multiplicity", "2")["n_views"] == 6
+
+
+def test_the_table_says_cover_bound_and_status(run_cell: Run, tmp_path: Path) -> None:
+    """A person reads the same numbers."""
+    (tmp_path / "ring.txt").write_text(ROWS)
+    done = run_cell("cover", "ring.txt", "--unicost", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for part in ("ring.txt: proven fewest", "6 rows, 6 columns, 12 ones (rows)", "lower bound", "0.0 %"):
+        assert part in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "code", "sentence"),
+    [
+        (None, (), 6, "cannot be read"),
+        ("6 6\n1 1", (), 6, "not a set-cover file"),
+        ("2 2\n1 x", (), 6, "nothing but whole numbers"),
+        ("", (), 6, "ends before the two sizes"),
+        ("1 1\n0\n1 1", ("--format", "rows"), 6, "must be above zero"),
+        ("1 1\n1\n1 2", ("--format", "rows"), 6, "from 1 to 1"),
+        (ROWS, ("--format", "steiner"), 6, "as steiner"),
+        (ROWS, ("--format", "mps"), 2, "choose one of rows, rail, steiner"),
+        (ROWS, ("--solver", "magic"), 2, "choose one of"),
+        (ROWS, ("--coverage", "1.5"), 2, "from 0 to 1"),
+        (ROWS, ("--budget", "-1"), 2, "--budget"),
+        (ROWS, ("--time-limit", "-1"), 2, "time limit"),
+        (ROWS, ("--multiplicity", "0"), 2, "at least once"),
+        (ROWS, ("--seed", "-1"), 2, "--seed"),
+        ("1 1\n1\n1\n1", (), 2, "say which with --format"),
+    ],
+)
+def test_wrong_uses_end_with_one_sentence(
+    run_cell: Run, tmp_path: Path, content: str | None, options: tuple[str, ...], code: int, sentence: str
+) -> None:
+    """Exit code and sentence name what is wrong and what would be valid."""
+    if content is not None:
+        (tmp_path / "file").write_text(content)
+    done = run_cell("cover", "file", *options, cwd=tmp_path)
+    assert done.returncode == code, (done.stdout, done.stderr)
+    assert done.stderr.startswith("cell: ")
+    assert done.stderr.count("\n") == 1
+    assert sentence in done.stderr
+
+
+def hard(path: Path) -> None:
+    """A random problem that no solver ends within a test."""
+    rng = np.random.default_rng(0)
+    M = rng.random((200, 900)) < 0.02
+    M[:, 0] |= ~M.any(axis=1)
+    lines = [f"{row.sum()} " + " ".join(str(j + 1) for j in np.flatnonzero(row)) for row in M]
+    path.write_text("200 900\n" + "1 " * 900 + "\n" + "\n".join(lines))
+
+
+def test_the_clock_ends_the_search_and_the_answer_says_so(run_cell: Run, tmp_path: Path) -> None:
+    """A guard alone gives an unlimited budget: it fires, in time, and is named."""
+    hard(tmp_path / "hard")
+    answer = solved(run_cell, tmp_path / "hard", "--time-limit", "2")
+    assert answer["status"] == "time_limited"
+    assert "the time limit stopped the search" in str(answer["sentence"])
+    assert 1.8 <= float(str(answer["seconds"])) <= 4.0  # 10 % on a quiet machine; a busy one must not fail
+
+
+def test_the_same_budget_gives_the_same_answer(run_cell: Run, tmp_path: Path) -> None:
+    """Work is counted, so two runs agree in all but their seconds."""
+    hard(tmp_path / "hard")
+    first, second = (solved(run_cell, tmp_path / "hard", "--budget", "0.5", "--seed", "4") for _ in range(2))
+    assert first.pop("seconds") is not None
+    assert second.pop("seconds") is not None
+    assert first == second
+    assert first["status"] == "bounded"
+
+
+def test_ctrl_c_gives_the_best_cover_so_far(tmp_path: Path, cache: Path) -> None:
+    """An interrupted search prints its cover, and its status says that it was interrupted."""
+    hard(tmp_path / "hard")
+    command = [sys.executable, "-m", "cell", "cover", "hard", "--time-limit", "120", "--json"]
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 90
+        while time.monotonic() < deadline and process.poll() is None:
+            # The search has begun once numba is loaded; a signal before that meets the reading of the file.
+            if "llvmlite" in Path(f"/proc/{process.pid}/maps").read_text():
+                break
+            time.sleep(0.1)
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    answer = json.loads(out)
+    assert answer["status"] == "interrupted"
+    assert "interrupted" in answer["sentence"]
+    rows = [set(map(int, line.split()[1:])) for line in (tmp_path / "hard").read_text().splitlines()[2:]]
+    assert all(row & set(answer["views"]) for row in rows)
+
+
+def test_the_ring_is_what_it_claims() -> None:
+    """The oracle of these tests: no two columns of the ring cover it."""
+    assert not any(all(set(row) & set(pair) for row in RING) for pair in combinations(range(1, 7), 2))
