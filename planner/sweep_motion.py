@@ -250,6 +250,30 @@ def times_at(path: SweepPath) -> Floats:
     return high
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivenSweep:
+    """A sweep with what times it: `planner.timing.TimedLine`.
+
+    Attributes:
+        path: the sweep.
+        T_flange_scanner: (4, 4) mount [m].
+        kinematics: of the arm.
+    """
+
+    path: SweepPath
+    T_flange_scanner: Floats
+    kinematics: Kinematics
+
+    @property
+    def times(self) -> Floats:
+        """(m,) times after its start at which the vertices are passed [s]."""
+        return times_at(self.path)
+
+    def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """(n, 6) angles, speeds and accelerations at (n,) times after its start [s]."""
+        return timed(self.path, self.T_flange_scanner, self.kinematics, t)
+
+
 class _Arm:
     """Forward kinematics of the scanner frame, and its Jacobian."""
 

@@ -257,12 +257,13 @@ def retime(
     for k in np.flatnonzero(durations > 0).tolist():
         if on_line[k + 1] >= 0:
             if lines is not None and k in lines:
-                tau, *sampled = _along(lines[k], vias[k : k + len(lines[k].times)], sample_period)
+                own = slice(k, k + len(lines[k].times))
+                times, *sampled = _along(lines[k], vias[own], via_t[own], sample_period)
                 qdd[-1][-1] = sampled[2][0]
-                t.append(via_t[k] + tau[1:])
+                t.append(times[1:])
                 for kept, values in zip((q, qd, qdd), sampled, strict=True):
                     kept.append(values[1:])
-                owner.append(np.full(len(tau) - 1, segments[k + 1]))
+                owner.append(np.full(len(times) - 1, segments[k + 1]))
             continue
         steps = max(2, int(np.ceil(durations[k] / sample_period)))
         tau = np.arange(steps + 1) * (durations[k] / steps)
@@ -297,16 +298,17 @@ def retime(
     )
 
 
-def _along(line: TimedLine, vias: Floats, period: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _along(line: TimedLine, vias: Floats, via_t: Floats, period: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Times, angles, speeds and accelerations of a line's samples, its via points among their times, its ends exact."""
     pieces = [
         begin + np.arange(steps := max(1, int(np.ceil((end - begin) / period)))) * ((end - begin) / steps)
-        for begin, end in pairwise(line.times)
+        for begin, end in pairwise(via_t)
+        if end > begin
     ]
-    tau = np.concatenate([*pieces, line.times[-1:]])
-    q, qd, qdd = (np.array(values) for values in line.at(tau))
+    times = np.concatenate([*pieces, via_t[-1:]])
+    q, qd, qdd = (np.array(values) for values in line.at(np.minimum(times - via_t[0], line.times[-1])))
     q[0], q[-1] = vias[0], vias[-1]
-    return tau, q, qd, qdd
+    return times, q, qd, qdd
 
 
 def jerk_free_duration(motion: Motion) -> float:
