@@ -16,6 +16,7 @@ from cell.robot import model as robot
 from cell.run.folder import RunFolder
 from cell.scene.resolve import Settings
 from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
+from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.world import World
 from planner.measurability import Measurability
@@ -146,7 +147,7 @@ def write_measurability(folder: RunFolder, M: Measurability) -> None:
     )
 
 
-def write_motion(folder: RunFolder, motion: Motion, tour: Tour) -> None:
+def write_motion(folder: RunFolder, motion: Motion, tour: Tour, measured: MotionClearance) -> None:
     """`motion.npz`: via points, samples, the limits used and the clearance of each segment."""
     folder.write_arrays(
         "motion.npz",
@@ -165,6 +166,7 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour) -> None:
         limit_acceleration=motion.limits.acceleration,
         limit_jerk=motion.limits.jerk,
         minimum_clearance=tour.clearance,
+        clearance_at_least=measured.at_least,
         between=np.array(tour.between, dtype=np.str_),
     )
 
@@ -184,7 +186,7 @@ def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedP
         }
         for stop, candidate in enumerate(chosen.candidate)
     ]
-    kept = ("coverage", "solver", "status", "lower_bound", "gap", "verdicts", "dropped")
+    kept = ("coverage", "solver", "status", "lower_bound", "gap", "verdicts", "dropped", "clearance")
     folder.write_json(
         "plan.json",
         {

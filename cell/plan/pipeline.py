@@ -199,10 +199,11 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             coverage=scene.plan.coverage, solver=scene.plan.solver,
             selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress,
         )  # fmt: skip
-        measured = clearance.of_motion(
-            checker, chosen.tour.via, chosen.tour.segment, len(chosen.tour.between), progress
-        )
-        chosen = replace(chosen, tour=replace(chosen.tour, clearance=measured.distance, between=measured.between))
+
+    with run.step("measure the clearance") as progress:
+        tour = chosen.tour
+        measured = clearance.of_motion(checker, tour.via, tour.segment, len(tour.between), progress)
+        chosen = replace(chosen, tour=replace(tour, clearance=measured.distance, between=measured.between))
         motion = timing.retime(chosen.tour.via, chosen.tour.segment, chosen.via_candidate, limits)
         plan_files.write_motion(run.folder, motion, chosen.tour, measured)
 

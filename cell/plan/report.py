@@ -3,6 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
+from cell.plan.clearances import tightest_sentence
+
+_PART = {
+    "hull": "its convex hull",
+    "decomposed": "convex pieces that enclose it",
+    "exact": "its triangles",
+}
+
 
 def markdown(summary: Mapping[str, Any]) -> str:
     """The report page; reads on its own, with its pictures beside it.
@@ -62,8 +70,9 @@ def markdown(summary: Mapping[str, Any]) -> str:
         lines += ["", "Dropped, and the cover solved again without them:", ""]
         lines += [f"- candidate {view['id']}: {view['reason']}" for view in summary["dropped"]]
     lines += ["", "![Coverage over number of views](cover.png)", "", "## Motion", ""]
-    if motion["minimum_clearance_mm"] is not None:
-        lines += [f"Nearest approach: {motion['minimum_clearance_mm']:.1f} mm, {motion['between']}.", ""]
+    tightest = tightest_sentence(summary["clearance"])
+    if tightest:
+        lines += [f"Tightest moment: {tightest}; the part is {_PART[summary['clearance']['collision']]}.", ""]
     lines += [
         f"In task-space order (Christofides) the same views would take {motion['baseline_duration_s']:.2f} s.",
         "",

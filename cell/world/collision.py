@@ -49,6 +49,9 @@ class MujocoCollisionChecker:
         model = world.model
         self._pairs = world.pairs
         self._radius = model.geom_rbound[self._pairs].sum(axis=1)
+        moves = model.body_weldid[model.geom_bodyid] > 0
+        mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] >= 0
+        self._both_move = (moves & ~mocap)[self._pairs].all(axis=1)
         self._on_floor = np.flatnonzero(self._pairs[:, 0] == model.geom("floor").id)  # the only shape without a sphere
 
     @property
@@ -119,17 +122,43 @@ class MujocoCollisionChecker:
         distances = np.full(len(angles), DISTANCE_CAP)
         names = []
         for i, configuration in enumerate(angles):
-            self._set(configuration)
-            best = -1
-            lower, candidates = self._candidates(DISTANCE_CAP)
-            for bound, pair in zip(lower, candidates, strict=True):
-                if bound >= distances[i]:
-                    break
-                measured = self._gap(pair, distances[i])
-                if measured < distances[i]:
-                    distances[i], best = measured, pair
-            names.append(self._world.pair_name(*self._pairs[best]) if best >= 0 else "")
+            best, distances[i] = self.nearest(configuration, DISTANCE_CAP)
+            names.append(self.pair_name(best) if best >= 0 else "")
         return distances, tuple(names)
+
+    def nearest(self, q: Floats, reach: float, *, both_move: bool | None = None) -> tuple[int, float]:
+        """The nearest guarded pair at one configuration.
+
+        Args:
+            q: (6,) joint angles [rad], KUKA signs.
+            reach: nothing beyond is looked for [m].
+            both_move: only pairs of two moving bodies (True), or of a moving and a standing one (False).
+
+        Returns:
+            Number of the pair and its distance [m]; -1 and `reach` where everything is farther.
+        """
+        self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
+        best, distance = -1, reach
+        for bound, pair in zip(*self._candidates(reach), strict=True):
+            if bound >= distance:
+                break
+            if both_move is None or self._both_move[pair] == both_move:
+                measured = self._gap(pair, distance)
+                if measured < distance:
+                    best, distance = int(pair), measured
+        return best, distance
+
+    def pair_name(self, pair: int) -> str:
+        """What a reader calls a guarded pair: "housing with part"."""
+        return self._world.pair_name(*self._pairs[pair])
+
+    def witness(self, q: Floats, pair: int) -> Floats:
+        """(2, 3) the nearest points of a guarded pair at one configuration (6,), as `pair_name` orders them [m]."""
+        self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
+        a, b = (int(geom) for geom in self._pairs[pair])
+        points = np.zeros((2, 3))
+        self._world.distance(self._data, a, b, 10.0, points=points)
+        return points if self._world.pair_name(a, b).startswith(self._world.entities[a] + " with ") else points[::-1]
 
     def travel(self, q_from: Floats, q_to: Floats) -> Floats:
         """An upper bound on how far any point of arm or tool moves along the straight joint segment.

@@ -53,7 +53,9 @@ def nearest_triangle(
             continue
         if node >= leaves:
             for t in range(first[node - leaves], first[node - leaves + 1]):
-                apart = distance(kind, size, R, p, np.int64(TRIANGLE), triangles[t], best, np.int64(_FULL_STEPS), s)
+                apart = distance(
+                    kind, size, R, p, int(np.int64(TRIANGLE)), triangles[t], best, int(np.int64(_FULL_STEPS)), s
+                )
                 if apart < best:
                     best, found = apart, True
                     for i in range(3):
@@ -95,7 +97,7 @@ def _node_bound(
     rough: float = squared**0.5
     if rough >= enough:
         return rough
-    return max(rough, distance(kind, size, R, p, np.int64(BOUNDS), box, enough, np.int64(_NODE_STEPS), s))
+    return max(rough, distance(kind, size, R, p, int(np.int64(BOUNDS)), box, enough, int(np.int64(_NODE_STEPS)), s))
 
 
 @compiled

@@ -1,0 +1,51 @@
+"""What a plan says of its motion's clearance: per segment, and the tightest moment of all, as JSON values."""
+
+from typing import Any
+
+import numpy as np
+
+from cell.world.clearance import MotionClearance, moment
+from planner.timing import Motion
+
+
+def clearance_summary(measured: MotionClearance, motion: Motion, collision: str) -> dict[str, Any]:
+    """The object `clearance` of plan.json and report.json; mm, deg and s as the names say.
+
+    Args:
+        measured: of the motion.
+        motion: timed.
+        collision: what stood for the part: hull, decomposed or exact.
+    """
+    tightest = measured.tightest
+    return {
+        "collision": collision,
+        "segments": [
+            {"minimum_mm": _mm(nearest), "at_least_mm": _mm(proven), "between": between}
+            for nearest, proven, between in zip(measured.distance, measured.at_least, measured.between, strict=True)
+        ],
+        "tightest": None
+        if tightest is None
+        else {
+            "segment": tightest.segment,
+            "time_s": round(moment(motion.t, motion.q, motion.segment_of_sample, tightest), 6),
+            "distance_mm": _mm(tightest.distance),
+            "between": tightest.between,
+            "points_in_base_mm": (1000 * tightest.points).round(4).tolist(),
+            "q_deg": [float(angle) for angle in np.degrees(tightest.q).round(6)],
+        },
+    }
+
+
+def tightest_sentence(clearance: dict[str, Any]) -> str:
+    """The tightest moment for a person; "" where there is none."""
+    tightest = clearance["tightest"]
+    if tightest is None:
+        return ""
+    return (
+        f"{tightest['distance_mm']:.1f} mm, {tightest['between']}, {tightest['time_s']:.2f} s after the start, on the "
+        f"way of segment {tightest['segment'] + 1} of {len(clearance['segments'])}"
+    )
+
+
+def _mm(metres: float) -> float:
+    return round(1000 * float(metres), 4)

@@ -1,0 +1,86 @@
+"""The clearance of a motion against distances at thousands of configurations along it, for each fidelity."""
+
+import itertools
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.scene.scene import Scene
+from cell.world.clearance import TOLERANCE, of_motion, tightest_at
+from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+
+_SAMPLES = 1500
+
+
+def _cup() -> trimesh.Trimesh:
+    outline = [(0.0, 0.0), (0.16, 0.0), (0.16, 0.3), (0.15, 0.3), (0.15, 0.01), (0.0, 0.01)]
+    return trimesh.creation.revolve(np.array(outline), sections=40)
+
+
+@pytest.fixture(scope="module", params=["hull", "decomposed", "exact"])
+def world(request: pytest.FixtureRequest) -> World:
+    """A cup beside the robot, as each fidelity has it."""
+    cup = _cup()
+    scene = Scene.model_validate({"plan": {"collision": request.param}, "placement": {"position_mm": [1100, 300, 0]}})
+    return compile_world(
+        scene, cup.vertices, part_faces=np.array(cup.faces), baseline_mm=75.0, refuse=False, use_cache=False
+    )
+
+
+def _via() -> tuple[np.ndarray, np.ndarray]:
+    """Three segments: past the cup, two moves, and a stand."""
+    home = np.radians([0.0, -90, 90, 0, 90, 0])
+    past = np.radians([25.0, -40, 80, 0, 60, 0])
+    beside = np.radians([-40.0, -35, 85, 20, 50, 30])
+    back = np.radians([-60.0, -80, 100, 0, 80, 90])
+    return np.stack([home, past, beside, back, back]), np.array([0, 0, 1, 1, 2])
+
+
+def test_no_sample_is_nearer_than_what_is_proven_and_none_much_nearer_than_what_is_said(world: World) -> None:
+    """The value is measured on the motion, so it is an upper bound; the proven one is a lower bound within 2 %."""
+    checker = MujocoCollisionChecker(world)
+    via, segment = _via()
+    found = of_motion(checker, via, segment, 3)
+    assert found.checks < 4_000
+    for number in range(3):
+        rows = np.flatnonzero(segment[1:] == number) + 1
+        dense = np.concatenate([np.linspace(via[k - 1], via[k], _SAMPLES) for k in rows])
+        distance, names = checker.distance(dense)
+        least = float(distance.min())
+        assert found.at_least[number] <= least + 1e-9
+        assert found.distance[number] <= least + max(TOLERANCE, 0.02 * least) + 1e-9
+        assert found.at_least[number] >= found.distance[number] - max(TOLERANCE, 0.02 * found.distance[number]) - 1e-9
+        if found.distance[number] < DISTANCE_CAP:
+            near = {names[k] for k in np.flatnonzero(distance < least + 0.003)}
+            assert found.between[number] in near
+
+
+def test_the_tightest_moment_is_on_the_motion_and_its_points_are_as_far_apart_as_it_says(world: World) -> None:
+    """Its configuration gives its distance again; both points are on what they are said to be on."""
+    checker = MujocoCollisionChecker(world)
+    via, segment = _via()
+    found = of_motion(checker, via, segment, 3)
+    tightest = found.tightest
+    assert tightest is not None
+    assert tightest.distance == found.distance.min() == found.distance[tightest.segment]
+    assert tightest.between == found.between[tightest.segment]
+    distance, names = checker.distance(tightest.q[None])
+    assert distance[0] == pytest.approx(tightest.distance, abs=2e-8)
+    assert names[0] == tightest.between
+    assert np.linalg.norm(tightest.points[0] - tightest.points[1]) == pytest.approx(tightest.distance, abs=1e-6)
+    on_way = [_off(a, b, tightest.q) for a, b in itertools.pairwise(via)]
+    assert min(on_way) < 1e-9
+    again = tightest_at(checker, tightest.q)
+    assert again is not None
+    assert again.points.tolist() == tightest.points.tolist()
+
+
+def _off(a: np.ndarray, b: np.ndarray, q: np.ndarray) -> float:
+    """How far q is from the straight move a to b [rad]."""
+    way = b - a
+    length = float(way @ way)
+    share = np.clip((q - a) @ way / length, 0, 1) if length > 0 else 0.0
+    return float(np.linalg.norm(a + share * way - q))
