@@ -1,0 +1,105 @@
+"""Where the search of a path could fail in the compiled cell, by name: narrow gaps, full workspaces, bad ends."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+from planner.edge import STEP, along, certify, quantise
+from planner.path import PathStatus, connect
+from planner.tour import DropReason, plan_motion
+
+BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part that is out of the way
+FORWARD = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])  # the flange looks along the base's x
+FLANGE, ASIDE = np.array([1.1, 0.0, 0.8]), np.array([-0.2, 0.35, 0.1])
+
+
+@lru_cache
+def cell(beyond_mm: float) -> tuple[World, MujocoCollisionChecker, Kr16Kinematics]:
+    """Two plates, the housing's width, the clearance on both sides and `beyond_mm` on both sides apart."""
+    middle = 40.0 + 10.0 + beyond_mm + 10.0
+    plates = [
+        {"name": name, "shape": "box", "size_mm": [100, 20, 500], "position_mm": [1190, y, 800]}
+        for name, y in (("left plate", middle), ("right plate", -middle))
+    ]
+    scene = Scene.model_validate(
+        {"fixtures": plates, "placement": {"position_mm": [0, 1500, 0]}, "post": {"enabled": False}}
+    )
+    world = compile_world(scene, BALL, baseline_mm=75.0)
+    return world, MujocoCollisionChecker(world), Kr16Kinematics.from_model(world.model)
+
+
+def at(kinematics: Kr16Kinematics, checker: MujocoCollisionChecker, position: np.ndarray, turn: float) -> np.ndarray:
+    """The first free set-point with the flange there, turned about its axis."""
+    T = np.eye(4)
+    spin = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    T[:3, :3], T[:3, 3] = FORWARD @ spin, position
+    q = quantise(kinematics.inverse(T[None])[0])
+    limits = kinematics.limits
+    inside = np.isfinite(q).all(axis=1) & (q >= limits.lower).all(axis=1) & (q <= limits.upper).all(axis=1)
+    found = q[inside][checker.free(q[inside])]
+    assert len(found), "precondition: the place can be reached"
+    return np.asarray(found[0])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_housing_enters_a_gap_5_mm_beyond_the_clearance(seed: int) -> None:
+    """From beside the plates, turned by 60 deg: a detour leads in, and the tool keeps what certification promises."""
+    world, checker, kinematics = cell(5.0)
+    inside = at(kinematics, checker, FLANGE, 0.0)
+    outside = at(kinematics, checker, FLANGE + ASIDE, np.radians(60))
+    assert not certify(outside, inside, checker)[0], "precondition: the straight move collides"
+    found = connect(outside, inside, checker, world.limits, np.random.default_rng(seed))
+    assert found.status is PathStatus.DETOUR
+    assert found.via is not None
+    distance, _ = checker.distance(along(found.via, checker, 600))
+    assert distance.min() >= (1 - STEP) * checker.clearance
+    assert distance.min() < 0.016  # inside the gap
+
+
+def test_a_gap_narrower_than_the_clearance_has_no_place_inside() -> None:
+    """The goal is refused with what is too near, and nothing is searched."""
+    _, wide, kinematics = cell(5.0)
+    world, narrow, _ = cell(-1.0)
+    inside = at(kinematics, wide, FLANGE, 0.0)
+    outside = at(kinematics, wide, FLANGE + ASIDE, np.radians(60))
+    found = connect(outside, inside, narrow, world.limits, np.random.default_rng(0))
+    assert (found.status, found.via, found.checks) == (PathStatus.GOAL_IN_COLLISION, None, 2)
+    assert "plate" in found.between
+    assert found.clearance == pytest.approx(0.009, abs=1e-6)
+    back = connect(inside, outside, narrow, world.limits, np.random.default_rng(0))
+    assert back.status is PathStatus.START_IN_COLLISION
+
+
+def test_a_part_that_fills_the_workspace() -> None:
+    """A block as high and wide as the arm reaches: no way past it, no view near it, and both are said."""
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) * [1.2, 1.4, 1.5]
+    scene = Scene.model_validate(
+        {
+            "robot": {"home_deg": [130, -90, 90, 0, 90, 0]},
+            "placement": {"position_mm": [1620, 0, 900]},
+            "post": {"enabled": False},
+        }
+    )
+    world = compile_world(scene, corners, baseline_mm=75.0)
+    checker = MujocoCollisionChecker(world)
+    left, right = world.home, world.home * [-1, 1, 1, 1, 1, 1]
+    assert checker.free(np.stack([left, right])).all(), "precondition: both sides are free"
+    found = connect(left, right, checker, world.limits, np.random.default_rng(0), 3000)
+    assert (found.status, found.via) == (PathStatus.NO_PATH_FOUND, None)
+    assert 3000 <= found.checks < 10_000
+    ahead = quantise(np.radians([[a, -60.0, 80, 0, 60, 0] for a in (-20.0, -10, 0, 10, 20)]))
+    tour = plan_motion(
+        [ahead[:3], ahead[3:]], left, checker, world.limits, np.tile(np.eye(4), (2, 1, 1)), np.random.default_rng(0)
+    )
+    assert [(lost.view, lost.reason) for lost in tour.dropped] == [
+        (0, DropReason.IN_COLLISION),
+        (1, DropReason.IN_COLLISION),
+    ]
+    assert all("part" in lost.blocker for lost in tour.dropped)
+    assert len(tour.via) == 1
