@@ -1,6 +1,7 @@
 """Collision-free paths on seeded scenes: where RRT-Connect finds one, beside ompl over the same certified edges.
 
-In each scene two reachable set-points are drawn between which the straight move is blocked. `planner.path.connect`
+In each scene two pairs of reachable set-points are drawn between which the straight move is blocked: any two, and two
+out of the twelve that are nearest to something. `planner.path.connect`
 searches with its default budget, then, where that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and
 sampling, edges certified by `planner.edge` as ours) searches for `_SECONDS` where ours failed, and on every fifth scene
 for comparison. ompl is no dependency of the project: `pip install ompl`.
@@ -11,6 +12,7 @@ JSON, and a call that was stopped goes on where it ended. The full form has 100 
 
 import json
 import os
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -26,25 +28,32 @@ _LONG = 1_000_000  # checks
 _SECONDS = 60.0
 _PAIRS = 400  # drawn until a straight move is blocked
 _COMPARED = 5
+_DRAWN, _NEAREST = 200, 12
+_CASES = ("any", "near something")
 
 
 def run() -> list[dict[str, Any]]:
-    """One row over all scenes, and one for each that our search did not solve."""
+    """For each case one row over all scenes, and one for each scene that the default budget did not solve."""
     count = int(os.environ.get("SCAN_CELL_SCENES", "20"))
     kept = Path(os.environ["SCAN_CELL_PATHS"]) if "SCAN_CELL_PATHS" in os.environ else None
     done = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
-    for number in range(count):
-        if any(row["scene"] == number for row in done):
+    for number, case in product(range(count), _CASES):
+        if any((row["scene"], row["case"]) == (number, case) for row in done):
             continue
-        done.append(searched(number))
+        done.append(searched(number, case))
         if kept:
             with kept.open("a") as file:
                 file.write(json.dumps(done[-1]) + "\n")
-    rows = [row for row in done if row["scene"] < count]
+    return [row for case in _CASES for row in _summary([r for r in done if r["scene"] < count and r["case"] == case])]
+
+
+def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row over all, and those that the default budget did not solve."""
     both = [row for row in rows if row["ompl"] == "found" and row["found"] != "no"]
     either = [row for row in rows if row["ompl"] == "found" or row["found"] != "no"]
     summary = {
         "scene": f"{len(rows)} scenes",
+        "case": rows[0]["case"],
         "found": f"{sum(row['found'] == 'default' for row in rows)} at the default budget, "
         f"{sum(row['found'] == 'long' for row in rows)} at {_LONG:,} checks",
         "of those that ompl or ours solve": f"{sum(row['found'] != 'no' for row in rows)} of {len(either)}",
@@ -60,10 +69,10 @@ def run() -> list[dict[str, Any]]:
     return [summary, *(row for row in rows if row["found"] != "default")]
 
 
-def searched(number: int) -> dict[str, Any]:
-    """One scene: our search, and ompl's where ours fails or it is its turn."""
+def searched(number: int, case: str) -> dict[str, Any]:
+    """One pair of one scene: our search, and ompl's where ours fails or it is its turn."""
     cell = usable(number, least=4)
-    q_from, q_to = _blocked_pair(cell)
+    q_from, q_to = _blocked_pair(cell, case)
     begin = perf_counter()
     result, found = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number), measure=False), "default"
     if result.status is PathStatus.NO_PATH_FOUND:
@@ -74,6 +83,7 @@ def searched(number: int) -> dict[str, Any]:
         found = "no"
     row = {
         "scene": number,
+        "case": case,
         "found": found,
         "checks": result.checks,
         "s": spent,
@@ -97,10 +107,14 @@ def _rng(number: int) -> np.random.Generator:
     return np.random.default_rng([number, 1])
 
 
-def _blocked_pair(cell: SeededCell) -> tuple[Floats, Floats]:
+def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
     """Two set-points of different views between which the straight move is blocked."""
     rng, q = np.random.default_rng(cell.number), cell.reach.q
     view = np.repeat(np.arange(len(cell.reach)), np.diff(cell.reach.offsets))
+    if case == "near something":
+        drawn = rng.choice(len(q), min(len(q), _DRAWN), replace=False)
+        nearest = drawn[np.argsort(cell.checker.distance(q[drawn])[0])][:_NEAREST]
+        q, view = q[nearest], view[nearest]
     for _ in range(_PAIRS):
         i, j = rng.integers(0, len(q), 2)
         if view[i] != view[j] and not certify(q[i], q[j], cell.checker, ends_free=True)[0]:
