@@ -237,7 +237,8 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     axes[0].axhline(1.0, color="red", lw=1, ls="--")
     axes[0].axvline(10.0, color="red", lw=1, ls="--", label="1 mm, 10 x real time")
     axes[0].set(
-        xscale="log", yscale="log", ylim=(0.08, 2.0), xlabel="simulation speed [x real time]", ylabel="largest error at the scanner [mm]",
+        xscale="log", yscale="log", ylim=(0.08, 2.0),
+        xlabel="simulation speed [x real time]", ylabel="largest error at the scanner [mm]",
         title=f"time step in ms beside each point; bandwidth {default.bandwidth:g} Hz",
     )  # fmt: skip
     axes[0].grid(alpha=0.3, which="both")

@@ -119,7 +119,8 @@ class MujocoPlant:
     @property
     def settled(self) -> bool:
         """True where the reference has ended and no point of the tool is, or will be, off its end by `AT_REST`."""
-        return self._time() + self._pending >= self._reference.duration - _NANOSECOND and self._at_rest()
+        ended = self._time() + self._pending >= self._reference.duration - _NANOSECOND
+        return ended and not self._failure and self._at_rest()
 
     @property
     def failure(self) -> str:

@@ -5,10 +5,10 @@ With the error `e = q_ref - q` an axis gets the torque
     tau = kp e + kd de/dt + ki integral(e) + tau_model(q_ref, qd_ref, qdd_ref)
 
 Were the model right and the axis one inertia J without friction, the error would obey `J e''' + kd e'' + kp e' + ki e
-= 0`. `kd = 3 w J`, `kp = 3 w^2 J` and `ki = w^3 J` would put its three roots at one place, -w; with half of that ki the
-arm comes to rest in half the time, since at the end of a motion the integral holds the friction that the model lacks,
-and has to be unwound. So one number, the bandwidth w / 2 pi, is the gain of all six axes. J is the inertia that the
-axis moves at home.
+= 0`. `kd = 3 w J`, `kp = 3 w^2 J` and `ki = w^3 J` would put its three roots at one place, -w. The integral is weaker,
+0.3 of that: at the end of a motion it holds the friction that the model lacks, and unwinding that swings the arm past
+its goal, from 0.4 on by more than the robot repeats to. So one number, the bandwidth w / 2 pi, is the gain of all six
+axes. J is the inertia that the axis moves at home.
 
 `tau_model` is the inverse dynamics (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 5, as MuJoCo's
 `mj_inverse`) of an arm whose links and tool are lighter than the true ones and whose gears rub less: the servo knows
@@ -89,7 +89,7 @@ def gains(inertia: Floats, bandwidth: float) -> Gains:
         bandwidth: [Hz].
     """
     w = 2.0 * np.pi * bandwidth
-    return Gains(3.0 * w**2 * inertia, 3.0 * w * inertia, 0.5 * w**3 * inertia)
+    return Gains(3.0 * w**2 * inertia, 3.0 * w * inertia, 0.3 * w**3 * inertia)
 
 
 class FeedForward:

@@ -52,6 +52,24 @@ def test_it_takes_the_references_time_and_then_settles() -> None:
     assert took["ideal"] < took["mujoco"] < took["ideal"] + 0.5
 
 
+def test_once_at_rest_it_stays_within_the_repeatability() -> None:
+    """What the integral holds at the end of a move does not swing the arm out again, whatever point of the tool."""
+    plant, limits, rng, at = factory.built_in()["mujoco"](HOME), kr16(), np.random.default_rng(5), HOME
+    assert isinstance(plant, MujocoPlant)
+    levers = dynamics.levers(plant.model, Tool()) + 0.17  # the housing's farthest corner from the flange
+    for jerk in (limits.jerk, None, limits.jerk, None):
+        goal = HOME + rng.uniform(-0.5, 0.5, 6)
+        move = interpolate(at, goal[None], limits.velocity, limits.acceleration, jerk)
+        plant.follow(move)
+        plant.advance(move.duration)
+        while not plant.settled:
+            plant.advance(0.004)
+        for _ in range(100):
+            assert levers @ np.abs(goal - plant.true_axes) < 5e-5
+            plant.advance(0.008)
+        at = goal
+
+
 def test_a_stop_brakes_on_the_path_and_settles() -> None:
     """A braked reference is followed like any other."""
     limits = kr16()
@@ -149,12 +167,12 @@ def test_levers_bound_what_an_axis_moves() -> None:
 
 
 def test_gains_are_one_bandwidth() -> None:
-    """With the inertia that they are made for, all roots lie within 1.6 of the bandwidth, and are damped."""
+    """With the inertia that they are made for, all roots lie within 1.7 of the bandwidth, and are damped."""
     made = gains(np.full(6, 3.0), 5.0)
     roots = np.roots([3.0, made.damping[0], made.stiffness[0], made.integral[0]]) / (2 * np.pi * 5.0)
-    assert (roots.real < -0.2).all()
-    assert np.abs(roots).max() < 1.6
-    assert np.abs(roots.imag / roots.real).max() < 0.5
+    assert (roots.real < -0.1).all()
+    assert np.abs(roots).max() < 1.7
+    assert np.abs(roots.imag / roots.real).max() < 0.6
 
 
 @pytest.mark.parametrize(
