@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from cell.study.curves import SceneWith
     from cell.study.study import Study
 
 EPILOG = (
@@ -38,6 +39,9 @@ Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the stu
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.")]
 
 
+_NOTHING = 2  # every trial failed: what was asked for cannot be
+
+
 def conducted(
     make: "Callable[[], Study]", processes: int | None, cluster: str | None, out: Path | None, as_json: bool
 ) -> None:
@@ -53,6 +57,8 @@ def conducted(
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
         narrator.study_table(result)
+    if not result.rows:
+        raise typer.Exit(_NOTHING)
 
 
 def _table(name: str, help_text: str) -> None:
@@ -83,6 +89,124 @@ def _table(name: str, help_text: str) -> None:
 
     command.__doc__ = help_text
     app.command(name, epilog=EPILOG)(command)
+
+
+Part = Annotated[
+    str | None,
+    typer.Argument(help="As in cell plan: mesh file or built-in part. Default: the scene's.", show_default=False),
+]
+SceneFile = Annotated[Path | None, typer.Option(help="Scene file (TOML). Default: the built-in scene.")]
+Units = Annotated[str | None, typer.Option(help="Unit of the mesh file.")]
+Robot = Annotated[bool, typer.Option("--robot", help="Use only views that the robot reaches at the scene's placement.")]
+
+
+def scene_maker(part: str | None, units: str | None, scene: Path | None) -> "SceneWith":
+    """The scene of the options, with more keys changed by a study.
+
+    Raises:
+        UsageError: as `cell plan` does for its options.
+    """
+    from cell.commands import options
+    from cell.scene.scene import load_scene
+
+    own = {"part": {} if part is None else options.part(part, units)}
+    if part is None and units is not None:
+        own["part"]["units"] = units
+    return lambda more: load_scene(scene, {**own, **more})
+
+
+@app.command(epilog="Example:\n\ncell study placement mug --x 1000:1600:50 --y 300:900:50")
+def placement(
+    part: Part = None,
+    x: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step of x.")] = "1000:1600:50",
+    y: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step of y.")] = "300:900:50",
+    z: Annotated[str, typer.Option(metavar="MM[:MM:MM]", help="Heights of the part's centre.")] = "0",
+    yaw: Annotated[str, typer.Option(metavar="DEG[:DEG:DEG]", help="Turns about the vertical (A).")] = "0",
+    units: Units = None,
+    scene: SceneFile = None,
+    processes: Processes = None,
+    cluster: Cluster = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Map where the part can stand: reach, coverage, views and cycle time over its position."""
+    from cell.study.placement import placement_study
+    from cell.study.ranges import values
+
+    grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
+    base = scene_maker(part, units, scene)({})
+    conducted(lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]), processes, cluster, out, as_json)
+
+
+@app.command(epilog="Example:\n\ncell study standoff mug --values 50:500:50")
+def standoff(
+    part: Part = None,
+    values: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step.")] = "50:500:50",
+    robot: Robot = False,
+    units: Units = None,
+    scene: SceneFile = None,
+    processes: Processes = None,
+    cluster: Cluster = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the scanning zone: views and coverage over the standoff distance."""
+    from cell.study.curves import knob_study
+    from cell.study.ranges import values as range_of
+
+    wanted = range_of("--values", values)
+    make = scene_maker(part, units, scene)
+    conducted(lambda: knob_study(make, "standoff", wanted, robot=robot), processes, cluster, out, as_json)
+
+
+@app.command(
+    epilog="Examples:\n\ncell study scanner mug --fov 10:90:10\n\n"
+    "cell study scanner --range 50-150,100-300,200-600\n\ncell study scanner --sensors gocator-2340,gocator-2530"
+)
+def scanner(
+    part: Part = None,
+    fov: Annotated[str | None, typer.Option(metavar="DEG:DEG:DEG", help="Fields of view, both ways.")] = None,
+    resolution: Annotated[str | None, typer.Option(metavar="DEG:DEG:DEG", help="Angles between rays.")] = None,
+    baseline: Annotated[str | None, typer.Option(metavar="MM:MM:MM", help="Baselines.")] = None,
+    grazing: Annotated[str | None, typer.Option(metavar="DEG:DEG:DEG", help="Grazing limits.")] = None,
+    ranges: Annotated[
+        str | None, typer.Option("--range", metavar="MM-MM,...", help="Near and far limits; the standoff is between.")
+    ] = None,
+    sensors: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Real sensors, see cell sensors; all: all of them.")
+    ] = None,
+    robot: Robot = False,
+    units: Units = None,
+    scene: SceneFile = None,
+    processes: Processes = None,
+    cluster: Cluster = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the scanner: views and coverage over one of its numbers, or over real sensors. Give one of the options."""
+    from cell.errors import UsageError
+    from cell.study.curves import knob_study, range_study, sensor_study
+    from cell.study.ranges import pairs
+    from cell.study.ranges import values as range_of
+
+    knobs = {"fov": fov, "resolution": resolution, "baseline": baseline, "grazing": grazing}
+    given = [name for name, text in {**knobs, "range": ranges, "sensors": sensors}.items() if text is not None]
+    if len(given) != 1:
+        raise UsageError(
+            "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
+        )
+    make = scene_maker(part, units, scene)
+    if ranges is not None:
+        limits = pairs("--range", ranges)
+        conducted(lambda: range_study(make, limits, robot=robot), processes, cluster, out, as_json)
+    elif sensors is not None:
+        from cell.scene import sensors as library
+
+        names = library.names() if sensors == "all" else sensors.split(",")
+        conducted(lambda: sensor_study(make, names, robot=robot), processes, cluster, out, as_json)
+    else:
+        wanted = range_of(f"--{given[0]}", knobs[given[0]] or "")
+        conducted(lambda: knob_study(make, given[0], wanted, robot=robot), processes, cluster, out, as_json)
 
 
 _table("table1", "The paper's Table 1: views and coverage over the decimation of the part.")

@@ -101,19 +101,21 @@ class Bench:
     @cached_property
     def zone(self) -> Viewpoints:
         """Candidates by the scene's generator and rolls."""
-        return first(self.scene, self.settings, self.part, self.planning)
+        return scanners.swept(self.scanner, first(self.scene, self.settings, self.part, self.planning))
 
     @cached_property
     def sphere(self) -> Viewpoints:
         """Candidates of the view sphere, 15 degrees apart."""
         plan = self.scene.plan.model_copy(update={"candidates": "view-sphere"})
-        return first(self.scene.model_copy(update={"plan": plan}), self.settings, self.part, self.planning)
+        scene = self.scene.model_copy(update={"plan": plan})
+        return scanners.swept(self.scanner, first(scene, self.settings, self.part, self.planning))
 
     @cached_property
     def world(self) -> World:
         """The compiled cell; another placement needs no other."""
         baseline = scanners.baseline_mm(self.settings.scanner, self.scanner)
-        return compile_world(self.scene, self.part.reference.vertices, baseline_mm=baseline)
+        part = self.part.reference
+        return compile_world(self.scene, part.vertices, part_faces=part.faces, baseline_mm=baseline)
 
     @cached_property
     def kinematics(self) -> Kr16Kinematics:
@@ -128,8 +130,12 @@ class Bench:
             T_base_centre: (4, 4) where the part's centre stands and how it is turned [m].
         """
         T_base_object = self.world.placed(T_base_centre)
-        checker = MujocoCollisionChecker(self.world, T_base_object)
+        checker = self.checker(T_base_object)
         return reach.solve(candidates, T_base_object, self.world.T_flange_scanner, self.kinematics, checker)
+
+    def checker(self, T_base_object: Floats) -> MujocoCollisionChecker:
+        """Collisions with the part at a placement (4, 4) [m]."""
+        return MujocoCollisionChecker(self.world, T_base_object)
 
     def matrix(self, fill: str, candidates: Viewpoints) -> Measurability:
         """The part-only matrix by `aimed` or `rays`, from the cache where it is there."""

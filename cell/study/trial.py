@@ -21,6 +21,8 @@ from planner.errors import PlannerError
 
 TRIALS = {
     "table-row": "cell.study.tables:row",
+    "placement": "cell.study.placed:placement",
+    "views": "cell.study.views:views",
 }
 """Name of a trial and where its function is; only these can be run, whoever asks."""
 

@@ -1,0 +1,183 @@
+"""`cell study standoff` and `cell study scanner`: views and coverage over one number of the scanner, the best marked.
+
+The paper's "optimum scanning zone" and "optimum scanner configuration". Best is the value whose plan measures most of
+the surface (within half a point of the most, which nobody would pay for) with the fewest views.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from cell.scene.scene import Scene
+from cell.study.scenes import scene_settings
+from cell.study.study import Row, Study
+from cell.study.trial import Outcome, Trial
+
+WITHIN_POINTS = 0.5
+"""Coverages that differ by less than this count as equal when the best value is chosen [points]."""
+
+
+SceneWith = Callable[[Mapping[str, Mapping[str, Any]]], Scene]
+"""Makes the scene with some keys changed; raises SceneError, in one sentence, where a scene cannot have them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """A number of the scanner that a study varies.
+
+    Attributes:
+        title: for people, with the unit.
+        tables: keys of the scene for a value.
+    """
+
+    title: str
+    tables: Callable[[float], Mapping[str, Mapping[str, Any]]]
+
+
+KNOBS = {
+    "standoff": Knob("standoff distance [mm]", lambda value: {"plan": {"standoffs_mm": [value]}}),
+    "fov": Knob("field of view, both ways [deg]", lambda value: {"scanner": {"fov_deg": [value, value]}}),
+    "resolution": Knob("angle between rays [deg]", lambda value: {"scanner": {"resolution_deg": [value, value]}}),
+    "baseline": Knob("baseline [mm]", lambda value: {"scanner": {"baseline_mm": value}}),
+    "grazing": Knob("grazing limit [deg from the normal]", lambda value: {"scanner": {"grazing_max_deg": value}}),
+}
+
+
+def knob_study(scene_with: SceneWith, knob: str, values: Sequence[float], *, robot: bool) -> Study:
+    """The study of one knob.
+
+    Args:
+        scene_with: part, scanner and plan; the robot's cell counts only with `robot`.
+        knob: a name of `KNOBS`.
+        values: of the knob.
+        robot: whether only views that the robot reaches at the scene's placement may be used.
+
+    Raises:
+        SceneError: if the scene cannot have one of the values.
+    """
+    asked = [(value, _trial(scene_with(KNOBS[knob].tables(value)), robot)) for value in values]
+    return _study(knob, KNOBS[knob].title, asked)
+
+
+def range_study(scene_with: SceneWith, ranges: Sequence[tuple[float, float]], *, robot: bool) -> Study:
+    """The study of the scanner's range; the standoff is in its middle.
+
+    Args:
+        scene_with: as for `knob_study`.
+        ranges: near and far limits [mm].
+        robot: as for `knob_study`.
+    """
+    asked = [
+        (
+            f"{near:g}-{far:g}",
+            _trial(
+                scene_with({"scanner": {"range_mm": [near, far]}, "plan": {"standoffs_mm": [(near + far) / 2]}}), robot
+            ),
+        )
+        for near, far in ranges
+    ]
+    return _study("range", "range [mm]", asked)
+
+
+def sensor_study(scene_with: SceneWith, names: Sequence[str], *, robot: bool) -> Study:
+    """The study of several real sensors on one part.
+
+    Args:
+        scene_with: as for `knob_study`.
+        names: of the sensor library.
+        robot: as for `knob_study`.
+    """
+    asked = [(name, _trial(scene_with({"scanner": {"sensor": name}}), robot)) for name in names]
+    return _study("sensors", "sensor", asked)
+
+
+def _trial(scene: Scene, robot: bool) -> Trial:
+    return Trial.of("views", {**scene_settings(scene), "robot": robot})
+
+
+def _study(name: str, title: str, asked: Sequence[tuple[float | str, Trial]]) -> Study:
+    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+        values = {outcome.trial: outcome.values for outcome in outcomes}
+        return [_row(title, value, values[trial]) for value, trial in asked if trial in values]
+
+    return Study(
+        name, f"Views and coverage over {title}", [trial for _, trial in asked], rows,
+        lambda rows: pictures(name, title, rows), lambda rows: sentences(title, rows),
+    )  # fmt: skip
+
+
+def _row(title: str, value: float | str, values: Mapping[str, Any]) -> Row:
+    return {
+        title: value,
+        "standoff mm": values["standoff_mm"],
+        "candidates": values["candidates"],
+        "views": values["views"],
+        "fewest views": values["lower_bound"],
+        "visible %": 100 * values["visible"],
+        "sampled %": 100 * values["sampled"],
+    }
+
+
+def best_of(rows: Sequence[Row]) -> Row:
+    """Fewest views among those that measure within half a point of the most; of equals the one that measures more."""
+    most = max(row["visible %"] for row in rows)
+    return min(
+        (row for row in rows if row["visible %"] >= most - WITHIN_POINTS),
+        key=lambda row: (row["views"], -row["visible %"]),
+    )
+
+
+def sentences(title: str, rows: Sequence[Row]) -> list[str]:
+    """What a buyer of a scanner, or whoever sets it up, needs to know."""
+    best, most = best_of(rows), max(rows, key=lambda row: row["visible %"])
+    said = [
+        f"Best {title}: **{_value(best[title])}**. {best['views']} views measure {best['visible %']:.1f} % of the "
+        f"surface (no fewer than {best['fewest views']} can), {best['sampled %']:.1f} % of it lies within 1 % of the "
+        "diagonal of a scan point."
+    ]
+    enough = most["visible %"] - 2 * WITHIN_POINTS
+    near = [row for row in rows if row["views"] <= best["views"] + 1 and row["visible %"] >= enough and row is not best]
+    if near:
+        said.append(f"Nearly as good (one view more at most): {', '.join(_value(row[title]) for row in near)}.")
+    worst = min(rows, key=lambda row: row["visible %"])
+    if worst["visible %"] < best["visible %"] - WITHIN_POINTS:
+        said.append(
+            f"Worst is {_value(worst[title])}: {worst['views']} views and {worst['visible %']:.1f} %. Views and "
+            "coverage are those of the best plan at each value, not of one plan that is used at all of them."
+        )
+    return said
+
+
+def _value(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def pictures(name: str, title: str, rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
+    """Coverage and views over the knob; the best is marked."""
+    figure = Figure(figsize=(8.0, 6.0), dpi=110, layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    named = isinstance(rows[0][title], str)
+    x = list(range(len(rows))) if named else [row[title] for row in rows]
+    best = best_of(rows)
+    at = x[[row is best for row in rows].index(True)]
+    above.plot(x, [row["visible %"] for row in rows], "o-", color="#2471a3", label="visible")
+    above.plot(
+        x, [row["sampled %"] for row in rows], "s--", color="#7d8c99", label="sampled, within 1 % of the diagonal"
+    )
+    above.set_ylabel("surface [%]")
+    below.plot(x, [row["views"] for row in rows], "o-", color="#ca6f1e", label="views")
+    below.plot(x, [row["fewest views"] for row in rows], "_", color="#111111", markersize=12, label="fewest provable")
+    below.set_ylabel("views")
+    below.yaxis.set_major_locator(MaxNLocator(integer=True))
+    below.set_ylim(bottom=0)
+    below.set_xlabel(title)
+    if named:
+        below.set_xticks(x, [row[title] for row in rows], rotation=30, ha="right")
+    for axes in (above, below):
+        axes.axvline(at, color="#1e8449", linewidth=1, linestyle=":", label=f"best: {_value(best[title])}")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    yield name, figure

@@ -1,0 +1,257 @@
+"""`cell place`: search where the part should stand: most coverage, then fewest views, then the shortest cycle.
+
+In four rounds, each with its own trials, so that a stopped search goes on where it was:
+
+1. quick looks (some 200 candidates, coverage alone) at places of a Sobol sequence over the whole range;
+2. full coverage at the best of them;
+3. a compass search about the best ones: steps along each axis that halve where nothing near is better;
+4. views and cycle time of the best places that were seen.
+
+Then it says how sure it is: the ten best and their spread, and how far the best is from where nothing is reached and
+from where a twentieth of its coverage is lost.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from cell.errors import UnreachableError
+from cell.scene.scene import Scene
+from cell.study.placed import COVERAGE_ONLY, WHOLE
+from cell.study.run import run
+from cell.study.scenes import scene_settings
+from cell.study.study import Row
+from cell.study.trial import Outcome, Trial
+from cell.study.workers import Workers
+
+Floats = NDArray[np.float64]
+
+AXES = ("x mm", "y mm", "z mm", "yaw deg")
+LOOKS, CANDIDATES = 512, 200
+"""Round 1: places that are looked at, and candidates per look."""
+FULL, CLIMBERS, FINALISTS = 24, 4, 12
+"""Places in round 2, starts of round 3, places in round 4."""
+FIRST_STEPS = (100.0, 100.0, 100.0, 30.0)
+LAST_STEPS = (12.5, 12.5, 12.5, 3.75)
+"""Steps of the compass search [mm, mm, mm, deg]."""
+POINT = 0.001
+"""Shares of the surface that differ by less count as equal."""
+_LOST = 0.95  # of the best coverage: what is below is another place
+_PROBES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)  # distances [mm] at which the surroundings are looked at
+
+Progress = Callable[[str, int, int], None]
+"""Told (round, trials done, trials in all)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Where the part may stand: first and last value of each of AXES; equal ones fix it."""
+
+    low: tuple[float, float, float, float]
+    high: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a search found.
+
+    Attributes:
+        ten: the ten best places, the best first (fewer where fewer can be reached).
+        looked: places of the quick looks and what they cover [share], for the picture.
+        lost_mm: distance from the best place at which, in some direction, a twentieth of its coverage is lost [mm];
+            infinite where it is not within the looks.
+        unreached_mm: distance at which nothing is reached any more [mm]; likewise.
+        places: how many places were looked at in each round.
+    """
+
+    ten: Sequence[Row]
+    looked: Sequence[tuple[tuple[float, ...], float]]
+    lost_mm: float
+    unreached_mm: float
+    places: Mapping[str, int]
+
+
+def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress | None = None) -> Found:
+    """Search the best place.
+
+    Args:
+        scene: part, scanner and cell; its own placement gives the turns B and C, its plan the seed and the solver.
+        where: the places that are allowed.
+        workers: who computes.
+        progress: is told of each round's trials.
+
+    Raises:
+        UnreachableError: if nothing is reached anywhere in the range.
+    """
+    low, high = np.array(where.low), np.array(where.high)
+    free = np.flatnonzero(high > low)
+    base = scene_settings(scene)
+    _, b, c = scene.placement.abc_deg
+    places: dict[str, int] = {}
+
+    def ask(name: str, points: Sequence[tuple[float, ...]], **what: Any) -> list[Mapping[str, Any]]:
+        trials = [
+            Trial.of("placement", {**base, "position_mm": p[:3], "abc_deg": (p[3], b, c), "solver": "auto", **what})
+            for p in points
+        ]
+
+        def told(done: int, total: int, outcome: Outcome) -> None:
+            if progress is not None:
+                progress(name, done, total)
+
+        places[name] = places.get(name, 0) + len(trials)
+        return [outcome.values for outcome in run(trials, workers, told=told)]
+
+    def coverage(name: str, points: Sequence[tuple[float, ...]], candidates: int | None) -> list[float]:
+        values = ask(name, points, what=COVERAGE_ONLY, candidates=candidates)
+        return [float(value.get("coverable", 0.0)) for value in values]
+
+    unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(LOOKS)
+    points = np.tile(low, (LOOKS if len(free) else 1, 1))
+    if len(free):
+        points[:, free] += unit * (high - low)[free]
+    looks = [_rounded(point) for point in points]
+    quick = coverage("quick looks", looks, CANDIDATES)
+    if not any(quick):
+        raise UnreachableError(
+            "the robot reaches nothing of the part anywhere in this range; move or widen it (--x, --y, --z, --yaw)"
+        )
+    seen: dict[tuple[float, ...], float] = {}
+
+    def look_fully(name: str, wanted: Sequence[tuple[float, ...]]) -> None:
+        new = [point for point in dict.fromkeys(wanted) if point not in seen]
+        seen.update(zip(new, coverage(name, new, None), strict=True))
+
+    best_first = sorted(range(len(looks)), key=lambda i: (-quick[i], looks[i]))
+    look_fully("full looks", [looks[i] for i in best_first[:FULL]])
+    climbers = _apart(sorted(seen, key=lambda p: (-seen[p], p)), CLIMBERS, high - low)
+    steps = [np.array(FIRST_STEPS)] * len(climbers)
+    while any((step > np.array(LAST_STEPS) / 2).all() for step in steps):
+        around = [_around(p, step, low, high, free) for p, step in zip(climbers, steps, strict=True)]
+        look_fully("search", [point for points in around for point in points])
+        for k, points_near in enumerate(around):
+            best = max(points_near, key=lambda p: (seen[p], p), default=climbers[k])
+            if seen[best] > seen[climbers[k]] + POINT / 10:
+                climbers[k] = best
+            else:
+                steps[k] = steps[k] / 2
+    finalists = sorted(seen, key=lambda p: (-round(seen[p] / POINT), p))[:FINALISTS]
+    wholes = ask("views and time", finalists, what=WHOLE, candidates=None)
+    ten = sorted(
+        (_row(point, value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
+        key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
+    )[:10]
+    lost, unreached = _surroundings(ten[0], low, high, lambda points: coverage("surroundings", points, CANDIDATES))
+    return Found(ten, list(zip(looks, quick, strict=True)), lost, unreached, places)
+
+
+def _rounded(point: Floats) -> tuple[float, ...]:
+    """To a tenth of a millimetre and of a degree: what `--place` would be given."""
+    return tuple(round(float(value), 1) + 0.0 for value in point)
+
+
+def _apart(points: Sequence[tuple[float, ...]], count: int, extent: Floats) -> list[tuple[float, ...]]:
+    """The first points that are at least a tenth of the range apart, so that not all climb the same hill."""
+    chosen: list[tuple[float, ...]] = []
+    scale = np.where(extent > 0, extent, 1.0)
+    for point in points:
+        if all(np.linalg.norm((np.array(point) - np.array(other)) / scale) > 0.1 for other in chosen):
+            chosen.append(point)
+    return chosen[:count]
+
+
+def _around(
+    point: tuple[float, ...], step: Floats, low: Floats, high: Floats, free: NDArray[np.int64]
+) -> list[tuple[float, ...]]:
+    """One step each way along each free axis, inside the range."""
+    moved = []
+    for axis in free:
+        for sign in (-1.0, 1.0):
+            other = np.array(point)
+            other[axis] = np.clip(other[axis] + sign * step[axis], low[axis], high[axis])
+            moved.append(_rounded(other))
+    return [other for other in dict.fromkeys(moved) if other != point]
+
+
+def _surroundings(
+    best: Row, low: Floats, high: Floats, coverage: Callable[[Sequence[tuple[float, ...]]], list[float]]
+) -> tuple[float, float]:
+    """Distances [mm] at which coverage is lost, and at which nothing is reached, in the nearest direction."""
+    here = tuple(best[axis] for axis in AXES)
+    directions = np.vstack([np.eye(3), -np.eye(3)])
+    points = [here] + [
+        _rounded(np.array([*(np.array(here[:3]) + distance * direction), here[3]]))
+        for direction in directions
+        for distance in _PROBES
+    ]
+    covered = np.array(coverage(points))
+    around = covered[1:].reshape(len(directions), len(_PROBES))
+    distance = np.broadcast_to(_PROBES, around.shape)
+    lost = distance[around < _LOST * covered[0]]
+    nothing = distance[around == 0.0]
+    return float(lost.min(initial=np.inf)), float(nothing.min(initial=np.inf))
+
+
+def _row(point: tuple[float, ...], values: Mapping[str, Any]) -> Row:
+    return {
+        **dict(zip(AXES, point, strict=True)),
+        "reachable %": 100 * values["reachable"],
+        "coverable %": 100 * values["coverable"],
+        "views": values["views"],
+        "fewest views": values["lower_bound"],
+        "visible %": 100 * values["visible"],
+        "cycle s": values["cycle_s"],
+    }
+
+
+def sentences(found: Found) -> list[str]:
+    """The best place, and how sure that is."""
+    from cell.study.placement import place_option
+
+    best, ten = found.ten[0], found.ten
+    time = "" if best["cycle s"] is None else f" in about {best['cycle s']:.0f} s (estimate from straight joint moves)"
+    said = [
+        f"Best place: `{place_option(best)}`. {best['views']} views (no fewer than {best['fewest views']}) measure "
+        f"{best['visible %']:.1f} % of the surface{time}."
+    ]
+    spread = [np.ptp([row[axis] for row in ten]) for axis in AXES]
+    low, high = min(row["coverable %"] for row in ten), max(row["coverable %"] for row in ten)
+    said.append(
+        f"The {len(ten)} best places cover {low:.1f} to {high:.1f} % with {min(row['views'] for row in ten)} to "
+        f"{max(row['views'] for row in ten)} views; they spread over {spread[0]:.0f} x {spread[1]:.0f} x "
+        f"{spread[2]:.0f} mm and {spread[3]:.0f} deg."
+    )
+    said.append(
+        f"{_within(found.lost_mm)} of the best a twentieth of its coverage is lost; "
+        f"{_within(found.unreached_mm).lower()} nothing can be reached any more."
+    )
+    said.append(f"Looked at {sum(found.places.values())} places; another seed looks at others.")
+    return said
+
+
+def _within(distance: float) -> str:
+    return f"Within {distance:g} mm" if np.isfinite(distance) else f"Nowhere within {_PROBES[-1]:g} mm"
+
+
+def pictures(found: Found) -> Iterator[tuple[str, Figure]]:
+    """The quick looks from above and over height and turn; the ten best are marked."""
+    points = np.array([point for point, _ in found.looked])
+    covered = 100 * np.array([share for _, share in found.looked])
+    figure = Figure(figsize=(12.0, 5.4), dpi=110, layout="constrained")
+    for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (3, 2)), strict=True):
+        image = axes.scatter(points[:, a], points[:, b], c=covered, cmap="viridis", s=18)
+        axes.scatter(
+            [row[AXES[a]] for row in found.ten], [row[AXES[b]] for row in found.ten], facecolors="none",
+            edgecolors="#b03a2e", s=70, label="ten best",
+        )  # fmt: skip
+        axes.plot(found.ten[0][AXES[a]], found.ten[0][AXES[b]], "*", color="#b03a2e", markersize=14, label="best")
+        axes.set_xlabel(f"{AXES[a].replace(' ', ' [')}]")
+        axes.set_ylabel(f"{AXES[b].replace(' ', ' [')}]")
+        axes.legend(loc="upper right", fontsize=8)
+    figure.colorbar(image, ax=figure.axes, label="surface measured at best, quick look [%]", shrink=0.9)
+    yield "places", figure

@@ -1,0 +1,88 @@
+"""One placement of the part: what the robot reaches there, what that measures, how many views and how long they take.
+
+The trial of placement maps and of the search for the best placement. Coverage is that of the matrix's samples, with
+post, floor and fixtures in the way; views are greedy with their lower bound; the cycle time is an estimate from
+straight joint moves, which ignores what the arm has to go round.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cell.rays.occluders import caster_of, occluder_triangles
+from cell.robot.frames import pose_from_kuka_abc
+from cell.study.bench import Bench
+from cell.study.scenes import bench_of
+from planner import cover, coverage, measurability, reach
+from planner.columns import pick_measurability, pick_viewpoints
+from planner.measurability import Measurability
+from planner.order import sequence
+from planner.timing import scaled
+from planner.viewpoints import Viewpoints
+
+COVERAGE_ONLY, WHOLE = "coverage", "whole"
+
+_SUBSET = 5  # stream of randomness of the candidates that a quick look is taken at
+
+
+def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A placement's numbers.
+
+    Args:
+        settings: scene and files (`cell.study.scenes`), position_mm (3), abc_deg (3), what ("coverage" or "whole"),
+            solver of the views, and candidates (number of them that are looked at, drawn once by the scene's seed;
+            null: all).
+
+    Returns:
+        reachable (share of the candidates), coverable (share of the surface), and where the whole is asked for views,
+        lower_bound, visible (share of the surface, held-out samples) and cycle_s (null where a view has no move).
+    """
+    bench = bench_of(settings)
+    world = bench.world
+    T_base_object = world.placed(
+        pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
+    )
+    candidates, M = _some(bench, settings.get("candidates"))
+    checker = bench.checker(T_base_object)
+    if not checker.free(world.home[None])[0]:
+        return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
+    reached = reach.solve(candidates, T_base_object, world.T_flange_scanner, bench.kinematics, checker)
+    allowed = reached.reachable
+    values: dict[str, Any] = {"reachable": float(allowed.mean()), "coverable": 0.0, "home_free": True}
+    which = np.flatnonzero(allowed)
+    if not len(which):
+        return values
+    in_the_way = caster_of(occluder_triangles(world, T_base_object))
+    M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
+    M = measurability.occlude(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
+    measured = np.diff(M.indptr) > 0
+    values["coverable"] = float(M.features.areas[measured].sum() / M.features.areas.sum())
+    if settings["what"] == COVERAGE_ONLY or not measured.any():
+        return values
+    rng = np.random.default_rng(bench.scene.plan.seed)
+    share, solver = bench.scene.plan.coverage, settings["solver"]
+    found = cover.solve(M.matrix(), M.features.areas, rng=rng, coverage=share, solver=solver)
+    poses = candidates.T_object_scanner[which[found.views]]
+    configurations = [reached.q_of(int(which[view])) for view in found.views]
+    limits = scaled(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
+    tour = sequence(
+        configurations, world.home, limits, T_base_scanner=T_base_object @ poses[:, 0], rng=rng, bound_work=0
+    )
+    return {
+        **values,
+        "views": len(found.views),
+        "lower_bound": found.lower_bound,
+        "visible": coverage.visible(poses, bench.samples, bench.scanner, (bench.caster, in_the_way)).fraction,
+        "cycle_s": tour.duration if np.isfinite(tour.duration) else None,
+    }
+
+
+def _some(bench: Bench, count: int | None) -> tuple[Viewpoints, Measurability]:
+    """All candidates, or a number of them for a quick look; the same ones at every placement."""
+    M = bench.matrix("aimed", bench.zone)
+    if count is None or count >= len(bench.zone):
+        return bench.zone, M
+    rng = np.random.default_rng([bench.scene.plan.seed, _SUBSET])
+    which = np.sort(rng.choice(len(bench.zone), count, replace=False))
+    return pick_viewpoints(bench.zone, which), pick_measurability(M, which)

@@ -1,0 +1,147 @@
+"""`cell study placement`: a map of where the part can stand (the paper's Table 5 and Fig. 7, on a grid).
+
+Four heat maps over the positions: candidates that the robot reaches, surface that they measure, views, and the cycle
+time estimated from straight joint moves. One set of maps for each height and turn.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from cell.scene.scene import Scene
+from cell.study.placed import WHOLE
+from cell.study.scenes import scene_settings
+from cell.study.study import Row, Study
+from cell.study.trial import Outcome, Trial
+
+REACH_MM = 1611.0
+"""Of the wrist centre from the A2 axis, KUKA's data sheet; the circle about the base on the maps has this radius."""
+
+_MAPS = (
+    ("reachable %", "candidates reached [%]", "viridis"),
+    ("coverable %", "surface measured at best [%]", "viridis"),
+    ("views", "views (greedy)", "magma_r"),
+    ("cycle s", "cycle time, estimate from straight moves [s]", "magma_r"),
+)
+
+
+def placement_study(
+    scene: Scene, x: Sequence[float], y: Sequence[float], z: Sequence[float], yaw: Sequence[float]
+) -> Study:
+    """The study of a grid of placements.
+
+    Args:
+        scene: part, scanner and cell; its own placement gives the turns B and C.
+        x: positions of the part's centre [mm].
+        y: the same [mm].
+        z: the same [mm].
+        yaw: turns A about the vertical [deg].
+    """
+    base = scene_settings(scene)
+    _, b, c = scene.placement.abc_deg
+    grid = [
+        (
+            place,
+            Trial.of(
+                "placement",
+                {**base, "position_mm": place[:3], "abc_deg": (place[3], b, c), "what": WHOLE, "solver": "greedy",
+                 "candidates": None},
+            ),
+        )
+        for place in product(x, y, z, yaw)
+    ]  # fmt: skip
+
+    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+        values = {outcome.trial: outcome.values for outcome in outcomes}
+        return [_row(place, values[trial]) for place, trial in grid if trial in values]
+
+    name = scene.part.name if scene.part.path is None else "the part"
+    return Study(
+        "placement", f"Where {name} can stand: {len(grid)} placements", [trial for _, trial in grid], rows, pictures,
+        sentences,
+    )  # fmt: skip
+
+
+def _row(place: tuple[float, ...], values: Any) -> Row:
+    return {
+        "x mm": place[0],
+        "y mm": place[1],
+        "z mm": place[2],
+        "yaw deg": place[3],
+        "reachable %": 100 * values["reachable"],
+        "coverable %": 100 * values["coverable"],
+        "views": values.get("views"),
+        "fewest views": values.get("lower_bound"),
+        "visible %": None if "visible" not in values else 100 * values["visible"],
+        "cycle s": values.get("cycle_s"),
+        "home free": values["home_free"],
+    }
+
+
+def best_of(rows: Sequence[Row]) -> Row:
+    """Most coverage (to a tenth of a point), then fewest views, then the shortest cycle."""
+    return min(
+        rows, key=lambda row: (-round(row["coverable %"], 1), row["views"] or math.inf, row["cycle s"] or math.inf)
+    )
+
+
+def place_option(row: Row) -> str:
+    """The option that puts the part there."""
+    turned = f",{row['yaw deg']:g},0,0" if row["yaw deg"] else ""
+    return f"--place {row['x mm']:g},{row['y mm']:g},{row['z mm']:g}{turned}"
+
+
+def sentences(rows: Sequence[Row]) -> list[str]:
+    """Where it is best, and how much of the map is empty."""
+    best = best_of(rows)
+    if not best["coverable %"]:
+        return ["Nothing is measured at any of these placements; move the range nearer to the robot."]
+    time = "" if best["cycle s"] is None else f" in about {best['cycle s']:.0f} s (estimate from straight joint moves)"
+    without = sum(not row["reachable %"] for row in rows)
+    return [
+        f"Best of these placements is `{place_option(best)}`: the robot reaches {best['reachable %']:.0f} % of the "
+        f"candidates, which measure {best['coverable %']:.1f} % of the surface; {best['views']} views do it (greedy; "
+        f"no fewer than {best['fewest views']}){time}.",
+        f"At {without} of {len(rows)} placements nothing can be reached.",
+    ]
+
+
+def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
+    """One set of four maps for each height and turn."""
+    for z, yaw in dict.fromkeys((row["z mm"], row["yaw deg"]) for row in rows):
+        yield (
+            f"map_z{z:g}_yaw{yaw:g}",
+            _picture([row for row in rows if (row["z mm"], row["yaw deg"]) == (z, yaw)], z, yaw, best_of(rows)),
+        )
+
+
+def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row) -> Figure:
+    x, y = (np.array(sorted({row[axis] for row in rows})) for axis in ("x mm", "y mm"))
+    figure = Figure(figsize=(12.0, 10.0), dpi=100, layout="constrained")
+    for axes, (column, title, colours) in zip(figure.subplots(2, 2).flat, _MAPS, strict=True):
+        values = np.full((len(y), len(x)), np.nan)
+        for row in rows:
+            if row[column] is not None:
+                values[np.searchsorted(y, row["y mm"]), np.searchsorted(x, row["x mm"])] = row[column]
+        image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), cmap=colours, shading="nearest")
+        figure.colorbar(image, ax=axes, shrink=0.9)
+        axes.set_facecolor("#dddddd")  # where there is no number: nothing reached, or no move
+        axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color="#b03a2e"))
+        if (best["z mm"], best["yaw deg"]) == (z, yaw):
+            axes.plot(best["x mm"], best["y mm"], marker="*", color="white", markeredgecolor="black", markersize=15)
+        axes.set_title(title, fontsize=10)
+        axes.set_xlabel("x of the part's centre, base frame [mm]")
+        axes.set_ylabel("y [mm]")
+        axes.set_aspect("equal")
+        axes.autoscale_view()
+        axes.set_xlim(x[0] - 60, x[-1] + 60)
+        axes.set_ylim(y[0] - 60, y[-1] + 60)
+    figure.suptitle(
+        f"z = {z:g} mm, yaw = {yaw:g} deg; star: best of all; dashed: reach of the wrist from the base axis"
+    )
+    return figure
