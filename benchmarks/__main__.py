@@ -27,6 +27,8 @@ REGISTRY = {
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked legs against float64 brute force; the matrix at 10,000 x 10,000; what Embree's share is",
     "cover": "view selection: seconds, views, lower bound, gap per solver",
+    "singularities": "beside the singularities: joint speed for 100 mm/s at the tool, residual of the IK",
+    "edge_resolution": "what a fixed step along a move misses, beside certification: time, misses, false refusals",
     "paths": "paths around obstacles on seeded scenes: found, checks and time beside ompl",
     "motion_recheck": "final motions of seeded scenes, judged by triangles every millisecond and by their differences",
     "motion": "order and path: cycle time over the Christofides baseline",
@@ -36,6 +38,9 @@ REGISTRY = {
     "table5": "the paper's Table 5 on the built-in Mseke",
     "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",
     "sigma": "the model of a point's standard deviation beside observed scatter; what its layer costs",
+    "soak": "2,000 moves over each wire with 1 % of every fault: what the controller's journal says of them",
+    "fuzz": "mangled frames and telegrams against the codecs: crashes and false accepts",
+    "wire": "round trip of a state and of a command on loopback, beyond wire time: median and p99",
 }
 
 app = typer.Typer(add_completion=False)

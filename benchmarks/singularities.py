@@ -1,0 +1,113 @@
+"""Beside the singularities: joint speed that 100 mm/s at the tool needs, and what is left of the inverse kinematics.
+
+Three singularities, each approached along one joint: the wrist straight (A5 towards 0), the arm stretched (A3) and the
+wrist centre over A1 (A3 as well). At each distance the tool, 120 mm beyond the flange, moves at 100 mm/s in its worst
+direction without turning; the share of an axis' speed limit is of the axis that needs most. The residual is of the
+branch that the pose came from: its pose through forward kinematics, and its joint angles.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cell.robot.kinematics import Kr16Kinematics
+
+Floats = NDArray[np.float64]
+
+_TOOL, _SPEED = 0.12, 0.1  # m, m/s
+_DISTANCES = 10.0 ** np.arange(-12.0, 0.01, 0.25)
+_STEP = 1e-6  # rad, of the central differences: their error is 1e-10
+
+
+def run() -> list[dict[str, Any]]:
+    """A row for each singularity and decade of distance."""
+    kinematics = Kr16Kinematics.load()
+    rows = []
+    for name, (q, joint) in _singular(kinematics).items():
+        for distance in _DISTANCES:
+            beside = q.copy()
+            beside[joint] += distance
+            rows.append({"singularity": name, "distance rad": float(distance)} | _beside(kinematics, beside))
+    return rows
+
+
+def _singular(kinematics: Kr16Kinematics) -> dict[str, tuple[Floats, int]]:
+    """Singular configurations [rad], and the joint along which they are left."""
+    arm = kinematics.arm
+    stretched = -np.arctan2(-arm.a3, arm.d4)
+    a2 = np.radians(-120.0)
+
+    def over_a1(a3: float) -> float:  # distance of the wrist centre from the A1 axis [m]
+        return float(arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(a2 + a3) + arm.a3 * np.sin(a2 + a3))
+
+    above = brentq(over_a1, np.radians(20), np.radians(50), xtol=1e-15)
+    return {
+        "wrist straight": (np.radians([20.0, -80, 100, 40, 0, -10]), 4),
+        "arm stretched": (np.array([0.0, np.radians(-45), stretched, 0, np.radians(40), 0]), 2),
+        "wrist centre over A1": (np.array([0.3, a2, above, 0, np.radians(60), 0]), 2),
+    }
+
+
+def _beside(kinematics: Kr16Kinematics, q: Floats) -> dict[str, float]:
+    jacobian = _jacobian(kinematics, q)
+    needed = _SPEED * np.linalg.norm(np.linalg.inv(jacobian)[:, :3], axis=1)
+    share = needed / kinematics.limits.velocity
+    T = kinematics.forward(q[None])
+    branches = kinematics.inverse(T)[0]
+    branches = branches[~np.isnan(branches[:, 0])]
+    off = np.abs((branches - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+    back = kinematics.forward(branches)
+    return {
+        "speed of the limit": float(share.max()),
+        "axis": int(share.argmax()) + 1,
+        "deg/s": float(np.degrees(needed[share.argmax()])),
+        "pose residual m": float(np.abs(back - T)[off.argmin()].max()),
+        "joint residual rad": float(off.min()),
+    }
+
+
+def _jacobian(kinematics: Kr16Kinematics, q: Floats) -> Floats:
+    """(6, 6) velocity of the tool [m/s] and angular velocity [rad/s], base frame, per joint speed [rad/s]."""
+    nudges = _STEP * np.eye(6)
+    ahead, behind = kinematics.forward(q + nudges), kinematics.forward(q - nudges)
+    here = kinematics.forward(q[None])[0]
+    linear = ((ahead - behind)[:, :3, 3] + _TOOL * (ahead - behind)[:, :3, 2]) / (2 * _STEP)
+    spin = (ahead - behind)[:, :3, :3] @ here[:3, :3].T / (2 * _STEP)
+    angular = 0.5 * np.stack(
+        [spin[:, 2, 1] - spin[:, 1, 2], spin[:, 0, 2] - spin[:, 2, 0], spin[:, 1, 0] - spin[:, 0, 1]], axis=1
+    )
+    return np.concatenate([linear, angular], axis=1).T
+
+
+def chart(rows: list[dict[str, Any]], folder: Any) -> None:
+    """Joint speed and residuals over the distance, one line a singularity."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5))
+    for colour, name in enumerate(dict.fromkeys(row["singularity"] for row in rows)):
+        points = [row for row in rows if row["singularity"] == name]
+        distance = [row["distance rad"] for row in points]
+        near = [row for row in points if row["distance rad"] >= 1e-5]  # nearer the differences lose their digits
+        left.plot([r["distance rad"] for r in near], [r["speed of the limit"] for r in near], f"C{colour}", label=name)
+        residuals = [max(row["pose residual m"], 1e-17) for row in points]
+        right.plot(distance, residuals, f"C{colour}", label=f"{name}: pose [m]")
+        joints = [max(row["joint residual rad"], 1e-17) for row in points]
+        right.plot(distance, joints, f"C{colour}--", label=f"{name}: joints [rad]")
+    left.axhline(1.0, color="k", lw=0.8)
+    left.text(1.2e-5, 1.15, "speed limit of the axis", fontsize=8)
+    left.set(
+        xscale="log", yscale="log", xlabel="distance from the singularity [rad]",
+        ylabel="joint speed for 100 mm/s at the tool / limit",
+    )  # fmt: skip
+    right.set(xscale="log", yscale="log", xlabel="distance from the singularity [rad]", ylabel="residual of the IK")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(folder / "singularities.png", dpi=150)
+    plt.close(figure)
