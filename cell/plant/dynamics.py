@@ -48,13 +48,15 @@ class Drives:
             object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
 
 
-def drives() -> Drives:
-    """Those of `models/kr16.xml`.
+def drives(spec: mujoco.MjSpec) -> Drives:
+    """Those of the robot's model file.
+
+    Args:
+        spec: of `models/kr16.xml`.
 
     Raises:
         FileError: if the file lacks one of the four <numeric>s.
     """
-    spec = robot.spec()
     return Drives(
         rotor_inertia=_numbers(spec, "axis_rotor_inertia_kg_m2"),
         torque_limit=_numbers(spec, "axis_torque_limit_Nm"),
@@ -92,7 +94,8 @@ def arm(
     """
     import mujoco
 
-    spec, drive = robot.spec(), drives()
+    spec = robot.spec()
+    drive = drives(spec)
     for element in [*spec.excludes, *spec.geoms]:
         spec.delete(element)
     flange, last = robot.load().site(robot.FLANGE), spec.body("link_6")
@@ -114,7 +117,7 @@ def arm(
     spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     # What went wrong has to be seen, not replaced by a fresh state.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # MuJoCo 4.0.0 has a bug in its sparse Cholesky
     model = spec.compile()
     if mass_scale != 1.0:
         model.body_mass[:] *= mass_scale
