@@ -12,6 +12,7 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     SpinnerColumn,
+    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
@@ -72,6 +73,32 @@ class Narrator:
         ) as progress:
             task = progress.add_task(name, total=None)
             yield lambda done, total: progress.update(task, completed=done, total=total)
+
+    @contextmanager
+    def rounds(self) -> Iterator[Callable[[str, int, int], None]]:
+        """Show work in rounds that are not known beforehand, a bar each.
+
+        Yields:
+            a callback `(round, done, total)`.
+        """
+        with Progress(
+            TextColumn("{task.description:<28}"),
+            BarColumn(bar_width=30),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            console=self._errors,
+            transient=True,
+            disable=not self._errors.is_terminal,
+        ) as progress:
+            bars: dict[str, TaskID] = {}
+
+            def told(name: str, done: int, total: int) -> None:
+                if name not in bars:
+                    log.info("round: %s", name)
+                    bars[name] = progress.add_task(name, total=total)
+                progress.update(bars[name], completed=done, total=total)
+
+            yield told
 
     def note(self, sentence: str) -> None:
         """Say something that the user should know although the work goes on."""

@@ -98,8 +98,7 @@ def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narra
     Raises:
         FileError: if the folder holds something else or cannot be written.
     """
-    folder = Path("sim_runs") / f"study-{study.name}" if out is None else out
-    _refuse_foreign(folder)
+    folder = study_folder(study.name, out)
     with narrator.stage(study.title, time_left=True) as progress:
 
         def told(done: int, total: int, outcome: Outcome) -> None:
@@ -117,22 +116,46 @@ def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narra
         sum(not outcome.cached for outcome in outcomes),
         study.shown or list(dict.fromkeys(key for row in rows for key in row)),
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write(folder / "rows.csv", _csv(rows))
-        _write(folder / "seconds.csv", _csv([{"trial": o.trial.settings, **o.seconds} for o in outcomes]))
-        content = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
-        _write(folder / "study.json", json.dumps({**content, "name": study.name}, indent=2, allow_nan=False) + "\n")
-        drawn = [_draw(folder, stem, figure) for stem, figure in study.pictures(rows)] if rows else []
-        _write(folder / "report.md", _report(study, result, drawn))
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
+    seconds = [{"trial": outcome.trial.settings, **outcome.seconds} for outcome in outcomes]
+    write_folder(study.name, study.title, result, study.pictures(rows) if rows else (), seconds)
     return result
 
 
-def _refuse_foreign(folder: Path) -> None:
+def study_folder(name: str, out: Path | None) -> Path:
+    """Where a study of this name leaves its files.
+
+    Raises:
+        FileError: if the folder is there and holds something else.
+    """
+    folder = Path("sim_runs") / f"study-{name}" if out is None else out
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / "study.json").is_file())):
         raise FileError(f"{folder} exists and is no study's folder; choose another --out")
+    return folder
+
+
+def write_folder(
+    name: str,
+    title: str,
+    result: StudyResult,
+    pictures: Iterable[tuple[str, Figure]],
+    seconds: Sequence[Mapping[str, Any]],
+) -> None:
+    """Write the files of a study; the module's docstring lists them.
+
+    Raises:
+        FileError: if they cannot be written.
+    """
+    folder = result.folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(folder / "rows.csv", _csv(result.rows))
+        _write(folder / "seconds.csv", _csv(seconds))
+        content = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
+        _write(folder / "study.json", json.dumps({**content, "name": name}, indent=2, allow_nan=False) + "\n")
+        drawn = [_draw(folder, stem, figure) for stem, figure in pictures]
+        _write(folder / "report.md", _report(title, result, drawn))
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -160,8 +183,8 @@ def _draw(folder: Path, stem: str, figure: Figure) -> str:
     return f"{stem}.png"
 
 
-def _report(study: Study, result: StudyResult, pictures: Sequence[str]) -> str:
-    lines = [f"# {study.title}", ""]
+def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
+    lines = [f"# {title}", ""]
     for sentence in result.sentences:
         lines += [sentence, ""]
     lines += [line for name in pictures for line in (f"![{Path(name).stem}]({name})", "")]
