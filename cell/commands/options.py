@@ -10,6 +10,7 @@ from typing import Any
 from cell.errors import FileError, SceneError, UsageError
 
 _OPTION_OF_KEY = {
+    "robot.speed_scaling": "--speed",
     "part.path": "the part",
     "part.name": "the part",
     "part.units": "--units",

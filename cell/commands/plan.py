@@ -114,6 +114,10 @@ def plan(
             rich_help_panel=_VIEWS,
         ),
     ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Override: share of the axis speeds, above 0 to 1.", rich_help_panel=_VIEWS),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random choice.", rich_help_panel=_VIEWS)] = None,
     out: Annotated[
         Path | None,
@@ -158,6 +162,8 @@ def plan(
         "seed": seed,
     }
     tables["plan"] = {key: value for key, value in given.items() if value is not None}
+    if speed is not None:
+        tables["robot"] = {"speed_scaling": speed}
     tables["scanner"] = {k: v for k, v in {"sensor": sensor, "baseline_mm": baseline}.items() if v is not None}
     narrator = Narrator(quiet_stdout=as_json)
     with options.named_as_options(tables):
