@@ -7,6 +7,9 @@ leave of the view.
 Less than full coverage is a promise about the surface, so it is kept on samples that the optimiser has not seen: where
 the cover falls short of it there, its target on the matrix is raised. The views are ordered and connected; a view to
 which no path is found is banned and the cover is solved again without it, until every view of the plan is connected.
+
+Before that, views are exchanged for others that measure as much and make the motion shorter (view_exchange.py beside);
+views that sweep are not: where their motion ends is not where it begins.
 """
 
 from dataclasses import dataclass
@@ -16,6 +19,7 @@ from numpy.typing import NDArray
 
 from cell.commands.narrator import ProgressCallback
 from cell.errors import SceneError, UnreachableError
+from cell.plan import view_exchange
 from cell.rays.prediction import Prediction
 from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from cell.world.world import World
@@ -150,18 +154,35 @@ def select_and_connect(
                 + (f" ({why})" if why else "")
                 + "; change the placement, the standoff or the fixtures"
             )
-        configurations = [arm.configurations(int(view)) for view in chosen.views]
         if at_rest:  # a first look, before a motion is planned for nothing
-            stale = arm.look(chosen.views, np.stack([q[0] for q in configurations])) is Look.LESS_MEASURED
+            first = np.stack([arm.configurations(int(view))[0] for view in chosen.views])
+            stale = arm.look(chosen.views, first) is Look.LESS_MEASURED
             if stale:
                 continue
-            configurations = [arm.configurations(int(view)) for view in chosen.views]
+        usable = np.asarray(reached.reachable).copy()
+        usable[list(banned)] = False
+        groups = (
+            view_exchange.groups(
+                arm,
+                chosen,
+                usable,
+                candidates,
+                prediction,
+                world.home,
+                limits,
+                coverage=coverage,
+                target=target,
+                rng=motion_rng,
+            )
+            if at_rest
+            else view_exchange.alone(arm, chosen.views)
+        )
         motion = tour.plan_motion(
-            configurations,
+            groups.configurations,
             world.home,
             checker,
             limits,
-            world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
+            world.T_base_object @ candidates.T_object_scanner[groups.views, 0],
             motion_rng,
             progress=progress,
             T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
@@ -173,15 +194,18 @@ def select_and_connect(
             )
         for lost in motion.dropped:
             blocker = f" ({lost.blocker})" if lost.blocker else ""
-            banned[int(chosen.views[lost.view])] = lost.reason.sentence + blocker
+            for view in groups.members[lost.view].tolist():
+                banned[view] = lost.reason.sentence + blocker
         if motion.dropped:
             stale = True
             continue
-        stops = chosen.views[motion.order]
+        picks = groups.picked(motion)
+        stops = picks[motion.order]
         shade = arm.look(stops, motion.q) if at_rest else Look.CLEAR
         if shade is Look.CLEAR:
             break
         stale = shade is Look.LESS_MEASURED
+    chosen, motion = view_exchange.settled(chosen, arm.M, motion, picks)
     T_base_flange = kinematics.forward(motion.q)
     T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
     T_object_poses = (
