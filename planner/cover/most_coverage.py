@@ -19,7 +19,7 @@ from planner.cover.answer import told
 from planner.cover.area_bound import AreaBounds, area_bounds
 from planner.cover.area_search import AreaSearch
 from planner.cover.budget import Budget
-from planner.cover.exact import NODE_WORK, ROOT_NODES
+from planner.cover.interrupts import interruptible
 from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import CoverProblem, Ints
 from planner.cover.selection import Cover
@@ -33,6 +33,9 @@ SAME = 1e-6
 
 MOST_WORK = 1_500_000_000
 """Default budget: two to three seconds."""
+
+NODE_WORK, ROOT_NODES = 1000, 100
+"""Charge of a node of HiGHS for each one of the matrix; the root with its cuts and heuristics counts as many."""
 
 _STEPS, _STEPS_BETWEEN = 20_000, 20  # swaps at the number of views that is wanted, and at those on the way
 _PAST = 3  # views beyond the number wanted; coming back from there finds what growing alone does not
@@ -194,12 +197,9 @@ def close_gap(
     options: Any = {"node_limit": int(min(nodes, 2**31 - 1)), "mip_rel_gap": 0.0}
     if budget.seconds_left is not None:
         options["time_limit"] = budget.seconds_left
-    result = milp(
-        costs,
-        integrality=np.repeat((1, 0), (n_columns, n_rows)),
-        bounds=Bounds(0, 1),
-        constraints=constraints,
-        options=options,
+    integrality = np.repeat((1, 0), (n_columns, n_rows))
+    result = interruptible(
+        lambda: milp(costs, integrality=integrality, bounds=Bounds(0, 1), constraints=constraints, options=options)
     )
     budget.spend(NODE_WORK * M.nnz * (ROOT_NODES + int(getattr(result, "mip_node_count", None) or 0)))
     if result.status == 2:  # nothing better by more than what counts as equal

@@ -59,14 +59,20 @@ class Prepared:
 
 
 def prepare(
-    M: Any, areas: ArrayLike, allowed: ArrayLike | None, pinned: Iterable[int], banned: Iterable[int]
+    M: Any,
+    areas: ArrayLike,
+    allowed: ArrayLike | None,
+    pinned: Iterable[int],
+    banned: Iterable[int],
+    *,
+    coverage: float = 1.0,
 ) -> Prepared:
     """Check the input and take the pinned columns.
 
     Raises:
         PlannerError: for input that `planner.cover.problem.candidates` refuses, or a pinned column that is not allowed.
     """
-    found = candidates(M, areas, allowed, banned=banned)
+    found = candidates(M, areas, allowed, coverage=coverage, banned=banned)
     n_columns = np.shape(M)[1]
     fixed = column_indices("pinned", pinned, n_columns)
     usable = np.ones(n_columns, dtype=bool) if allowed is None else np.array(allowed)
