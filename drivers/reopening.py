@@ -54,7 +54,7 @@ class ReopeningLink(ABC):
 
     def open(self) -> Capabilities:
         """Open the line and greet the controller."""
-        return self._reopen()
+        return self._reopen(self._patience.tries)
 
     def close(self) -> None:
         """Give the line back."""
@@ -76,15 +76,22 @@ class ReopeningLink(ABC):
         return state
 
     def _again(self, ask: Callable[[], T]) -> T:
-        """Ask what is harmless to ask several times, on a line that is opened again if need be."""
-        failure = LinkError("nothing was asked")
-        for _ in range(self._patience.tries):
+        """Ask what is harmless to ask several times, on a line that is opened again if need be.
+
+        It gives up after `tries`, but not before the watchdog's time: earlier, a moving arm has not been stopped by
+        the controller's own watchdog, and what became of its move may still be learned.
+        """
+        began, asked = self._clock.now(), 0
+        while True:
             try:
                 self._require_open()
                 return ask()
             except LinkError as error:
-                failure = error
-        raise failure
+                asked += 1
+                if asked >= self._patience.tries and self._clock.now() - began >= self._patience.watchdog:
+                    raise
+                if isinstance(error, LinkLostError):
+                    self._clock.wait(self._patience.poll)
 
     def _require_open(self) -> None:
         if self._is_open:
@@ -92,15 +99,15 @@ class ReopeningLink(ABC):
         if self._capabilities is None:
             raise NotConnectedError(f"{self._line.name} is not open; connect() first")
         before = self._capabilities
-        if not alike(before, self._reopen()):
+        if not alike(before, self._reopen(1)):
             self._drop()
             self._capabilities = before
             raise ProtocolError(f"the controller at {self._line.name} has other limits than before the line was lost")
 
-    def _reopen(self) -> Capabilities:
+    def _reopen(self, tries: int) -> Capabilities:
         self._drop()
         failure = LinkError("nothing was asked")
-        for _ in range(self._patience.tries):
+        for _ in range(tries):
             try:
                 self._line.open()
                 self._capabilities = self._greet()

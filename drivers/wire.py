@@ -101,7 +101,7 @@ class Patience:
 
     Attributes:
         answer: longest time from a question to its answer [s], without the time of the bytes on the wire.
-        tries: how often the state is asked for before it counts as unreadable.
+        tries: how often the state is asked for, at least, before it counts as unreadable.
         watchdog: silence [s] after which either side takes the other for gone.
         poll: time [s] between two questions for the state of a moving arm.
     """

@@ -1,0 +1,187 @@
+"""Mangled frames and telegrams against the codecs: none may crash them, and none may pass for what was not sent.
+
+Good frames are made from random values, then mangled as wires mangle: bits flipped, bytes lost, doubled, swapped or put
+in, a burst, a cut, two frames run into each other, digits changed one for another. What decodes although it is not one
+of the good frames that went into it is a *false accept*. Of the frames of the serial line and of the blocks of the
+register map a CRC-32 is to find it, of RTU telegrams a CRC-16 is the first and the block's CRC-32 the second guard; a
+TCP telegram has only the second.
+
+`FUZZ_FRAMES` in the environment changes the 1,000,000 frames.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from drivers import modbus_adu as adu
+from drivers import register_map as registers
+from drivers import serial_messages as messages
+from drivers.commands import Answer, Move, Reset, Stop
+from drivers.contract import Mode, RobotState
+from drivers.errors import ProtocolError
+from drivers.frames import decode, encode, split
+from drivers.wire import Stage, pieces
+
+GOOD = 500
+"""Different good frames of each form, each mangled many times."""
+
+Decoder = Callable[[bytes], "set[bytes]"]
+"""Bytes to what was accepted in them, in its one spelling."""
+
+
+def mangled(good: bytes, other: bytes, rng: np.random.Generator) -> bytes:
+    """One frame after a bad wire."""
+    data, n = bytearray(good), len(good)
+    at = int(rng.integers(n))
+    match int(rng.integers(9)):
+        case 0:
+            for _ in range(int(rng.integers(1, 9))):
+                data[int(rng.integers(n))] ^= 1 << int(rng.integers(8))
+        case 1:
+            del data[at : at + int(rng.integers(1, 6))]
+        case 2:
+            data[at:at] = data[at : at + int(rng.integers(1, 6))]
+        case 3:
+            data[at:at] = rng.integers(0, 256, int(rng.integers(1, 6)), dtype=np.uint8).tobytes()
+        case 4:
+            burst = rng.integers(0, 256, int(rng.integers(1, 12)), dtype=np.uint8).tobytes()
+            data[at : at + len(burst)] = burst
+        case 5:
+            data = data[:at]
+        case 6:
+            data = data[:at] + bytearray(other[int(rng.integers(len(other))) :])
+        case 7:
+            there = int(rng.integers(n))
+            data[at], data[there] = data[there], data[at]
+        case _:
+            for _ in range(int(rng.integers(1, 4))):
+                data[int(rng.integers(n))] = int(rng.choice(list(b"0123456789ABCDEF,*-<>")))
+    return bytes(data)
+
+
+def serial_frames(rng: np.random.Generator) -> list[bytes]:
+    """Good frames of all kinds."""
+    made = []
+    for k in range(GOOD):
+        points = rng.integers(-(2**31), 2**31, (int(rng.integers(1, 13)), 6)).astype(np.int32)
+        axes, number = points[0], int(rng.integers(65536))
+        state = RobotState(Mode(k % 5), axes, bool(k % 2), number, 0, number, 20, 1, 4001, "a fault", 1)
+        frames = (
+            messages.request_frame(number, messages.Hello()),
+            messages.request_frame(number, messages.Beat(1000)),
+            messages.request_frame(number, Stage(number, points)),
+            messages.request_frame(number, pieces(Move(points, 0.5), 12)[1]),
+            messages.request_frame(number, Stop() if k % 2 else Reset()),
+            messages.status_frame(number, messages.Status(number, state)),
+            messages.answer_frame("MOVE", Answer(number, 3, "via point 0 has A1 at 185.0001 deg")),
+        )
+        made.append(encode(frames[k % len(frames)]))
+    return made
+
+
+def accepted_frames(data: bytes) -> set[bytes]:
+    """What the serial line's receivers take, all the way to its meaning."""
+    found = set()
+    for candidate in split(data)[0]:
+        frame = decode(candidate)
+        if frame is None:
+            continue
+        found.add(encode(frame))
+        messages.request_of(frame)
+        messages.status_of(frame)
+        messages.answer_of(frame, frame.kind)
+        messages.hello_of(frame)
+    return found
+
+
+def command_blocks(rng: np.random.Generator) -> list[list[int]]:
+    """Good command blocks."""
+    made = []
+    for k in range(GOOD):
+        points = rng.integers(-(2**31), 2**31, (k % 10, 6))
+        values: dict[str, registers.Value] = {
+            "heartbeat": k, "sequence": int(rng.integers(1, 65536)), "command": (0, 1, 2, 4, 9)[k % 5],
+            "watchdog_ms": 1000, "speed": int(rng.integers(1, 10001)), "points": len(points), "offset": k,
+            "count": k, "points_crc": int(rng.integers(2**32)),
+        }  # fmt: skip
+        made.append(registers.COMMAND.encode(values, points.ravel().tolist()))
+    return made
+
+
+def telegrams(rng: np.random.Generator, transaction: int | None) -> list[bytes]:
+    """Good FC16 telegrams, TCP or RTU."""
+    made = []
+    for block in command_blocks(rng):
+        pdu = struct.pack(f">BHHB{len(block)}H", 16, 0, len(block), 2 * len(block), *block)
+        made.append(adu.pack(adu.Header(1, transaction), pdu))
+    return made
+
+
+def accepted_blocks(data: bytes, rtu: bool) -> set[bytes]:
+    """Command blocks that a controller would take from these bytes."""
+    cut = adu.split_rtu(data) if rtu else adu.split_tcp(data)
+    found = set()
+    for packet in cut[0] if cut else []:
+        unpacked = adu.unpack_rtu(packet) if rtu else adu.unpack_tcp(packet)
+        request = adu.request_of(unpacked[1]) if unpacked else None
+        if not isinstance(request, adu.Write) or request.address != registers.COMMAND.address:
+            continue
+        try:
+            values, points = registers.COMMAND.decode(request.values)
+        except ProtocolError:
+            continue
+        found.add(struct.pack(f">{len(request.values)}H", *registers.COMMAND.encode(values, points)))
+    return found
+
+
+def fuzz(good: list[bytes], accept: Decoder, frames: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Mangle, decode and count.
+
+    Args:
+        good: frames that are accepted as they are.
+        accept: what a receiver takes from bytes.
+        frames: how many mangled ones.
+        rng: of the mangling.
+    """
+    meanings = [accept(data) for data in good]
+    assert all(meanings)
+    crashes = false = survived = 0
+    began = perf_counter()
+    for k in range(frames):
+        a, b = k % len(good), int(rng.integers(len(good)))
+        data = mangled(good[a], good[b], rng)
+        try:
+            taken = accept(data)
+        except Exception:  # whatever it is, it is a crash
+            crashes += 1
+            continue
+        survived += bool(taken)
+        false += bool(taken - meanings[a] - meanings[b])
+    return {
+        "mangled": frames,
+        "seconds": perf_counter() - began,
+        "crashes": crashes,
+        "false accepts": false,
+        "still whole": survived,
+    }
+
+
+def run(frames: int | None = None, seed: int = 0) -> list[dict[str, Any]]:
+    """A row per form."""
+    total = int(os.environ.get("FUZZ_FRAMES", "1000000")) if frames is None else frames
+    forms: tuple[tuple[str, Callable[[np.random.Generator], list[bytes]], Decoder, int], ...] = (
+        ("serial frame", serial_frames, accepted_frames, total // 2),
+        ("Modbus TCP", lambda rng: telegrams(rng, 7), lambda data: accepted_blocks(data, rtu=False), total // 4),
+        ("Modbus RTU", lambda rng: telegrams(rng, None), lambda data: accepted_blocks(data, rtu=True), total // 4),
+    )
+    rows = []
+    for name, make, accept, n in forms:
+        rng = np.random.default_rng(seed)
+        rows.append({"form": name, **fuzz(make(rng), accept, n, rng)})
+    return rows

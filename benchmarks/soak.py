@@ -1,0 +1,312 @@
+"""Thousands of moves over a wire on which everything goes wrong, and what the controller's journal says of them.
+
+An emulated controller runs in a process of its own with 1 % of every fault; a client commands random moves, and gets
+out of what goes wrong as a careful program would: stop where the state is unknown, reset where a fault is latched, then
+go on from where the arm stands. Afterwards what was commanded is compared with what the controller wrote down:
+
+- no move began twice, out of order, or without having been commanded; what returned was executed to its end, what was
+  refused never began;
+- the arm stood on the commanded path whenever it was stopped;
+- every fault that the controller latched was reported to the client under its own code.
+
+`SOAK_MOVES` and `SOAK_BACKENDS` in the environment change the 2,000 moves and the three back ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.contract import Driver, Fault
+from drivers.errors import (
+    DriverError,
+    FaultError,
+    LinkError,
+    RefusedError,
+    StateUnknownError,
+    StoppedError,
+)
+from drivers.registry import open_driver
+from drivers.setpoints import SetPoints
+
+BACKENDS = ("serial", "modbus", "modbus-rtu")
+EVERY_FAULT = (
+    "drop=0.01,delay=0.01:0.1,duplicate=0.01,reorder=0.01:0.1,corrupt=0.01,truncate=0.01,exception=0.01,"
+    "half-open=0.01:0.6,reboot=0.01:0.2,estop=0.01:0.2"
+)
+TIME_SCALE = 20.0
+PATIENCE = "timeout_ms=80&watchdog_ms=500&poll_ms=10"
+MOST_RECOVERIES = 300
+"""Attempts, 20 ms apart at least, after which a driver is given up: a failure of the soak."""
+
+Counts = NDArray[np.int64]
+
+
+@dataclass
+class Soak:
+    """What was commanded, and what the client was told.
+
+    Attributes:
+        commanded: set-points and outcome of each move, in order: "done", "refused", "stopped", "fault", "unknown".
+        reported: fault codes that the client was told, once in each recovery, in order.
+        outcomes: how often what happened.
+        seconds: wall time [s].
+        wait: lets seconds pass.
+    """
+
+    commanded: list[tuple[SetPoints, str]] = field(default_factory=list)
+    reported: list[int] = field(default_factory=list)
+    outcomes: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0
+    wait: Callable[[float], None] = time.sleep
+
+
+def drive(driver: Driver, moves: int, rng: np.random.Generator, wait: Callable[[float], None] = time.sleep) -> Soak:
+    """Command random moves, and recover from whatever happens.
+
+    Args:
+        driver: not yet connected.
+        moves: how many to command.
+        rng: of the moves.
+        wait: lets seconds pass before a recovery is tried again.
+
+    Raises:
+        DriverError: if the driver cannot be recovered.
+    """
+    soak, began = Soak(wait=wait), time.perf_counter()
+    _patiently(soak, driver.connect)
+    try:
+        _recover(driver, soak)
+        for _ in range(moves):
+            points = _random_points(driver, soak, rng)
+            outcome, code = _one(driver, points)
+            soak.commanded.append((points, outcome))
+            soak.outcomes[outcome] += 1
+            if outcome != "done":
+                _recover(driver, soak, code)
+    finally:
+        driver.close()
+    soak.seconds = time.perf_counter() - began
+    return soak
+
+
+def _one(driver: Driver, points: SetPoints) -> tuple[str, int]:
+    """What became of one move, and the fault that ended it."""
+    try:
+        state = driver.move(points, 1.0)
+    except FaultError as fault:
+        return "fault", fault.code
+    except StoppedError:
+        return "stopped", 0
+    except RefusedError:
+        return "refused", 0
+    except StateUnknownError:
+        return "unknown", 0
+    except LinkError:
+        return "link", 0
+    if state.axes.tolist() != points[-1].tolist():
+        raise DriverError(f"a move returned at {state.axes.tolist()}, not at {points[-1].tolist()}")
+    return "done", 0
+
+
+def _recover(driver: Driver, soak: Soak, code: int = 0) -> None:
+    """Stop, see what is latched, and reset, until the controller takes moves again."""
+    told = {code} - {0}
+
+    def once() -> None:
+        told.update({driver.stop().fault_code} - {0})
+        driver.reset()
+
+    _patiently(soak, once)
+    soak.reported += sorted(told)
+
+
+def _patiently(soak: Soak, act: Callable[[], object]) -> None:
+    for left in reversed(range(MOST_RECOVERIES)):
+        try:
+            act()
+            return
+        except (LinkError, RefusedError, StateUnknownError) as error:
+            soak.outcomes[f"while recovering: {type(error).__name__}"] += 1
+            if not left:
+                raise
+            soak.wait(0.02)
+
+
+def _random_points(driver: Driver, soak: Soak, rng: np.random.Generator) -> SetPoints:
+    """One to three via points near the arm, sometimes forty: more than a frame or a block holds."""
+    axes: list[Any] = []
+    _patiently(soak, lambda: axes.append(driver.state().axes))
+    able = driver.capabilities
+    n = 40 if rng.random() < 0.05 else int(rng.integers(1, 4))
+    steps = rng.integers(-60_000, 60_001, (n, 6)) // (1 if n < 4 else 20)
+    low, high = able.lower.astype(np.int64) // 2, able.upper.astype(np.int64) // 2
+    points = axes[0].astype(np.int64) + np.cumsum(steps, axis=0)
+    return np.clip(points, np.minimum(low, axes[0]), np.maximum(high, axes[0])).astype(np.int32)
+
+
+@dataclass
+class Verdict:
+    """What the journal says.
+
+    Attributes:
+        twice: moves that began more than once.
+        lost: moves that returned as done and did not end so.
+        foreign: moves that began and were refused or never commanded.
+        out_of_order: moves that began after a later one.
+        off_path: farthest that a stopped arm stood from the commanded path, counts of 1e-4 deg.
+        unreported: faults that were latched and of which the client was not told.
+    """
+
+    twice: int = 0
+    lost: int = 0
+    foreign: int = 0
+    out_of_order: int = 0
+    off_path: float = 0.0
+    unreported: int = 0
+
+    @property
+    def clean(self) -> bool:
+        """Nothing twice, lost, foreign or out of order, on the path to rounding, and every fault reported."""
+        return not (self.twice or self.lost or self.foreign or self.out_of_order or self.unreported) and (
+            self.off_path <= 2.0
+        )
+
+
+def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
+    """Compare what was commanded with what was executed.
+
+    Args:
+        soak: of the client.
+        journal: of the controller.
+    """
+    verdict = Verdict()
+    index: dict[str, int] = {}
+    for k, (points, _) in enumerate(soak.commanded):
+        index[json.dumps(points.tolist())] = k
+    began, ended = Counter[int](), dict[int, int]()
+    last, current = -1, (-1, -1, -1)
+    path: NDArray[Any] = np.zeros((1, 6))
+    for entry in journal:
+        if entry["event"] == "move":
+            k = index.get(json.dumps(entry["set_points"]), -1)
+            verdict.foreign += k < 0 or soak.commanded[k][1] == "refused"
+            verdict.out_of_order += 0 <= k < last
+            began[k] += 1
+            last, current = max(last, k), (entry["boot"], entry["sequence"], k)
+            path = np.array([entry["from"], *entry["set_points"]], dtype=np.float64)
+        elif entry["event"] == "end" and (entry["boot"], entry["sequence"]) == current[:2]:
+            ended[current[2]] = entry["result"]
+        elif entry["event"] == "start" and len(path) > 1:
+            verdict.off_path = max(verdict.off_path, _distance(np.array(entry["axes"], dtype=np.float64), path))
+    verdict.twice = sum(count - 1 for count in began.values())
+    for k, (_, outcome) in enumerate(soak.commanded):
+        verdict.lost += outcome == "done" and not (began[k] == 1 and ended.get(k) == 0)
+        verdict.lost += outcome in ("fault", "stopped") and not (began[k] == 1 and ended.get(k) in (20, 21))
+    # The next move begins where a stopped one stands: there the arm is compared with the path that was commanded.
+    here: NDArray[Any] | None = None
+    for entry in journal:
+        if entry["event"] != "move":
+            continue
+        start = np.array(entry["from"], dtype=np.float64)
+        if here is not None:
+            verdict.off_path = max(verdict.off_path, _distance(start, here))
+        here = np.array([entry["from"], *entry["set_points"]], dtype=np.float64)
+    verdict.unreported = sum((_to_be_told(journal) - Counter(soak.reported)).values())
+    return verdict
+
+
+def _to_be_told(journal: list[dict[str, Any]]) -> Counter[int]:
+    """Faults of which a client must hear: those that were latched until it reset them, and restarts.
+
+    The emergency stop outranks what was latched before it. What a controller that was restarted had latched is gone
+    with its memory; the restart itself is told.
+    """
+    told = Counter[int]()
+    latched = 0
+    for entry in journal:
+        if entry["event"] == "fault" and entry["code"] != Fault.RESTARTED:
+            latched = entry["code"]
+        elif entry["event"] == "reset":
+            told[latched] += latched != 0
+            latched = 0
+        elif entry["event"] == "start":
+            latched = 0
+            told[Fault.RESTARTED] += entry["boot"] > 1
+    return told
+
+
+def _distance(point: NDArray[Any], path: NDArray[Any]) -> float:
+    """Largest axis distance of a point from the nearest point of a polyline, counts."""
+    a, b = path[:-1], path[1:]
+    along = b - a
+    length = np.maximum((along**2).sum(axis=1), 1e-9)
+    s = np.clip(((point - a) * along).sum(axis=1) / length, 0.0, 1.0)
+    return float(np.abs(point - (a + s[:, None] * along)).max(axis=1).min())
+
+
+def soak_backend(backend: str, moves: int, faults: str, seed: int) -> tuple[Soak, list[dict[str, Any]]]:
+    """Start the emulator, drive, and end it.
+
+    Args:
+        backend: protocol of `cell emulate`.
+        moves: how many.
+        faults: list of faults.
+        seed: of faults and moves.
+
+    Returns:
+        What the client knows, and the controller's journal.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "moves.jsonl"
+        command = [sys.executable, "-m", "cell", "emulate", backend, "--time-scale", str(TIME_SCALE), "--log", str(log)]
+        command += ["--seed", str(seed)] + (["--faults", faults] if faults else [])
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+            try:
+                assert process.stdout is not None
+                url = process.stdout.readline().strip()
+                url += ("&" if "?" in url else "?") + PATIENCE
+                soak = drive(open_driver(url), moves, np.random.default_rng(seed))
+            finally:
+                process.send_signal(signal.SIGINT)
+                process.wait(30)
+        return soak, [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+
+
+def run() -> list[dict[str, Any]]:
+    """A row per back end."""
+    rows = []
+    for backend in os.environ.get("SOAK_BACKENDS", " ".join(BACKENDS)).split():
+        moves = int(os.environ.get("SOAK_MOVES", "2000"))
+        soak, journal = soak_backend(backend, moves, EVERY_FAULT, seed=1)
+        verdict = judge(soak, journal)
+        told = Counter(Fault(code).name.lower() for code in soak.reported)
+        rows.append(
+            {
+                "back end": backend,
+                "moves": moves,
+                "seconds": soak.seconds,
+                **{name: soak.outcomes[name] for name in ("done", "fault", "stopped", "unknown", "refused", "link")},
+                "twice": verdict.twice,
+                "lost": verdict.lost,
+                "foreign": verdict.foreign,
+                "out of order": verdict.out_of_order,
+                "off path [1e-4 deg]": verdict.off_path,
+                "unreported": verdict.unreported,
+                "faults told": ", ".join(f"{name} {count}" for name, count in sorted(told.items())),
+            }
+        )
+    return rows

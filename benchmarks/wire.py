@@ -1,0 +1,120 @@
+"""Round trips of a state and of a command over each wire, with the controller in another process on this machine.
+
+Loopback sockets and pseudo-terminals move bytes in no time, so what is measured is what lies beyond the time of the
+bytes on the wire: both programs, the operating system, the library. A state over Modbus is two telegrams, a heartbeat
+written and a status read. The last columns say what the same bytes would take at 115,200 baud (RTU with 11 bits, serial
+with 10 a byte). A row of the bare line, a byte there and back through a process that echoes it, says what this machine
+gives at best.
+
+`WIRE_ROUNDS` in the environment changes the 500 rounds.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from drivers import register_map as registers
+from drivers.client import ControllerClient
+from drivers.commands import Reset, next_sequence
+from drivers.registry import open_driver
+
+FIGURE_MS = {"modbus": 3.0, "modbus-rtu": 15.0, "serial": 5.0}
+"""Medians [ms] that are to be kept."""
+
+BAUD = 115_200
+
+_ECHO = (
+    "import socket, sys\n"
+    "s = socket.create_connection(('127.0.0.1', int(sys.argv[1])))\n"
+    "s.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)\n"
+    "while data := s.recv(64): s.sendall(data)\n"
+)
+
+
+def _timed(act: Callable[[], object], rounds: int) -> tuple[float, float]:
+    """Median and 99th percentile [ms]."""
+    for _ in range(20):
+        act()
+    spent = []
+    for _ in range(rounds):
+        began = perf_counter()
+        act()
+        spent.append(1000.0 * (perf_counter() - began))
+    return float(np.median(spent)), float(np.percentile(spent, 99))
+
+
+def _bytes(backend: str) -> tuple[int, int]:
+    """Bytes there and back of a state, and bits of each."""
+    if backend == "serial":
+        return len(">00502,0010,STATE,1000*E559936D\r\n") + 80, 10
+    fc16, fc04 = 9 + 2 * registers.COMMAND.registers + 8, 8 + 5 + 2 * registers.STATUS.registers
+    return fc16 + fc04, 11
+
+
+def _bare_line(rounds: int) -> dict[str, Any]:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        process = subprocess.Popen([sys.executable, "-c", _ECHO, str(listener.getsockname()[1])])
+        try:
+            peer, _ = listener.accept()
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+            def echo() -> None:
+                peer.sendall(b"x")
+                peer.recv(64)
+
+            median, p99 = _timed(echo, rounds)
+            peer.close()
+        finally:
+            process.wait(10)
+    return {"wire": "bare loopback socket", "state median [ms]": median, "state p99 [ms]": p99}
+
+
+def run() -> list[dict[str, Any]]:
+    """A row per wire."""
+    rounds = int(os.environ.get("WIRE_ROUNDS", "500"))
+    rows = [_bare_line(rounds)]
+    for backend, figure in FIGURE_MS.items():
+        command = [sys.executable, "-m", "cell", "emulate", backend]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+            try:
+                assert process.stdout is not None
+                driver = open_driver(process.stdout.readline().strip())
+                assert isinstance(driver, ControllerClient)
+                with driver:
+                    state, state_p99 = _timed(driver.state, rounds)
+                    link, sequence = driver._link, [driver.state().ack_sequence]
+
+                    def reset(link: Any = link, sequence: list[int] = sequence) -> None:
+                        sequence[0] = next_sequence(sequence[0])
+                        link.send(sequence[0], Reset())
+
+                    command_median, command_p99 = _timed(reset, rounds)
+            finally:
+                process.send_signal(signal.SIGINT)
+                process.wait(20)
+        n_bytes, bits = _bytes(backend)
+        rows.append(
+            {
+                "wire": backend,
+                "state median [ms]": state,
+                "state p99 [ms]": state_p99,
+                "command median [ms]": command_median,
+                "command p99 [ms]": command_p99,
+                "figure, median [ms]": figure,
+                "kept": max(state, command_median) < figure,
+                "bytes of a state": n_bytes,
+                "their time at 115200 [ms]": 1000.0 * n_bytes * bits / BAUD if backend != "modbus" else 0.0,
+            }
+        )
+    return rows

@@ -1,0 +1,281 @@
+"""A wire in memory: client, wire, faults and controller in one thread, on one clock that a test moves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import modbus_adu as adu
+from drivers.client import ControllerClient
+from drivers.clock import SimulatedClock
+from drivers.contract import RobotState
+from drivers.endpoint import Endpoint, Entry
+from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
+from drivers.limits import kr16
+from drivers.modbus_link import ModbusLink
+from drivers.modbus_station import ModbusStation
+from drivers.plant import IdealPlant
+from drivers.reopening import ReopeningLink
+from drivers.serial_link import SerialLink
+from drivers.serial_station import SerialStation
+from drivers.serve import Server, Station
+from drivers.wire import Patience
+from drivers.wire_faults import Injector, parse
+
+PATIENCE = Patience(answer=0.08, watchdog=0.5, poll=0.01)
+STEP = 0.01
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+
+
+@dataclass
+class Journal:
+    """A witness that remembers."""
+
+    entries: list[Entry] = field(default_factory=list)
+    states: list[RobotState] = field(default_factory=list)
+
+    def entry(self, entry: Entry) -> None:
+        self.entries.append(entry)
+
+    def seen(self, state: RobotState) -> None:
+        self.states.append(state)
+
+    def of(self, event: str) -> list[Entry]:
+        return [entry for entry in self.entries if entry["event"] == event]
+
+
+class MemoryLine:
+    """Both ends of a wire: `drivers.lines.Line` for the server, bytes for the client."""
+
+    name = "memory"
+
+    def __init__(self) -> None:
+        self.to_server: list[tuple[int, bytes]] = []
+        self.to_client = b""
+        self.connection = 1
+        self.lost = False
+
+    def receive(self, seconds: float) -> list[tuple[int, bytes]]:
+        arrived, self.to_server = self.to_server, []
+        return arrived
+
+    def send(self, peer: int, data: bytes) -> None:
+        if peer == self.connection:
+            self.to_client += data
+
+    def drop(self) -> None:
+        self.lost = True
+
+    def end(self, peer: int) -> None:
+        self.lost = True
+
+    def close(self) -> None:
+        pass
+
+
+class BenchClock(SimulatedClock):
+    """Simulated time in which the server takes its turns."""
+
+    turn: Callable[[], None] = staticmethod(lambda: None)
+
+    def wait(self, seconds: float) -> None:
+        left = seconds
+        while left > 0.0:
+            step = min(STEP, left)
+            super().wait(step)
+            left -= step
+            self.turn()
+
+
+class FastClock:
+    """The arm's clock: `scale` times the wire's."""
+
+    simulated = True
+
+    def __init__(self, clock: BenchClock, scale: float) -> None:
+        self._clock, self._scale = clock, scale
+
+    def now(self) -> float:
+        return self._clock.now() * self._scale
+
+    def wait(self, seconds: float) -> None:
+        self._clock.wait(seconds / self._scale)
+
+
+class BytePort:
+    """`drivers.serial_link.Port` on a memory line."""
+
+    name = "memory"
+
+    def __init__(self, line: MemoryLine, clock: BenchClock) -> None:
+        self.line, self.clock = line, clock
+        self.is_open = False
+
+    def open(self) -> None:
+        self.is_open = True
+        self.line.lost = False
+        self.line.to_client = b""
+
+    def close(self) -> None:
+        self.is_open = False
+
+    def write(self, data: bytes) -> None:
+        if not self.is_open:
+            raise LinkLostError("the port is closed")
+        self.line.to_client = b""
+        self.line.to_server.append((self.line.connection, data))
+        self.clock.turn()
+
+    def read(self, seconds: float) -> bytes:
+        left = seconds
+        while not self.line.to_client and left > 0.0:
+            self.clock.wait(min(STEP, left))
+            left -= STEP
+        data, self.line.to_client = self.line.to_client, b""
+        return data
+
+
+class RegisterPort:
+    """`drivers.modbus_link.Port` on a memory line: a Modbus client of the tests' own, in place of pymodbus."""
+
+    name = "memory"
+
+    def __init__(self, line: MemoryLine, clock: BenchClock, *, rtu: bool, unit: int = 1) -> None:
+        self.line, self.clock, self.rtu, self.unit = line, clock, rtu, unit
+        self.transaction = 0
+        self.is_open = False
+
+    def open(self) -> None:
+        self.is_open, self.line.lost, self.line.to_client = True, False, b""
+        self.line.connection += 1
+
+    def close(self) -> None:
+        self.is_open = False
+
+    def read(self, address: int, count: int) -> list[int]:
+        pdu = self._ask(b"\x04" + address.to_bytes(2, "big") + count.to_bytes(2, "big"))
+        if pdu[0] != 4 or len(pdu) != 2 + 2 * count:
+            raise ProtocolError("another telegram")
+        return [int.from_bytes(pdu[k : k + 2], "big") for k in range(2, len(pdu), 2)]
+
+    def write(self, address: int, values: list[int]) -> None:
+        head = b"\x10" + address.to_bytes(2, "big") + len(values).to_bytes(2, "big") + bytes([2 * len(values)])
+        pdu = self._ask(head + b"".join(value.to_bytes(2, "big") for value in values))
+        if pdu[0] != 16:
+            raise ProtocolError("another telegram")
+
+    def _ask(self, pdu: bytes) -> bytes:
+        if not self.is_open or self.line.lost:
+            self.close()
+            raise LinkLostError("the connection is closed")
+        self.transaction = (self.transaction + 1) % 65536
+        header = adu.Header(self.unit, None if self.rtu else self.transaction)
+        self.line.to_client = b"" if self.rtu else self.line.to_client
+        self.line.to_server.append((self.line.connection, adu.pack(header, pdu)))
+        self.clock.turn()
+        waited, received = 0.0, b""
+        while waited < PATIENCE.answer:
+            received, self.line.to_client = received + self.line.to_client, b""
+            answer = self._answer(received, header)
+            if answer is not None:
+                if answer[0] & 0x80:
+                    raise ProtocolError(f"exception {answer[1]}")
+                return answer
+            if self.line.lost:
+                break
+            self.clock.wait(STEP)
+            waited += STEP
+        if not self.rtu:
+            self.close()
+        raise AnswerTimeoutError("no answer")
+
+    def _answer(self, received: bytes, header: adu.Header) -> bytes | None:
+        """The first whole telegram; on TCP the one with our number."""
+        if self.rtu:
+            sizes = {0x10: 8, 0x84: 5, 0x90: 5}
+            for begin in range(len(received) - 4):
+                size = sizes.get(received[begin + 1], 5 + received[begin + 2])
+                unpacked = adu.unpack_rtu(received[begin : begin + size])
+                if unpacked and unpacked[0].unit == self.unit:
+                    return unpacked[1]
+            return None
+        cut = adu.split_tcp(received)
+        for packet in cut[0] if cut else []:
+            unpacked = adu.unpack_tcp(packet)
+            if unpacked and unpacked[0] == header:
+                return unpacked[1]
+        return None
+
+
+@dataclass
+class Bench:
+    """A client, a wire and a controller.
+
+    Attributes:
+        driver: the client.
+        link: its link.
+        port: the client's end of the wire.
+        line: the wire.
+        clock: of everything.
+        endpoint: the controller.
+        server: that serves it.
+        journal: what was executed.
+    """
+
+    driver: ControllerClient
+    link: ReopeningLink
+    port: Any
+    line: MemoryLine
+    clock: BenchClock
+    endpoint: Endpoint
+    server: Server
+    journal: Journal
+
+
+def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float = 1.0) -> Bench:
+    """A bench of one back end.
+
+    Args:
+        backend: serial, modbus or modbus-rtu.
+        faults: list of faults.
+        seed: theirs.
+        time_scale: how much faster the arm's time goes than the wire's.
+    """
+    clock, journal, line = BenchClock(), Journal(), MemoryLine()
+    endpoint = Endpoint(IdealPlant(HOME), kr16(), FastClock(clock, time_scale), clock, witness=journal)
+    station: Station
+    link: ReopeningLink
+    port: BytePort | RegisterPort
+    if backend == "serial":
+        station, port = SerialStation(endpoint), BytePort(line, clock)
+        link = SerialLink(port, clock, PATIENCE, first_question=100)
+    else:
+        rtu = backend == "modbus-rtu"
+        station, port = ModbusStation(endpoint, rtu=rtu), RegisterPort(line, clock, rtu=rtu)
+        link = ModbusLink(port, clock, PATIENCE, first_heartbeat=100)
+    injector = Injector(parse(faults), np.random.default_rng(seed)) if faults else None
+    server = Server(station, line, clock, injector, time_scale)
+    clock.turn = server.turn
+    return Bench(ControllerClient(link, clock), link, port, line, clock, endpoint, server, journal)
+
+
+@pytest.fixture(params=["serial", "modbus", "modbus-rtu"])
+def backend(request: pytest.FixtureRequest) -> str:
+    """Each wire."""
+    return str(request.param)
+
+
+@pytest.fixture
+def bench() -> Callable[..., Bench]:
+    """Makes benches."""
+    return make_bench
+
+
+@pytest.fixture
+def wire(backend: str) -> Bench:
+    """A connected bench without faults, on each wire."""
+    made = make_bench(backend)
+    made.driver.connect()
+    return made
