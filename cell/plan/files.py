@@ -154,6 +154,8 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour, measured: Motion
         via_q=motion.via_q,
         segment=motion.segment,
         view=motion.view,
+        pose=motion.pose,
+        line=motion.line,
         via_t=motion.via_t,
         t=motion.t,
         q=motion.q,

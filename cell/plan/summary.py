@@ -149,7 +149,7 @@ def draw(
         folder.path / "reach.png", T @ candidates.T_object_scanner[:, 0], reached.verdict,
         corners @ T[:3, :3].T + T[:3, 3], chosen.candidate, envelope(world),
     )  # fmt: skip
-    stops = motion.via_t[motion.view >= 0]
+    stops = motion.via_t[motion.stops]
     pictures.joint_motion(folder.path / "motion.png", motion.t, motion.q, motion.qd, motion.limits, stops)
     for name in ("views.png", "cover.png", "reach.png", "motion.png"):
         folder.adopt(name)

@@ -95,7 +95,7 @@ def of_plan(motion: Motion, rest: float = REST) -> Timeline:
     """
     film = _Film(motion.q[0], rest)
     begin = motion.t[0]
-    for via in np.flatnonzero(motion.view >= 0):
+    for via in motion.stops:
         piece = (motion.t > begin) & (motion.t <= motion.via_t[via])
         film.move(motion.t[piece] - begin, motion.q[piece])
         film.stop(int(motion.view[via]))
@@ -143,7 +143,7 @@ def of_execution(execution: RecordedExecution, planned: Motion | None, home: Flo
             f"the motion to {'view' if len(straight) == 1 else 'views'} {', '.join(straight)} is neither recorded nor "
             "planned in this order; straight joint moves stand for it and were not checked for collisions"
         )
-    return film.timeline(notes, 0 if planned is None else int((planned.view >= 0).sum()))
+    return film.timeline(notes, 0 if planned is None else len(planned.stops))
 
 
 def of_home(home: Floats) -> Timeline:
@@ -153,8 +153,8 @@ def of_home(home: Floats) -> Timeline:
 
 def _leg(motion: Motion, view_from: int, view_to: int) -> tuple[Floats, Floats] | None:
     """Times from 0 (m,) and angles (m, 6) between two views that follow each other; -1 is home. None if they do not."""
-    stops = np.concatenate([[0], np.flatnonzero(motion.view >= 0), [len(motion.view) - 1]])
-    names = np.concatenate([[-1], motion.view[motion.view >= 0], [-1]])
+    stops = np.concatenate([[0], motion.stops, [len(motion.view) - 1]])
+    names = np.concatenate([[-1], motion.view[motion.stops], [-1]])
     for k in range(len(stops) - 1):
         if names[k] == view_from and names[k + 1] == view_to:
             begin, end = motion.via_t[stops[k]], motion.via_t[stops[k + 1]]

@@ -29,9 +29,10 @@ class RecordedView:
         id: candidate, row of viewpoints.npz.
         roll: about the viewing axis [rad].
         q: (6,) set-points [rad], KUKA signs.
-        T_object_scanner: (4, 4) [m].
+        T_object_scanner: (4, 4) [m]; of a sweep its middle pose, as the next two.
         T_base_scanner: (4, 4) [m].
         T_base_flange: (4, 4) [m].
+        T_object_poses: (K, 4, 4) all poses of a sweep [m]; of a view at rest `T_object_scanner` alone.
     """
 
     id: int
@@ -40,9 +41,12 @@ class RecordedView:
     T_object_scanner: Floats
     T_base_scanner: Floats
     T_base_flange: Floats
+    T_object_poses: Floats
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", readonly("q_deg", self.q, (6,)))
+        poses = readonly("sweep.T_object_scanner", self.T_object_poses, (None, 4, 4))
+        object.__setattr__(self, "T_object_poses", poses)
         for name in ("T_object_scanner", "T_base_scanner", "T_base_flange"):
             object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
 
@@ -87,6 +91,7 @@ def views(run: RunRecord) -> tuple[RecordedView, ...]:
             RecordedView(
                 int(view["id"]), float(np.radians(view["roll_deg"])), np.radians(view["q_deg"]),
                 view["T_object_scanner"], view["T_base_scanner"], view["T_base_flange"],
+                view.get("sweep", {}).get("T_object_scanner", [view["T_object_scanner"]]),
             )
             for view in listed["views"]
         )  # fmt: skip
@@ -115,7 +120,8 @@ def motion_of(stored: Mapping[str, NDArray[Any]], path: Path) -> Motion:
         limits = JointLimits(*(stored[f"limit_{name}"] for name in ("lower", "upper", "velocity", "acceleration")))
         if "limit_jerk" in stored:  # motions of earlier versions were timed without a limit of jerk
             limits = replace(limits, jerk=stored["limit_jerk"])
-        fields = ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
+        fields = ["via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample"]
+        fields += [name for name in ("pose", "line") if name in stored]  # motions of earlier versions do not sweep
         return Motion(**{name: stored[name] for name in fields}, duration=float(stored["via_t"][-1]), limits=limits)
 
 

@@ -2,25 +2,29 @@
 
 A leg is driven in one move through its via points, as set-points of 1e-4 deg; the plan checked exactly these. The
 driver's `move` returns when the arm stands; a scan is on disk before the next leg begins, and every event when it
-happens. Arm and housing are not among the occluders, as in the plan's prediction.
+happens. A sweep has a leg for each of its poses, through the vertices of its line: the arm stops at each of them, where
+a controller that drives the line passes. Its scan is written at the last pose.
+
+Arm and housing are not among the occluders, as in the plan's prediction.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cell.commands.narrator import ProgressCallback
 from cell.errors import DriverFailureError, UsageError
-from cell.rays import virtual_scan
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.pose_error import Disturbance
 from cell.scan.scene import ScanScene
+from cell.scan.sweep_scan import scan_of
 from drivers.clock import Clock
 from drivers.commands import Move, Result
 from drivers.contract import Driver, RobotState
 from drivers.limits import refuse
 from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
-from planner.ports import Floats
+from planner.ports import Floats, Rejection
 from planner.timing import Motion, retime
 
 POSE, NOISE = 10, 11
@@ -37,11 +41,13 @@ class Leg:
         via: (n, 6) via points [rad], n at least 1; the last is where the arm stands afterwards.
         stop: number of the view that is scanned there, from 1 in visiting order; 0 for none.
         view: its candidate, row of viewpoints.npz; -1 for none.
+        pose: pose of the view's column; 0 of a view at rest.
     """
 
     via: Floats
     stop: int
     view: int
+    pose: int = 0
 
     @property
     def set_points(self) -> SetPoints:
@@ -67,9 +73,10 @@ class Legs:
         """These legs as a timed motion with the plan's limits."""
         via = np.concatenate([self.start[None], *(leg.via for leg in self.legs)])
         counts = [len(leg.via) for leg in self.legs]
-        view = np.full(len(via), -1)
+        view, pose = np.full(len(via), -1), np.full(len(via), -1)
         view[np.cumsum(counts)] = [leg.view for leg in self.legs]
-        return retime(via, np.repeat(np.arange(len(counts) + 1), [1, *counts]), view, planned.limits)
+        pose[np.cumsum(counts)] = [leg.pose if leg.stop else -1 for leg in self.legs]
+        return retime(via, np.repeat(np.arange(len(counts) + 1), [1, *counts]), view, planned.limits, pose=pose)
 
 
 def legs_of(motion: Motion, stop: int | None = None) -> Legs:
@@ -85,24 +92,30 @@ def legs_of(motion: Motion, stop: int | None = None) -> Legs:
     Raises:
         UsageError: if the plan has no such view.
     """
-    stops = np.flatnonzero(motion.view >= 0)
+    rows = np.flatnonzero(motion.view >= 0)
+    number = np.cumsum(np.diff(motion.view[rows], prepend=-1) != 0)  # of the view at each of these via points
     if stop is None:
-        ends = [*stops.tolist(), len(motion.via_q) - 1]
-        begins = [0, *stops.tolist()]
         legs = [
-            Leg(motion.via_q[begin + 1 : end + 1], number if end in stops else 0, int(motion.view[end]))
-            for number, (begin, end) in enumerate(zip(begins, ends, strict=True), start=1)
-            if end > begin
+            Leg(motion.via_q[begin + 1 : end + 1], count, int(motion.view[end]), int(motion.pose[end]))
+            for begin, end, count in zip([0, *rows.tolist()], rows.tolist(), number.tolist(), strict=False)
         ]
+        last = int(rows[-1]) if len(rows) else 0
+        if len(motion.via_q) - 1 > last:
+            legs.append(Leg(motion.via_q[last + 1 :], 0, -1))
         return Legs(motion.via_q[0], tuple(legs), motion.duration)
-    if not 1 <= stop <= len(stops):
-        raise UsageError(f"--view {stop} does not exist; the plan has the views 1 to {len(stops)}")
-    at = int(stops[stop - 1])
-    forward = bool(motion.via_t[at] <= motion.duration - motion.via_t[at])
-    way = motion.via_q[: at + 1] if forward else motion.via_q[at:][::-1]
-    seconds = float(motion.via_t[at] if forward else motion.duration - motion.via_t[at])
-    there, back = Leg(way[1:], stop, int(motion.view[at])), Leg(way[::-1][1:], 0, -1)
-    return Legs(way[0], (there, back), 2 * seconds)
+    if not 1 <= stop <= number.max(initial=0):
+        raise UsageError(f"--view {stop} does not exist; the plan has the views 1 to {number.max(initial=0)}")
+    at = rows[number == stop]
+    forward = bool(motion.via_t[at[-1]] <= motion.duration - motion.via_t[at[0]])
+    way, t = (motion.via_q, motion.via_t) if forward else (motion.via_q[::-1], motion.duration - motion.via_t[::-1])
+    taken = at if forward else (len(way) - 1 - at)[::-1]
+    poses = motion.pose[at] if forward else motion.pose[at][::-1]
+    there = [
+        Leg(way[begin + 1 : end + 1], stop, int(motion.view[at[0]]), pose)
+        for begin, end, pose in zip([0, *taken.tolist()], taken.tolist(), poses.tolist(), strict=False)
+    ]
+    back = Leg(way[: taken[-1]][::-1], 0, -1)
+    return Legs(way[0], (*there, back), 2 * float(t[taken[-1]]))
 
 
 def run(
@@ -137,6 +150,7 @@ def run(
     """
     began = clock.now()
     moving = 0.0
+    looks: list[tuple[Leg, Floats]] = []  # poses of the view under work: leg, and joint angles that were reported
 
     def say(name: str, **details: object) -> None:
         folder.event(clock.now() - began, name, **details)
@@ -153,9 +167,13 @@ def run(
             moving += clock.now() - left
             say("standing", leg=number, stop=leg.stop, axes_deg=to_deg(state.axes).tolist())
             if leg.stop:
-                name = f"{leg.stop:04d}.npz"
-                points = scan_and_write(leg, state.q, scene, disturbance, folder, name, seed)
-                say("scan", stop=leg.stop, view=leg.view, file=f"scans/{name}", points=points)
+                looks.append((leg, state.q))
+                after = legs.legs[number].stop if number < len(legs.legs) else 0
+                if after != leg.stop:
+                    name = f"{leg.stop:04d}.npz"
+                    points = scan_and_write(looks, scene, disturbance, folder, name, seed)
+                    looks = []
+                    say("scan", stop=leg.stop, view=leg.view, file=f"scans/{name}", points=points)
             if progress:
                 progress(number, len(legs.legs))
     except BaseException as error:
@@ -169,46 +187,56 @@ def run(
 
 
 def scan_and_write(
-    leg: Leg,
-    q_reported: Floats,
+    looks: Sequence[tuple[Leg, Floats]],
     scene: ScanScene,
     disturbance: Disturbance,
     folder: ExecutionFolder,
     name: str,
     seed: int,
 ) -> int:
-    """Scan from where the arm stands and put the scan on disk; returns the number of points.
+    """Scan from where the arm stood and put the scan on disk; returns the number of points.
 
     Args:
-        leg: that ended here.
-        q_reported: (6,) joint angles that the controller reports [rad].
+        looks: the view's leg, or those of all poses of its sweep in driving order, and the (6,) joint angles that the
+            controller reported at the end of each [rad].
         scene: part, surroundings and scanner.
         disturbance: noise and pose error.
         folder: where the scan goes.
         name: its file.
         seed: of the disturbance.
     """
-    T_reported = scene.scanner_pose(q_reported)
-    T_true = disturbance.true_pose(T_reported, np.random.default_rng([seed, POSE, leg.stop]))
-    seen = virtual_scan.scan(scene.scanner, T_true, scene.part_caster, scene.reference, scene.occluder_caster)
-    points = disturbance.as_reported(
-        seen.points, T_true, T_reported, scene.scanner.source, np.random.default_rng([seed, NOISE, leg.stop]),
-        seen.sigma(scene.scanner, scene.reference) if disturbance.by_model else None,
-    )  # fmt: skip
+    leg, order = looks[0][0], np.argsort([each.pose for each, _ in looks])
+    middle = int(order[len(looks) // 2])
+    reported = np.stack([q for _, q in looks])
+    commanded = np.stack([to_rad(each.set_points[-1]) for each, _ in looks])
+    T_reported = np.stack([scene.scanner_pose(q) for q in reported])
+    T_true, points, scans = scan_of(
+        T_reported, scene, disturbance, [seed, POSE, leg.stop], np.random.default_rng([seed, NOISE, leg.stop])
+    )
+    rays = len(scans[0].codes)
+    rows, columns = scans[0].grid_shape
+    codes = np.concatenate([seen.codes for seen in scans])
+    sweep = {} if len(looks) == 1 else {
+        "sweep_q_commanded": commanded[order],
+        "sweep_q_reported": reported[order],
+        "sweep_T_object_scanner": T_reported[order],
+        "sweep_T_object_scanner_true": T_true[order],
+    }  # fmt: skip
     folder.write_scan(
         name,
         stop=np.array(leg.stop),
         view=np.array(leg.view),
-        q_commanded=to_rad(leg.set_points[-1]),
-        q_reported=q_reported,
-        T_object_scanner=T_reported,
-        T_object_scanner_true=T_true,
+        q_commanded=commanded[middle],
+        q_reported=reported[middle],
+        T_object_scanner=T_reported[middle],
+        T_object_scanner_true=T_true[middle],
         points=points,
-        face=seen.face,
-        pixel=seen.pixel,
-        grid_shape=np.array(seen.grid_shape, dtype=np.int64),
-        codes=seen.codes,
-        counts=np.array(list(seen.counts().values()), dtype=np.int64),
+        face=np.concatenate([seen.face for seen in scans]),
+        pixel=np.concatenate([seen.pixel + np.int32(line * rays) for line, seen in enumerate(scans)]),
+        grid_shape=np.array([rows * len(scans), columns], dtype=np.int64),
+        codes=codes,
+        counts=np.bincount(codes, minlength=len(Rejection)),
+        **sweep,
     )
     return len(points)
 

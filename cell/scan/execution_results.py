@@ -39,6 +39,7 @@ class ExecutedScan:
         q_reported: (6,) [rad].
         T_reported: (4, 4) T_object_scanner by the controller's report [m].
         T_true: (4, 4) from where the rays were traced [m].
+        T_true_poses: (K, 4, 4) all poses of a sweep [m], of which `T_true` is the middle one; at rest it alone.
         points: (P, 3) as the data tell them [m].
         counts: rays by `Rejection`.
     """
@@ -49,6 +50,7 @@ class ExecutedScan:
     q_reported: Floats
     T_reported: Floats
     T_true: Floats
+    T_true_poses: Floats
     points: Floats
     counts: tuple[int, ...]
 
@@ -56,6 +58,8 @@ class ExecutedScan:
         # A sentence names the array as the file does.
         for name, stored in (("T_reported", "T_object_scanner"), ("T_true", "T_object_scanner_true")):
             object.__setattr__(self, name, readonly(stored, getattr(self, name), (4, 4)))
+        poses = readonly("sweep_T_object_scanner_true", self.T_true_poses, (None, 4, 4))
+        object.__setattr__(self, "T_true_poses", poses)
         if not 0 < len(self.counts) <= len(Rejection):  # reasons are appended: an older scan has fewer
             raise ValueError(f"it has {len(self.counts)} counts of rays; there must be 1 to {len(Rejection)}")
         object.__setattr__(self, "counts", (*self.counts, *[0] * (len(Rejection) - len(self.counts))))
@@ -91,9 +95,11 @@ def usable(
 def _executed(recorded: RecordedExecution, scan: RecordedScan) -> ExecutedScan:
     with understood(recorded.folder / "scans" / scan.name):
         stored = scan.stored
+        T_true = stored["T_object_scanner_true"]
         return ExecutedScan(
-            int(stored["stop"]), scan.view, scan.q_commanded, scan.q_reported, stored["T_object_scanner"],
-            stored["T_object_scanner_true"], scan.points, tuple(int(count) for count in stored["counts"]),
+            int(stored["stop"]), scan.view, scan.q_commanded, scan.q_reported, stored["T_object_scanner"], T_true,
+            stored.get("sweep_T_object_scanner_true", T_true[None]), scan.points,
+            tuple(int(count) for count in stored["counts"]),
         )  # fmt: skip
 
 
@@ -221,10 +227,10 @@ def achieved(
         plan_seed: seed of the plan, from which its held-out samples were drawn.
     """
     samples = held_out(scene.reference, scene.planning, plan_seed)
-    measured = _measured([scan.T_true for scan in scans], samples, scene)
+    measured = _measured([scan.T_true_poses for scan in scans], samples, scene)
     predicted = planned_visible
     if sorted(scan.stop for scan in scans) != list(range(1, len(planned) + 1)):
-        poses = [planned[scan.stop - 1].T_object_scanner for scan in scans]
+        poses = [planned[scan.stop - 1].T_object_poses for scan in scans]
         predicted = _share(_measured(poses, samples, scene), samples)
     radius = coverage.sampling_radius(scene.reference)
     faces = len(scene.planning.faces)
@@ -243,11 +249,11 @@ def achieved(
 
 
 def _measured(poses: Sequence[Floats], samples: SurfaceSamples, scene: ScanScene) -> NDArray[np.bool_]:
-    """(S, n) which sample is measured from which pose."""
+    """(S, n) which sample is measured by which view, each with (K, 4, 4) poses."""
     if not poses:
         return np.zeros((len(samples), 0), dtype=np.bool_)
     casters = (scene.part_caster, scene.occluder_caster)
-    return measurability.measured(np.stack(poses)[:, None], samples, scene.scanner, casters, each=True)
+    return measurability.measured(np.stack(poses), samples, scene.scanner, casters, each=True)
 
 
 def _share(measured: NDArray[np.bool_], samples: SurfaceSamples) -> float:

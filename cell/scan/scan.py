@@ -83,12 +83,12 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
     """
     run = _finished(run_folder)
-    if any("sweep" in view for view in run_reader.plan_json(run)["views"]):
-        raise UsageError(
-            f"the views of {run_folder} are sweeps, and their motion is not planned yet: they cannot be executed; plan "
-            "with a scanner that measures at rest, such as laser-area"
-        )
     motion = run_reader.motion(run)
+    if any("sweep" in view for view in run_reader.plan_json(run)["views"]) and not (motion.pose > 0).any():
+        raise UsageError(
+            f"the views of {run_folder} are sweeps, and its motion holds only their first poses, as earlier versions "
+            "planned them; plan again"
+        )
     legs = execute.legs_of(motion, options.view)
     scene = scan_scene.load(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else int(run.manifest["seed"])
@@ -242,6 +242,8 @@ def _write_motion(folder: ExecutionFolder, motion: Motion) -> None:
             name: getattr(motion, name)
             for name in ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
         },
+        pose=motion.pose,
+        line=motion.line,
         **{f"limit_{name}": getattr(motion.limits, name) for name in _LIMITS},
     )
 

@@ -93,7 +93,7 @@ def test_sweeps_are_not_executed(
     run, _ = line_plan
     done = run_cell("scan", str(run), cwd=tmp_path)
     assert done.returncode == 2
-    assert "are sweeps, and their motion is not planned yet" in done.stderr
+    assert "are sweeps, and its motion holds only their first poses" in done.stderr
     assert not (run / "executions").exists()
 
 
