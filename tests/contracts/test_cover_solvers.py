@@ -24,10 +24,11 @@ def run(M, areas, solver, coverage=1.0, seed=5, **options):
     )
 
 
-def covered_share(M, areas, views):
-    """Area that the views cover over what all columns cover."""
-    coverable = areas[M.any(axis=1)].sum()
-    return areas[M[:, views].any(axis=1)].sum() / coverable
+def covered_share(M, areas, views, multiplicity=1):
+    """Area that the views cover as often as demanded (or as all columns can), over what all columns cover."""
+    demand = np.minimum(M.sum(axis=1), multiplicity)
+    satisfied = (M[:, views].sum(axis=1) >= demand) & (demand > 0)
+    return areas[satisfied].sum() / areas[demand > 0].sum()
 
 
 @pytest.fixture(params=list(SOLVERS))
@@ -51,6 +52,57 @@ def test_covers_the_target_and_needs_every_view(solver, coverage, seed):
         assert covered_share(M, areas, result.views) >= coverage - 1e-12
         for view in result.views:
             assert covered_share(M, areas, np.setdiff1d(result.views, view)) < coverage
+
+
+@pytest.mark.parametrize("coverage", [0.5, 0.9, 1.0])
+@pytest.mark.parametrize("multiplicity", [2, 3])
+def test_covers_several_times_and_needs_every_view(solver, coverage, multiplicity):
+    """The rows that count are covered k times, or by all their columns; without any one view the target is missed."""
+    M, areas = instance(1)
+    result = run(M, areas, solver, coverage, multiplicity=multiplicity)
+    assert covered_share(M, areas, result.views, multiplicity) >= coverage - 1e-12
+    for view in result.views:
+        rest = np.setdiff1d(result.views, view)
+        assert covered_share(M, areas, rest, multiplicity) < coverage - (1e-12 if coverage == 1.0 else 0.0)
+    per_row = M.sum(axis=1)
+    np.testing.assert_array_equal(result.short_rows, np.flatnonzero((per_row > 0) & (per_row < multiplicity)))
+    assert result.multiplicity == multiplicity
+    assert result.lower_bound <= len(result.views)
+
+
+@pytest.mark.parametrize("multiplicity", [1, 2])
+@pytest.mark.parametrize("coverage", [0.8, 1.0])
+def test_costs_add_up_and_bound_the_cheapest(solver, coverage, multiplicity):
+    """Cost is that of the views, the bound is not above it, and the status says proven exactly when they are equal."""
+    M, areas = instance(6)
+    costs = np.random.default_rng(3).uniform(2.0, 9.0, M.shape[1])
+    result = run(M, areas, solver, coverage, costs=costs, multiplicity=multiplicity)
+    assert covered_share(M, areas, result.views, multiplicity) >= coverage - 1e-12
+    assert result.cost == pytest.approx(costs[result.views].sum(), rel=1e-4)
+    assert 0 < result.cost_bound <= result.cost
+    assert result.gap == pytest.approx(1 - result.cost_bound / result.cost)
+    assert (result.status is CoverStatus.PROVEN) == (result.cost_bound == result.cost)
+    assert "cheapest" in result.sentence
+    assert result.lower_bound <= len(result.views)
+    for view in result.views:
+        assert covered_share(M, areas, np.setdiff1d(result.views, view), multiplicity) < coverage
+
+
+def test_equal_costs_choose_as_no_costs_do(solver):
+    """12.5 s for each view is a unit of its own: the same views, 12.5 times the cost."""
+    M, areas = instance(9)
+    plain, priced = run(M, areas, solver), run(M, areas, solver, costs=np.full(M.shape[1], 12.5))
+    np.testing.assert_array_equal(plain.views, priced.views)
+    assert priced.cost == 12.5 * len(plain.views)
+    assert (priced.cost_bound, priced.lower_bound) == (12.5 * plain.lower_bound, plain.lower_bound)
+
+
+def test_a_dear_column_is_avoided(solver):
+    """Of two ways to cover all, one column or two, the cheaper is taken, whichever it is."""
+    M = np.array([[1, 1, 0], [1, 0, 1]], dtype=bool)
+    areas = np.ones(2)
+    assert sorted(run(M, areas, solver, costs=[5.0, 2.0, 2.0]).views) == [1, 2]
+    assert sorted(run(M, areas, solver, costs=[3.0, 2.0, 2.0]).views) == [0]
 
 
 @pytest.mark.parametrize("coverage", COVERAGES)
@@ -139,6 +191,28 @@ def test_clock_guard_stops_the_search_and_says_so(solver):
     assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
     assert result.status is CoverStatus.TIME_LIMITED
     assert "time limit" in result.sentence
+    assert 1 <= result.lower_bound < len(result.views)
+
+
+@pytest.mark.parametrize("solver", ["meta-raps", "local-search", "auto"])
+def test_ctrl_c_returns_the_best_cover_so_far(solver, monkeypatch):
+    """`solve` ends with a cover, a bound, and a status that says that it was interrupted."""
+    M, areas = instance(4, 300, 200, 0.05)
+    calls = []
+    spend = Budget.spend
+
+    def interrupted(self, work):
+        calls.append(work)
+        if len(calls) > 40:
+            raise KeyboardInterrupt
+        return spend(self, work)
+
+    monkeypatch.setattr(Budget, "spend", interrupted)
+    monkeypatch.setattr("planner.cover.local_search.CHUNK_WORK", 10_000)
+    result = run(M, areas, solver, budget=10**12)
+    assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
+    assert result.status is CoverStatus.INTERRUPTED
+    assert "interrupted" in result.sentence
     assert 1 <= result.lower_bound < len(result.views)
 
 

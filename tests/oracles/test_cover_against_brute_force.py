@@ -68,6 +68,54 @@ def test_pinned_views_enter_the_optimum_and_the_bound():
         assert len(result.views) == result.lower_bound == brute_force(M, areas, 1.0, pinned), seed
 
 
+def cheapest(M, areas, coverage, multiplicity, costs):
+    """Least cost by trying all subsets; rows count when covered k times, or by all their columns."""
+    demand = np.minimum(M.sum(axis=1), multiplicity)
+    coverable = demand > 0
+    target = coverage * areas[coverable].sum() - 1e-9
+    best = np.inf
+    for size in range(M.shape[1] + 1):
+        for subset in combinations(range(M.shape[1]), size):
+            columns = list(subset)
+            satisfied = (M[:, columns].sum(axis=1) >= demand) & coverable
+            if costs[columns].sum() < best and areas[satisfied].sum() >= target:
+                best = costs[columns].sum()
+    return best
+
+
+@pytest.mark.parametrize("coverage", [0.5, 0.9, 1.0])
+@pytest.mark.parametrize("priced", ["ones", "whole", "real"])
+def test_demands_and_costs_against_all_subsets(coverage, priced):
+    """For every solver bound <= cheapest <= cost, k from 1 to 3; `auto` and `exact` reach and prove it."""
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        M = rng.random((int(rng.integers(1, 13)), int(rng.integers(1, 9)))) < rng.uniform(0.15, 0.6)
+        n_columns = M.shape[1]
+        costs = {
+            "ones": np.ones(n_columns),
+            "whole": rng.integers(1, 9, n_columns).astype(float),
+            "real": rng.uniform(1, 9, n_columns),
+        }[priced]
+        areas, multiplicity = rng.integers(1, 6, len(M)).astype(float), seed % 3 + 1
+        least = cheapest(M, areas, coverage, multiplicity, costs)
+        for solver in SOLVERS:
+            result = solve(
+                M,
+                areas,
+                rng=np.random.default_rng(0),
+                solver=solver,
+                coverage=coverage,
+                multiplicity=multiplicity,
+                costs=costs,
+                budget=20_000_000 if solver in ("meta-raps", "local-search") else 400_000_000,
+            )
+            assert result.cost == pytest.approx(costs[result.views].sum(), abs=1e-3)
+            assert result.cost_bound <= least + 1e-3, (seed, solver)
+            assert least <= result.cost + 1e-3, (seed, solver)
+            if solver in ("auto", "exact"):
+                assert result.cost == result.cost_bound == pytest.approx(least, abs=1e-3), (seed, solver)
+
+
 @pytest.mark.parametrize("coverage", [0.7, 1.0])
 def test_reductions_keep_the_optimum(coverage):
     """Forced plus fewest(reduced) is fewest(original), and the lifted cover of the reduced problem is a cover."""

@@ -151,6 +151,12 @@ def test_bad_areas_are_refused_with_their_row(bad):
         ({"solver": "gready"}, "choose one of"),
         ({"budget": -1}, "budget is -1"),
         ({"time_limit_s": float("nan")}, "time limit"),
+        ({"multiplicity": 0}, "at least once"),
+        ({"costs": [1.0]}, r"must be \(2,\)"),
+        ({"costs": [1.0, float("nan")]}, r"costs\[1\] is nan"),
+        ({"costs": [0.0, 1.0]}, r"costs\[0\] is 0.0"),
+        ({"costs": [1.0, -2.0]}, r"costs\[1\] is -2.0"),
+        ({"costs": [float("inf"), 1.0]}, r"costs\[0\] is inf"),
     ],
 )
 def test_broken_input_is_refused_with_a_sentence(options, sentence):
@@ -227,3 +233,48 @@ def test_a_last_column_that_loses_all_its_rows(solver):
     assert M[:, result.views].any(axis=1).all()
     fewest = next(n for n in range(1, 7) if any(M[:, list(c)].any(axis=1).all() for c in combinations(range(6), n)))
     assert result.lower_bound <= fewest <= len(result.views)
+
+
+def test_costs_from_1e_minus_12_to_1e6(solver):
+    """Eighteen orders of magnitude: the cheapest columns still cover, and the bound holds."""
+    M = np.vstack((np.eye(12, dtype=bool), np.ones((1, 12), dtype=bool)))
+    M = np.hstack((M, M))
+    costs = np.concatenate((np.geomspace(1e-12, 1e6, 12), np.geomspace(2e-12, 2e6, 12)))
+    result = run(M, np.ones(len(M)), solver, costs=costs)
+    assert sorted(result.views.tolist())[-1] < 24
+    assert M[:, result.views].any(axis=1).all()
+    assert result.cost_bound <= result.cost
+    assert result.cost == pytest.approx(costs[:12].sum(), rel=1e-3)
+
+
+def test_a_multiplicity_beyond_all_columns_takes_every_column_that_covers(solver):
+    """Demanding more than there is means all there is: reported, not refused."""
+    M = np.random.default_rng(2).random((20, 8)) < 0.4
+    M[:, 7] = False
+    result = run(M, np.ones(20), solver, multiplicity=100)
+    assert sorted(result.views.tolist()) == [j for j in range(8) if M[:, j].any()]
+    np.testing.assert_array_equal(result.short_rows, np.flatnonzero(M.any(axis=1)))
+    assert result.status is CoverStatus.PROVEN
+
+
+@pytest.mark.parametrize("multiplicity", [1, 2])
+def test_permuting_rows_and_columns_of_ties(solver, multiplicity):
+    """A ring in which every column looks like every other: any numbering gives as many views."""
+    n = 12
+    ring = sum(np.roll(np.eye(n, dtype=int), k, axis=1) for k in range(3)).astype(bool)
+    sizes = set()
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        M = ring[rng.permutation(n)][:, rng.permutation(n)]
+        sizes.add(len(run(M, np.ones(n), solver, multiplicity=multiplicity).views))
+    assert len(sizes) == 1 or solver in ("greedy", "meta-raps")
+    if solver in ("auto", "exact", "local-search"):
+        assert sizes == {4 * multiplicity}
+
+
+def test_target_one_ulp_above_what_a_subset_reaches(solver):
+    """A target that three of four equal rows just miss needs the fourth; one that they meet does not."""
+    areas = np.full(4, 0.1)
+    assert len(run(np.eye(4, dtype=bool), areas, solver, coverage=0.75).views) == 3
+    above = 0.75 * (1 + 1e-9)
+    assert len(run(np.eye(4, dtype=bool), areas, solver, coverage=above).views) == 4
