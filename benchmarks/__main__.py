@@ -31,6 +31,8 @@ REGISTRY = {
     "edge_resolution": "what a fixed step along a move misses, beside certification: time, misses, false refusals",
     "paths": "paths around obstacles on seeded scenes: found, checks and time beside ompl",
     "motion_recheck": "final motions of seeded scenes, judged by triangles every millisecond and by their differences",
+    "gtsp": "generalised travelling salesman files: over the best known tour and over the lower bound, beside time",
+    "cycle_time": "cycle time of whole plans against the order before, RoboTSP's way and the lower bound",
     "motion": "order and path: cycle time over the Christofides baseline",
     "plan": "the main job as a whole process: stages, memory, prediction error on every part",
     "plant": "the dynamic arm: tracking error beside simulation speed; time steps, integrators and gains that diverge",

@@ -1,0 +1,144 @@
+"""Cycle time of whole plans: the order before, RoboTSP's way, today's search alone, and with exchanged views.
+
+Each seeded scene (part, placement, fixtures; `benchmarks.seeded_scenes`) is covered once, in full; the four ways then
+order and connect the same cover, with certified paths and jerk-limited moves:
+
+- before: the frozen order of `benchmarks.frozen_order`;
+- RoboTSP: a tour through the scanner's positions, best joint solutions along it by dynamic programming (Suarez-Ruiz,
+  Lembono and Pham 2018, doi:10.1109/ICRA.2018.8460581). Its tour is given 10,000 steps of our own search;
+- search: today's ordering on the cover's own views;
+- now: the same after the exchange of views (`planner.equivalent_views`), as `cell plan` runs it.
+
+SCAN_CELL_SCENES (default 4) is the number of scenes; the full form has 20.
+"""
+
+import os
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from benchmarks.frozen_order import frozen
+from benchmarks.seeded_scenes import content
+from cell.errors import SceneError
+from cell.rays.occluders import caster_of, occluder_triangles
+from cell.scene.scene import Scene
+from cell.study.bench import Bench
+from planner import cover, equivalent_views, generalised_tsp, measurability, order, reach
+from planner.tour import Tour, plan_motion
+
+_FACES, _LEAST = 250, 20
+_ROLLS_DEG = (0.0, 90.0)
+
+
+def run() -> list[dict[str, Any]]:
+    """A row for each scene, and one with the means."""
+    rows = [_row(number) for number in range(int(os.environ.get("SCAN_CELL_SCENES", "4")))]
+    ratios = [key for key in rows[0] if "/" in key]
+    mean = {key: float(np.mean([row[key] for row in rows])) for key in ratios}
+    worst = {key: float(np.max([row[key] for row in rows])) for key in ratios}
+    return [*rows, {"scene": "mean", **mean}, {"scene": "worst", **worst}]
+
+
+def _row(number: int) -> dict[str, Any]:
+    bench, reached, M, chosen = _covered(number)
+    world = bench.world
+    checker, kinematics, candidates = bench.checker(world.T_base_object), bench.kinematics, bench.zone
+    home_pose = kinematics.forward(world.home[None])[0] @ world.T_flange_scanner
+
+    def motion(groups: list[Any], views: Any, ordering: str) -> tuple[Tour, float]:
+        begin = perf_counter()
+        tour = plan_motion(
+            [np.concatenate([reached.q_of(int(v)) for v in group]) for group in groups],
+            world.home,
+            checker,
+            world.limits,
+            world.T_base_object @ candidates.T_object_scanner[views, 0],
+            np.random.default_rng(number),
+            ordering=ordering,
+            T_base_home=home_pose,
+        )
+        return tour, perf_counter() - begin
+
+    alone = [chosen.views[k : k + 1] for k in range(len(chosen.views))]
+    order.ORDERINGS |= {"frozen": frozen, "task-space": task_space}
+    before, before_s = motion(alone, chosen.views, "frozen")
+    robotsp, _ = motion(alone, chosen.views, "task-space")
+    search, _ = motion(alone, chosen.views, "joint-space")
+    begin = perf_counter()
+    matrix = equivalent_views.Matrix(M.matrix(), M.features.areas, np.asarray(reached.reachable))
+    found = equivalent_views.exchange(
+        matrix, chosen.views, reached.q_of, world.home, world.limits, np.random.default_rng(number)
+    )
+    exchange_s = perf_counter() - begin
+    now, now_s = motion(list(found.groups), found.views, "joint-space")
+    return {
+        "scene": f"{number} {bench.scene.part.name}",
+        "views": len(chosen.views),
+        "before s": before.duration,
+        "RoboTSP s": robotsp.duration,
+        "search s": search.duration,
+        "now s": now.duration,
+        "dropped": f"{len(before.dropped)}/{len(now.dropped)}",
+        "detours": int(now.detour.sum()),
+        "search/before": search.duration / before.duration,
+        "now/before": now.duration / before.duration,
+        "now/RoboTSP": now.duration / robotsp.duration,
+        "before/bound": before.duration / search.lower_bound,
+        "now/bound": now.duration / now.lower_bound,
+        "before plan s": before_s,
+        "exchange s": exchange_s,
+        "now plan s": now_s,
+    }
+
+
+def _covered(number: int) -> tuple[Bench, reach.Reach, measurability.Measurability, cover.Cover]:
+    """The first draw of a scene that can be and of which enough candidates are reachable, with its cover."""
+    for draw in range(40):
+        tables = content(number, draw)
+        tables["plan"] = {"rolls_deg": list(_ROLLS_DEG), "faces": _FACES}
+        try:
+            bench = Bench(Scene.model_validate(tables), samples=1000)
+            world = bench.world
+        except SceneError:
+            continue
+        checker = bench.checker(world.T_base_object)
+        if not checker.free(world.home[None])[0]:
+            continue
+        candidates = bench.zone
+        reached = reach.solve(candidates, world.T_base_object, world.T_flange_scanner, bench.kinematics, checker)
+        if reached.reachable.sum() < _LEAST:
+            continue
+        M = bench.matrix("aimed", candidates)
+        caster = caster_of(occluder_triangles(world))
+        M = measurability.occlude(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
+        chosen = cover.solve(M.matrix(), M.features.areas, reached.reachable, rng=np.random.default_rng(number))
+        if len(chosen.views) >= 2:
+            return bench, reached, M, chosen
+    raise RuntimeError(f"no draw of scene {number} can be used")
+
+
+def task_space(configurations: Any, home: Any, limits: Any, **arguments: Any) -> order.Sequence:
+    """RoboTSP's ordering, with the signature of `planner.order.sequence`."""
+    poses, home_pose = arguments["T_base_scanner"], arguments["T_base_home"]
+    positions = np.concatenate((home_pose[None, :3, 3], poses[:, :3, 3]))
+    lengths = np.linalg.norm(positions[:, None] - positions, axis=2)
+    problem = generalised_tsp.instance(lengths, np.arange(len(positions) + 1))
+    tour = generalised_tsp.solve(problem, np.arange(1, len(positions)), arguments["rng"], 10_000, 0).tour
+    nodes = np.concatenate([home[None], *configurations])
+    cost = order.move_time(nodes[:, None], nodes, limits)
+    for (a, b), time in (arguments.get("edge_time") or {}).items():
+        cost[a, b] = cost[b, a] = time
+    joint = generalised_tsp.instance(cost, np.concatenate(([0], order.node_offsets(configurations))))
+    duration, chosen = generalised_tsp.best_nodes(joint, tour[1:])
+    views = joint.clusters_of(chosen)[1:]
+    return order.Sequence(
+        order=views - 1,
+        choice=chosen[1:] - joint.first[views],
+        q=nodes[chosen[1:]],
+        duration=duration,
+        baseline_duration=duration,
+        lower_bound=0.0,
+        status=order.OrderStatus.HEURISTIC if duration < generalised_tsp.BLOCKED else order.OrderStatus.NO_TOUR,
+        steps=1,
+    )
