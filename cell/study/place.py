@@ -32,7 +32,7 @@ from cell.study.workers import Workers
 Floats = NDArray[np.float64]
 
 AXES = ("x mm", "y mm", "z mm", "yaw deg")
-LOOKS, CANDIDATES = 512, 200
+LOOKS, CANDIDATES = 256, 200
 """Round 1: places that are looked at, and candidates per look."""
 FULL, CLIMBERS, FINALISTS = 24, 4, 12
 """Places in round 2, starts of round 3, places in round 4."""
@@ -44,6 +44,9 @@ POINT = 0.001
 _LOST = 0.95  # of the best coverage: what is below is another place
 _PROBES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)  # distances [mm] at which the surroundings are looked at
 
+Place = tuple[float, ...]
+"""Values of AXES."""
+
 Progress = Callable[[str, int, int], None]
 """Told (round, trials done, trials in all)."""
 
@@ -54,6 +57,19 @@ class Range:
 
     low: tuple[float, float, float, float]
     high: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What a place gives: the share of the surface that is coverable, and of the candidates that are reachable."""
+
+    coverable: float
+    reachable: float
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Less is better: coverage to a tenth of a point, then the choice that is left, which makes for fewer views."""
+        return -round(self.coverable / POINT), -self.reachable
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +86,7 @@ class Found:
     """
 
     ten: Sequence[Row]
-    looked: Sequence[tuple[tuple[float, ...], float]]
+    looked: Sequence[tuple[Place, float]]
     lost_mm: float
     unreached_mm: float
     places: Mapping[str, int]
@@ -94,7 +110,7 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
     _, b, c = scene.placement.abc_deg
     places: dict[str, int] = {}
 
-    def ask(name: str, points: Sequence[tuple[float, ...]], **what: Any) -> list[Mapping[str, Any]]:
+    def ask(name: str, points: Sequence[Place], **what: Any) -> list[Mapping[str, Any]]:
         trials = [
             Trial.of("placement", {**base, "position_mm": p[:3], "abc_deg": (p[3], b, c), "solver": "auto", **what})
             for p in points
@@ -107,57 +123,58 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
         places[name] = places.get(name, 0) + len(trials)
         return [outcome.values for outcome in run(trials, workers, told=told)]
 
-    def coverage(name: str, points: Sequence[tuple[float, ...]], candidates: int | None) -> list[float]:
+    def look(name: str, points: Sequence[Place], candidates: int | None) -> list[Look]:
         values = ask(name, points, what=COVERAGE_ONLY, candidates=candidates)
-        return [float(value.get("coverable", 0.0)) for value in values]
+        return [Look(value.get("coverable", 0.0), value.get("reachable", 0.0)) for value in values]
 
     unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(LOOKS)
     points = np.tile(low, (LOOKS if len(free) else 1, 1))
     if len(free):
         points[:, free] += unit * (high - low)[free]
     looks = [_rounded(point) for point in points]
-    quick = coverage("quick looks", looks, CANDIDATES)
-    if not any(quick):
+    quick = look("quick looks", looks, CANDIDATES)
+    if not any(each.coverable for each in quick):
         raise UnreachableError(
             "the robot reaches nothing of the part anywhere in this range; move or widen it (--x, --y, --z, --yaw)"
         )
-    seen: dict[tuple[float, ...], float] = {}
+    seen: dict[Place, Look] = {}
 
-    def look_fully(name: str, wanted: Sequence[tuple[float, ...]]) -> None:
+    def look_fully(name: str, wanted: Sequence[Place]) -> None:
         new = [point for point in dict.fromkeys(wanted) if point not in seen]
-        seen.update(zip(new, coverage(name, new, None), strict=True))
+        seen.update(zip(new, look(name, new, None), strict=True))
 
-    best_first = sorted(range(len(looks)), key=lambda i: (-quick[i], looks[i]))
+    best_first = sorted(range(len(looks)), key=lambda i: (quick[i].rank, looks[i]))
     look_fully("full looks", [looks[i] for i in best_first[:FULL]])
-    climbers = _apart(sorted(seen, key=lambda p: (-seen[p], p)), CLIMBERS, high - low)
+    climbers = _apart(sorted(seen, key=lambda p: (seen[p].rank, p)), CLIMBERS, high - low)
     steps = [np.array(FIRST_STEPS)] * len(climbers)
     while any((step > np.array(LAST_STEPS) / 2).all() for step in steps):
         around = [_around(p, step, low, high, free) for p, step in zip(climbers, steps, strict=True)]
         look_fully("search", [point for points in around for point in points])
         for k, points_near in enumerate(around):
-            best = max(points_near, key=lambda p: (seen[p], p), default=climbers[k])
-            if seen[best] > seen[climbers[k]] + POINT / 10:
+            best = min(points_near, key=lambda p: (seen[p].rank, p), default=climbers[k])
+            if seen[best].rank < seen[climbers[k]].rank:
                 climbers[k] = best
             else:
                 steps[k] = steps[k] / 2
-    finalists = sorted(seen, key=lambda p: (-round(seen[p] / POINT), p))[:FINALISTS]
+    finalists = sorted(seen, key=lambda p: (seen[p].rank, p))[:FINALISTS]
     wholes = ask("views and time", finalists, what=WHOLE, candidates=None)
     ten = sorted(
         (_row(point, value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
         key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
     )[:10]
-    lost, unreached = _surroundings(ten[0], low, high, lambda points: coverage("surroundings", points, CANDIDATES))
-    return Found(ten, list(zip(looks, quick, strict=True)), lost, unreached, places)
+    lost, unreached = _surroundings(ten[0], low, high, lambda points: look("surroundings", points, CANDIDATES))
+    shares = [each.coverable for each in quick]
+    return Found(ten, list(zip(looks, shares, strict=True)), lost, unreached, places)
 
 
-def _rounded(point: Floats) -> tuple[float, ...]:
+def _rounded(point: Floats) -> Place:
     """To a tenth of a millimetre and of a degree: what `--place` would be given."""
     return tuple(round(float(value), 1) + 0.0 for value in point)
 
 
-def _apart(points: Sequence[tuple[float, ...]], count: int, extent: Floats) -> list[tuple[float, ...]]:
+def _apart(points: Sequence[Place], count: int, extent: Floats) -> list[Place]:
     """The first points that are at least a tenth of the range apart, so that not all climb the same hill."""
-    chosen: list[tuple[float, ...]] = []
+    chosen: list[Place] = []
     scale = np.where(extent > 0, extent, 1.0)
     for point in points:
         if all(np.linalg.norm((np.array(point) - np.array(other)) / scale) > 0.1 for other in chosen):
@@ -165,9 +182,7 @@ def _apart(points: Sequence[tuple[float, ...]], count: int, extent: Floats) -> l
     return chosen[:count]
 
 
-def _around(
-    point: tuple[float, ...], step: Floats, low: Floats, high: Floats, free: NDArray[np.int64]
-) -> list[tuple[float, ...]]:
+def _around(point: Place, step: Floats, low: Floats, high: Floats, free: NDArray[np.int64]) -> list[Place]:
     """One step each way along each free axis, inside the range."""
     moved = []
     for axis in free:
@@ -179,7 +194,7 @@ def _around(
 
 
 def _surroundings(
-    best: Row, low: Floats, high: Floats, coverage: Callable[[Sequence[tuple[float, ...]]], list[float]]
+    best: Row, low: Floats, high: Floats, look: Callable[[Sequence[Place]], list[Look]]
 ) -> tuple[float, float]:
     """Distances [mm] at which coverage is lost, and at which nothing is reached, in the nearest direction."""
     here = tuple(best[axis] for axis in AXES)
@@ -189,7 +204,7 @@ def _surroundings(
         for direction in directions
         for distance in _PROBES
     ]
-    covered = np.array(coverage(points))
+    covered = np.array([each.coverable for each in look(points)])
     around = covered[1:].reshape(len(directions), len(_PROBES))
     distance = np.broadcast_to(_PROBES, around.shape)
     lost = distance[around < _LOST * covered[0]]
@@ -197,7 +212,7 @@ def _surroundings(
     return float(lost.min(initial=np.inf)), float(nothing.min(initial=np.inf))
 
 
-def _row(point: tuple[float, ...], values: Mapping[str, Any]) -> Row:
+def _row(point: Place, values: Mapping[str, Any]) -> Row:
     return {
         **dict(zip(AXES, point, strict=True)),
         "reachable %": 100 * values["reachable"],
