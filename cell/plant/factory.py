@@ -28,7 +28,7 @@ def of_run(
     Args:
         run: a run folder with a `cell.xml`.
         settings: of simulation and servo; None: the default.
-        observer: is told after every step.
+        observer: is told of every step.
     """
 
     def mujoco(start: Floats) -> Plant:

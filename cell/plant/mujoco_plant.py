@@ -44,8 +44,8 @@ AT_REST = 5e-5
 BRAKE_DELAY = 2.0
 """Time at rest [s] after which the holding brakes close."""
 
-Observer = Callable[[Reference, float, Floats], None]
-"""Takes the reference, its time at the step [s], and the (6,) axes there [rad]."""
+Observer = Callable[[Reference, Floats, Floats], None]
+"""Takes the reference, its times after some steps (K,) [s], and the axes there (K, 6) [rad]."""
 
 _BLOCK = 1000  # steps that are prepared at once
 _ROUNDING = 1e-6  # of a step: sums of times have rounding, and what is a whole step but for that is one
@@ -60,7 +60,7 @@ class MujocoPlant:
         start: (6,) axes at which the arm stands at rest [rad].
         tool: what its flange carries.
         settings: of simulation and servo.
-        observer: is told after every step; the trajectory is the same with and without.
+        observer: is told of every step.
 
     Attributes:
         model: the arm that is simulated.
@@ -146,11 +146,9 @@ class MujocoPlant:
         steps = int(self._pending / self._h + _ROUNDING)
         self._pending = max(self._pending - steps * self._h, 0.0)
         while steps > 0 and not self._failure and not self._braked:
-            block = min(steps, _BLOCK if self._observer is None else 1, self._brake_in)
+            block = min(steps, _BLOCK, self._brake_in)
             self._go(block)
             steps -= block
-            if self._observer is not None:
-                self._observer(self._reference, self._time(), self.true_axes)
         self._steps += steps  # with closed brakes nothing moves, however long
 
     def _go(self, steps: int) -> None:
@@ -164,19 +162,24 @@ class MujocoPlant:
             torque = self._feed_forward.torque(q[:-1], qd[:-1], qdd[:-1])
         gains, data, model, step, integral = self._gains, self.data, self.model, self._step, self._integral
         steady = gains.stiffness * q[:-1] + gains.damping * qd[ahead : steps + ahead] + torque[:steps]
-        per_step, axes, speeds = gains.integral * h, data.qpos, data.qvel
+        per_step, axes, speeds, path = gains.integral * h, data.qpos, data.qvel, np.empty((steps, len(AXES)))
+        done = steps
         for k in range(steps):
             error = q[k] - axes
             if not (error @ error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):  # NaN too
-                self._fail(error)
-                return
+                done = k
+                break
             integral += per_step * error
             data.ctrl[:] = steady[k] + integral
             step(model, data)
-        self._steps += steps
-        self._error = q[-1] - axes
+            path[k] = axes
+        self._steps += done
+        if self._observer is not None and done:
+            self._observer(self._reference, times[1 : done + 1], path[:done])
+        self._error = q[done] - axes
         if not (self._error @ self._error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):
             self._fail(self._error)
+            return
         self._brake_in -= steps
         if self._brake_in == 0:
             self._braked = self._at_rest()

@@ -70,7 +70,7 @@ def test_the_same_commands_and_times_give_the_same_bytes(times: list[float]) -> 
 def test_nothing_moves_between_two_steps(seconds: float) -> None:
     """So many whole steps as fit, the rest is carried: the axes are those at the last step."""
     steps: list[float] = []
-    plant = MujocoPlant(HOME, observer=lambda _, time, axes: steps.append(time))
+    plant = MujocoPlant(HOME, observer=lambda _, times, axes: steps.extend(times))
     plant.follow(reference((0.1,) * 6))
     plant.advance(seconds)
     assert len(steps) == int(seconds / STEP + 1e-6)
