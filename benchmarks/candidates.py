@@ -112,7 +112,9 @@ class _Bench:
         self.features = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))
         self.held_out = surface.sample(reference, self.planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
         self.scanner = LaserArea(**self.settings.scanner)
-        self.world = compile_world(scene, reference.vertices, baseline_mm=self.settings.scanner["baseline_mm"])
+        self.world = compile_world(
+            scene, reference.vertices, part_faces=reference.faces, baseline_mm=self.settings.scanner["baseline_mm"]
+        )
         self.checker = MujocoCollisionChecker(self.world)
         self.kinematics = Kr16Kinematics.from_model(self.world.model)
         others = trimesh.util.concatenate(

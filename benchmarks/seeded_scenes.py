@@ -69,7 +69,7 @@ def usable(number: int, least: int = 2) -> SeededCell:
         scene = Scene.model_validate(content(number, draw))
         part, planning = _part(scene.part.name)
         try:
-            world = compile_world(scene, part.reference.vertices, baseline_mm=75.0)
+            world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=75.0)
         except SceneError:
             continue
         candidates = viewpoints.optimal_scanning_zone(planning, (_STANDOFF,), tuple(_ROLLS))

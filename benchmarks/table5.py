@@ -43,7 +43,9 @@ def run() -> list[dict[str, Any]]:
     held_out = surface.sample(part.reference, planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
     caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
     scanner = LaserArea(**settings.scanner)
-    world = compile_world(scene, part.reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
+    world = compile_world(
+        scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=settings.scanner["baseline_mm"]
+    )
     kinematics = Kr16Kinematics.from_model(world.model)
     rows: list[dict[str, Any]] = []
     for rolls in ((0.0,), settings.rolls):

@@ -12,8 +12,9 @@ EPILOG = (
     "Examples:\n\n"
     "cell replay sim_runs/trial\n\n"
     "cell replay sim_runs/trial --execution latest --view 3 --speed 0.5\n\n"
+    "cell replay sim_runs/trial --tightest --picture tight.png\n\n"
     "cell replay sim_runs/trial --picture tour.png --size 1600x1200\n\n"
-    "Keys: space pause, left and right step from view to view, up and down speed, home start.\n\n"
+    "Keys: space pause, left and right step from view to view, up and down speed, home start, end tightest moment.\n\n"
     "Exit codes: 0 done, 2 usage (also: no display and no EGL or OSMesa), 6 files or run folder, 70 bug, 130 Ctrl-C."
 )
 
@@ -26,6 +27,9 @@ def replay(
     view: Annotated[
         int | None, typer.Option(metavar="N", help="Begin at this view, counted from 1 in visiting order.")
     ] = None,
+    tightest: Annotated[
+        bool, typer.Option("--tightest", help="Begin at the moment at which two things are nearest.")
+    ] = False,
     speed: Annotated[float, typer.Option(help="Seconds of the motion for each second.")] = 1.0,
     once: Annotated[bool, typer.Option("--once", help="Close the viewer at the end.")] = False,
     frames: Annotated[
@@ -46,7 +50,9 @@ def replay(
     width, cross, height = size.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise UsageError(f"--size {size} must be width x height in pixels, for instance --size 960x720")
-    wanted = ReplayOptions(execution, view, speed, frames, picture, fps, every, (int(width), int(height)), once)
+    wanted = ReplayOptions(
+        execution, view, tightest, speed, frames, picture, fps, every, (int(width), int(height)), once
+    )
     made = run_replay(run, wanted, Narrator())
     if made:
         sys.stdout.write(made + "\n")

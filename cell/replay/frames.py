@@ -8,6 +8,7 @@ import numpy as np
 
 from cell.commands.narrator import ProgressCallback
 from cell.errors import FileError
+from cell.replay.closest import close_camera
 from cell.replay.offscreen import Image, OffScreen
 from cell.replay.show import Show, show_what_is_seen
 
@@ -107,6 +108,8 @@ def write_picture(show: Show, path: Path, size: tuple[int, int], t: float | None
         moment = show.best_stop() if t is None else t
         camera = show.camera(size[0] / size[1], [moment])
         show.pose(moment)
+        if show.closest is not None and moment == show.closest.time:
+            camera = close_camera(show.theatre.model, show.data, show.closest)
         _save(screen.picture(show.data, camera, lambda scene: show.draw_tour(scene, moment)), path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 VIEW_FACES = 200_000
 """Faces above which the part is decimated for the view: finer than any pixel, and software rendering pays for each."""
 
+_IS_PART = re.compile(r"part(_\d+)?")
 _VISUAL_GROUP, _ROBOT_GROUP, _HIDDEN_GROUP = 1, 3, 4
 _DARK = ("motor", "feet", "turntable", "flange", "collar", "front")  # pieces that are black on the machine
 _LOOK: dict[str, dict[str, Any]] = {
@@ -43,9 +45,14 @@ def paint(spec: mujoco.MjSpec) -> None:
             if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
                 _chamfer(spec, geom)
         elif geom.name != "floor":
-            geom.material = special.get(geom.name, "surface" if geom.name == "part" else "fixture")
+            geom.material = special.get(geom.name, "surface" if _IS_PART.fullmatch(geom.name) else "fixture")
         if geom.material:
             geom.rgba = _LOOK[geom.material]["rgba"]
+
+
+def part_pieces(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
+    """The shapes that stand for the part: its hull, or its convex pieces."""
+    return [geom for geom in spec.body("object").geoms if _IS_PART.fullmatch(geom.name)]
 
 
 def light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
@@ -121,7 +128,8 @@ def show_surface(spec: mujoco.MjSpec, reference: TriangleMesh) -> None:
         contype=0,
         conaffinity=0,
     )
-    spec.geom("part").group = _HIDDEN_GROUP
+    for piece in part_pieces(spec):
+        piece.group = _HIDDEN_GROUP
 
 
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, *, smooth: bool = False) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cell.world.shapes import KIND
 from planner.ports import Floats
 
 if TYPE_CHECKING:
@@ -123,6 +124,15 @@ def add_ball(scene: mujoco.MjvScene, position: Floats, radius: float, rgba: Colo
     _geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), position, np.eye(3), rgba)
 
 
+def add_label(scene: mujoco.MjvScene, position: Floats, text: str) -> None:
+    """A line of text that faces the camera."""
+    import mujoco
+
+    geom = _geom(scene, mujoco.mjtGeom.mjGEOM_LABEL, np.full(3, 0.01), position, np.eye(3), (0.0, 0.0, 0.0, 1.0))
+    if geom is not None:
+        geom.label = text
+
+
 def add_clouds(scene: mujoco.MjvScene, theatre: Theatre, shown: Sequence[int], fresh: int | None) -> None:
     """Points of the scans taken so far, those of the newest brighter."""
     for scan in shown:
@@ -138,18 +148,37 @@ def add_touches(scene: mujoco.MjvScene, found: Sequence[Touch]) -> None:
 
 
 def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
-    """What is nearer than the clearance at the pose of `data`, nearest first; looks with the checked shapes."""
+    """What is nearer than the clearance at the pose of `data`, nearest first; looks with the checked shapes.
+
+    Where the part was checked as its triangles, its hull in the model only finds the shapes to look at.
+    """
     import mujoco
 
     mujoco.mj_collision(theatre.model, data)
     found: dict[str, Touch] = {}
     for contact in data.contact[: data.ncon]:
         names = " with ".join(theatre.entities[geom] for geom in sorted(contact.geom, reverse=True))
-        distance = float(contact.dist)
+        distance, position = float(contact.dist), contact.pos
+        pieces = [theatre.entities[geom] for geom in contact.geom]
+        if theatre.part_tree is not None and "part" in pieces:
+            body = int(contact.geom[1 - pieces.index("part")])
+            distance, position = _from_triangles(theatre, data, body)
         if distance < theatre.clearance and (names not in found or distance < found[names].distance):
-            x, y, z = (float(value) for value in contact.pos)
+            x, y, z = (float(value) for value in position)
             found[names] = Touch(names, distance, (x, y, z))
     return tuple(sorted(found.values(), key=lambda touch: touch.distance))
+
+
+def _from_triangles(theatre: Theatre, data: mujoco.MjData, geom: int) -> tuple[float, Floats]:
+    """Distance of a shape from the part's triangles [m], `clearance` where it is more, and the place between them."""
+    model, part = theatre.model, theatre.model.body("object").id
+    points = np.zeros((2, 3))
+    assert theatre.part_tree is not None
+    distance = theatre.part_tree.distance(
+        KIND[int(model.geom_type[geom])], model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom],
+        data.xpos[part], data.xmat[part], theatre.clearance, points=points,
+    )  # fmt: skip
+    return distance, points.mean(axis=0)
 
 
 def _geom(

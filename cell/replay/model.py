@@ -16,7 +16,7 @@ import numpy as np
 
 from cell import scanners
 from cell.errors import FileError
-from cell.replay.look import add_mesh, light, paint, show_surface
+from cell.replay.look import add_mesh, light, paint, part_pieces, show_surface
 from cell.replay.marks import GLYPH_SHARE
 from cell.robot import model as robot
 from cell.run.record import RunRecord, artefact, understood
@@ -26,6 +26,8 @@ from planner.surface import TriangleMesh
 
 if TYPE_CHECKING:
     import mujoco
+
+    from cell.world.triangle_tree import TriangleTree
 
 _DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 POINTS_SHOWN = 6_000
@@ -49,6 +51,7 @@ class Theatre:
         cloud_mesh: number of the mesh of each scan's points, object frame, by scan; -1 for a scan without points.
         entities: for each geom, the name a reader knows ("link_4", "housing", "part").
         clearance: distance that a free configuration keeps [m].
+        part_tree: the part's triangles where it was checked as these; the model holds its hull then.
     """
 
     model: mujoco.MjModel
@@ -63,6 +66,7 @@ class Theatre:
     cloud_mesh: tuple[int, ...]
     entities: tuple[str, ...]
     clearance: float
+    part_tree: TriangleTree | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "home", readonly("home", self.home, (6,)))
@@ -107,11 +111,13 @@ def dress(
         T_base_object = readonly("T_base_object", scene["T_base_object"], (4, 4))
         centre = (T_base_object @ readonly("T_object_centre", scene["T_object_centre"], (4, 4)))[:3, 3]
         clearance = float(scene["clearance_mm"]) / 1000.0
+        exact = scene.get("plan", {}).get("collision") == "exact"
         scanner = scene["scanner"]
         opening = np.radians(scanners.drawn_opening_deg(scanner))
         corners = frustum(*opening, *(np.array(scanner.get("range_mm", _DRAWN_RANGE_MM)) / 1000.0))
 
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
+    entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)
     light(spec, centre, size)
     shown = reference if reference is not None else _hull(spec)
@@ -141,6 +147,7 @@ def dress(
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=clearance,
+        part_tree=_tree(reference) if reference is not None and exact else None,
     )
 
 
@@ -171,10 +178,21 @@ def _pyramid(base: Floats) -> TriangleMesh:
     return TriangleMesh(np.concatenate([np.zeros((1, 3)), base]), np.array(faces))
 
 
+def _tree(part: TriangleMesh) -> TriangleTree:
+    from cell.world.triangle_tree import TriangleTree  # its kernels load numba
+
+    return TriangleTree(part)
+
+
 def _hull(spec: mujoco.MjSpec) -> TriangleMesh:
-    mesh = spec.mesh(spec.geom("part").meshname)
-    vertices = np.asarray(mesh.uservert, dtype=np.float64).reshape(-1, 3)
-    return TriangleMesh(vertices, np.asarray(mesh.userface, dtype=np.int32).reshape(-1, 3))
+    """The part as it was checked: its hull, or all of its pieces."""
+    vertices, faces, count = [], [], 0
+    for piece in part_pieces(spec):
+        mesh = spec.mesh(piece.meshname)
+        vertices.append(np.asarray(mesh.uservert, dtype=np.float64).reshape(-1, 3) + piece.pos)
+        faces.append(np.asarray(mesh.userface, dtype=np.int32).reshape(-1, 3) + count)
+        count += len(vertices[-1])
+    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
 
 
 def _specks(points: Floats, size: float) -> TriangleMesh:

@@ -14,13 +14,14 @@ import numpy as np
 from cell.commands.narrator import Narrator
 from cell.errors import FileError, UsageError
 from cell.replay import timeline as replay_timeline
+from cell.replay.closest import of_plan
 from cell.replay.frames import require_empty, write_frames, write_picture
 from cell.replay.model import dress
 from cell.replay.offscreen import require_backend
 from cell.replay.show import Show
 from cell.replay.timeline import Timeline
 from cell.run import reader as run_reader
-from cell.run.record import RunRecord, open_run
+from cell.run.record import RunRecord, open_run, understood
 from cell.scan.execution_reader import read_execution
 
 
@@ -31,6 +32,7 @@ class ReplayOptions:
     Attributes:
         execution: id of an execution, or "latest"; None replays the plan.
         view: number of the view, in visiting order from 1, at which the show begins; None is its start.
+        tightest: begin at the tightest moment of the motion.
         speed: seconds of the show for each second.
         frames: folder for numbered pictures; None opens the viewer.
         picture: file for one still of the whole tour; None draws none.
@@ -42,6 +44,7 @@ class ReplayOptions:
 
     execution: str | None = None
     view: int | None = None
+    tightest: bool = False
     speed: float = 1.0
     frames: Path | None = None
     picture: Path | None = None
@@ -87,11 +90,11 @@ def replay(
         require_display()
     with narrator.stage("set up the replay"):
         show = load_show(open_run(folder), options.execution, options.size, narrator)
-    start = _start(show.timeline, options.view)
-    made = []
+    start = _tightest(show) if options.tightest else _start(show.timeline, options.view)
+    made, chosen = [], options.view is not None or options.tightest
     if options.picture is not None:
         with narrator.stage("draw the picture"):
-            write_picture(show, options.picture, options.size, None if options.view is None else start)
+            write_picture(show, options.picture, options.size, start if chosen else None)
         made.append(f"picture in {options.picture}")
     if options.frames is not None:
         with narrator.stage("draw the frames") as progress:
@@ -140,7 +143,11 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
     for note in timeline.notes:
         narrator.note(note)
     if timeline.stops or planned is not None or not run.has("viewpoints.npz"):
-        return Show(theatre, timeline)
+        closest = None
+        if recorded is None and planned is not None and run.has("plan.json"):
+            with understood(run.folder / "plan.json"):
+                closest = of_plan(run_reader.plan_json(run), timeline)
+        return Show(theatre, timeline, closest=closest)
     candidates = run_reader.candidates(run)
     reachable = run_reader.reached(run).reachable if run.has("reach.npz") else None
     narrator.note(
@@ -164,6 +171,15 @@ def _start(timeline: Timeline, view: int | None) -> float:
     return timeline.stops[numbers.index(view)].begin
 
 
+def _tightest(show: Show) -> float:
+    if show.closest is None:
+        raise UsageError(
+            "--tightest asks for the tightest moment, and this replay knows none: an execution, a run of an older "
+            "version, or a motion that is far from everything; leave it out"
+        )
+    return show.closest.time
+
+
 def _check(options: ReplayOptions) -> None:
     width, height = options.size
     if not (64 <= width <= 4096 and 64 <= height <= 4096):
@@ -172,6 +188,8 @@ def _check(options: ReplayOptions) -> None:
         raise UsageError(f"--speed {options.speed:g} must be above 0 and at most 1000")
     if not 0 < options.fps <= 240:
         raise UsageError(f"--fps {options.fps:g} must be above 0 and at most 240")
+    if options.tightest and options.view is not None:
+        raise UsageError("--tightest and --view both say where to begin; give one of them")
     if options.every < 1:
         raise UsageError(f"--every {options.every} must be 1 (each frame) or more")
     if options.picture is not None and options.picture.suffix.lower() != ".png":

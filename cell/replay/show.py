@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.replay import marks
+from cell.replay.closest import Closest, add_closest
 from cell.replay.model import Theatre
 from cell.replay.timeline import Timeline
 from cell.robot import model as robot
@@ -32,6 +33,7 @@ class Show:
         path: (M, 3) the way of the scanner's source [m], base frame.
         candidates: (C, 3) sources of candidate viewpoints where there is no motion to show [m].
         reachable: (C,) whether each of them was found reachable; None where the run did not get so far.
+        closest: the tightest moment of the motion; None where it is not known.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class Show:
         timeline: Timeline,
         T_base_candidate: Floats | None = None,
         reachable: np.ndarray[tuple[int], np.dtype[np.bool_]] | None = None,
+        closest: Closest | None = None,
     ) -> None:
         """Work out the poses.
 
@@ -48,6 +51,7 @@ class Show:
             timeline: what happens when.
             T_base_candidate: (C, 4, 4) candidate viewpoints to be shown [m]; None for a run with a motion.
             reachable: (C,) what is known of them.
+            closest: the tightest moment of the motion.
         """
         import mujoco
 
@@ -65,6 +69,7 @@ class Show:
         self.path = readonly("path", [self._scanner(q)[:3, 3] for q in timeline.q[rows]], (None, 3))
         self.T_base_candidate = np.zeros((0, 4, 4)) if T_base_candidate is None else T_base_candidate
         self.reachable = reachable
+        self.closest = closest
         self.pose(0.0)
 
     def pose(self, t: float) -> None:
@@ -102,9 +107,11 @@ class Show:
         elif self.timeline.stops:
             marks.add_glyph(scene, self.theatre, self._scanner_now())
         marks.add_touches(scene, touching)
+        if self.closest is not None and self.closest.shown_at(t):
+            add_closest(scene, self.closest)
 
     def draw_tour(self, scene: mujoco.MjvScene, t: float) -> None:
-        """All at once: path, every view, all points, and the frustum of the present stop."""
+        """All at once: path, every view, all points, the frustum of the present stop, the tightest place."""
         self.draw_still(scene)
         present = self._row_at(t)
         for row, T in enumerate(self.T_base_scanner):
@@ -113,6 +120,8 @@ class Show:
         marks.add_clouds(scene, self.theatre, range(len(self.theatre.cloud_mesh)), None)
         if present is not None:
             marks.add_frustum(scene, self.theatre, self.T_base_scanner[present])
+        if self.closest is not None:
+            add_closest(scene, self.closest)
 
     def _row_at(self, t: float) -> int | None:
         """Row of the stop at which the show rests; its number may be another one where views are missing."""
@@ -132,7 +141,8 @@ class Show:
         else:
             where = "home" if t >= self.timeline.duration else "to home"
         text = f"{where}   {self.timeline.moved(t):.1f} s"
-        return "   ".join([text, *(touch.sentence for touch in touching)])
+        tight = [f"tightest: {self.closest.sentence}"] if self.closest is not None and self.closest.shown_at(t) else []
+        return "   ".join([text, *tight, *(touch.sentence for touch in touching)])
 
     def camera(self, aspect: float, times: Sequence[float] | None = None) -> mujoco.MjvCamera:
         """A free camera beside the part that has robot, part and path in the picture.

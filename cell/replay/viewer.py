@@ -23,24 +23,28 @@ SPEEDS = (0.05, 20.0)
 """Slowest and fastest show that the keys go to."""
 
 # GLFW's key codes. They differ from the keys that the viewer takes for itself (letters, digits, F1 to F12, [ and ]).
-_SPACE, _RIGHT, _LEFT, _DOWN, _UP, _HOME = 32, 262, 263, 264, 265, 268
+_SPACE, _RIGHT, _LEFT, _DOWN, _UP, _HOME, _END = 32, 262, 263, 264, 265, 268, 269
 
 _CLOSING = 10.0  # patience with a window that closes [s]
 
-HELP = "space pause   left, right view   up, down speed   home start"
+HELP = "space pause   left, right view   up, down speed   home start   end tightest moment"
 
 
 class Player:
     """Where the show is and how fast it runs."""
 
-    def __init__(self, timeline: Timeline, speed: float = 1.0, start: float = 0.0) -> None:
+    def __init__(
+        self, timeline: Timeline, speed: float = 1.0, start: float = 0.0, tightest: float | None = None
+    ) -> None:
         """Begin to play.
 
         Args:
             timeline: the show.
             speed: seconds of the show for each second of the clock.
             start: first moment [s].
+            tightest: the tightest moment [s]; None where it is not known.
         """
+        self.tightest = tightest
         self.timeline, self.speed, self.t = timeline, speed, start
         self.playing = True
 
@@ -68,6 +72,8 @@ class Player:
             self.speed = max(self.speed / 1.5, SPEEDS[0])
         elif key == _HOME:
             self.t = 0.0
+        elif key == _END and self.tightest is not None:
+            self._step_to(self.tightest)
         elif key == _RIGHT:
             self._step_to(next((stop.begin for stop in stops if stop.begin > self.t), self.timeline.duration))
         elif key == _LEFT:
@@ -106,7 +112,7 @@ def play(
 
     keys: queue.SimpleQueue[int] = queue.SimpleQueue()
     model, data = show.theatre.model, show.data
-    player = Player(show.timeline, speed, start)
+    player = Player(show.timeline, speed, start, None if show.closest is None else show.closest.time)
     show.pose(start)
     others = set(threading.enumerate())
     with mujoco.viewer.launch_passive(

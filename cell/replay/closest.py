@@ -1,0 +1,124 @@
+"""The tightest moment of a plan as replay shows it: the two nearest points, what they are on, when in the show.
+
+Read from the object `clearance` of plan.json; runs that do not have it, or whose motion is nowhere near anything, show
+nothing. Base frame, metres, seconds of the show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cell.replay import marks
+from cell.replay.timeline import Timeline
+from planner.ports import Floats
+from planner.readonly import readonly
+
+if TYPE_CHECKING:
+    import mujoco
+
+NEAR: marks.Colour = (0.93, 0.25, 0.05, 1.0)
+_SHOWN = 0.35  # s of the show before and after, in which the pair is drawn into a running show
+_ROD, _BALL = 0.002, 0.005  # m
+_NEAREST = 0.7  # m, of a camera that looks at the pair
+_ELEVATIONS_DEG = (-15.0, -35.0, 5.0)
+_SKIN = 0.012  # m; a shape that hides less than this of a point's own surroundings does not hide it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closest:
+    """Two things that are nearest in all of the motion.
+
+    Attributes:
+        points: (2, 3) of the first and of the second [m], base frame.
+        distance: between them [m].
+        between: what they are, "housing with part".
+        time: of the show [s].
+    """
+
+    points: Floats
+    distance: float
+    between: str
+    time: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", readonly("points", self.points, (2, 3)))
+
+    @property
+    def sentence(self) -> str:
+        """For captions and for the label beside the line."""
+        return f"{1000 * self.distance:.1f} mm {self.between}"
+
+    def shown_at(self, t: float) -> bool:
+        """Whether the show is so near to the moment that the pair is drawn."""
+        return abs(t - self.time) <= _SHOWN
+
+
+def of_plan(plan: Mapping[str, Any], timeline: Timeline) -> Closest | None:
+    """The tightest moment of a plan.
+
+    Args:
+        plan: the content of plan.json.
+        timeline: the plan's show, with its rests.
+
+    Raises:
+        KeyError, TypeError, ValueError: if what is there is damaged.
+    """
+    tightest = plan.get("clearance", {}).get("tightest")
+    if tightest is None:
+        return None
+    moving = float(tightest["time_s"])
+    rests = sum(stop.end - stop.begin for stop in timeline.stops if stop.moved < moving - 1e-6)
+    return Closest(
+        np.array(tightest["points_in_base_mm"], dtype=np.float64) / 1000.0,
+        float(tightest["distance_mm"]) / 1000.0,
+        str(tightest["between"]),
+        min(moving + rests, timeline.duration),
+    )
+
+
+def add_closest(scene: mujoco.MjvScene, closest: Closest) -> None:
+    """A rod between the two points, a ball at each, and the distance as a label."""
+    start, end = closest.points
+    marks.add_segment(scene, start, end, _ROD, NEAR)
+    marks.add_ball(scene, start, _BALL, NEAR)
+    marks.add_ball(scene, end, _BALL, NEAR)
+    marks.add_label(scene, closest.points.mean(axis=0), "   " + closest.sentence)  # beside the line, not on it
+
+
+def close_camera(model: mujoco.MjModel, data: mujoco.MjData, closest: Closest) -> mujoco.MjvCamera:
+    """A camera near the two points, across the line between them, from where most of both is to be seen.
+
+    Args:
+        model: what is looked at.
+        data: the state at the tightest moment.
+        closest: the two points.
+    """
+    import mujoco
+
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(model, camera)
+    middle = closest.points.mean(axis=0)
+    camera.lookat[:], camera.distance = middle, max(_NEAREST, 6.0 * closest.distance)
+    way = closest.points[1] - closest.points[0]
+    way = way / max(float(np.linalg.norm(way)), 1e-9)
+    shown = np.array([1, 1, 1, 1, 0, 0], dtype=np.uint8)
+    best = -1.0
+    for elevation in _ELEVATIONS_DEG:
+        for azimuth in np.arange(0.0, 360.0, 15.0):
+            a, e = np.radians([azimuth, elevation])
+            forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+            eye = middle - camera.distance * forward
+            seen = 0
+            for point in (*closest.points, middle):
+                ray = point - eye
+                length = float(np.linalg.norm(ray))
+                hit = mujoco.mj_ray(model, data, eye, ray / length, shown, True, -1, np.zeros(1, dtype=np.int32))
+                seen += hit < 0 or hit > length - _SKIN
+            score = seen + float(np.linalg.norm(np.cross(way, forward)))
+            if score > best + 1e-9:
+                best, camera.azimuth, camera.elevation = score, float(azimuth), elevation
+    return camera

@@ -1,0 +1,185 @@
+"""Parts on which hull, pieces and triangles differ, or on which a decomposition may fail, by name."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from cell.errors import SceneError
+from cell.replay.marks import touches
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+
+FIDELITIES = ("hull", "decomposed", "exact")
+PLACE_MM = (1100.0, 0.0, -100.0)
+
+
+def _world(mesh: trimesh.Trimesh, collision: str, **tables: object) -> World:
+    scene = Scene.model_validate(
+        {"plan": {"collision": collision}, "placement": {"position_mm": PLACE_MM}, "post": {"enabled": False}, **tables}
+    )
+    return compile_world(
+        scene, mesh.vertices, part_faces=np.array(mesh.faces), baseline_mm=75.0, refuse=False, use_cache=False
+    )
+
+
+def _bucket() -> trimesh.Trimesh:
+    outline = [(0.0, 0.0), (0.24, 0.0), (0.24, 0.36), (0.228, 0.36), (0.228, 0.012), (0.0, 0.012)]
+    return trimesh.creation.revolve(np.array(outline), sections=80)
+
+
+def _looking_down(world: World, depth: float) -> np.ndarray:
+    """(N, 6) joint solutions with the scanner on the part's axis, looking down, `depth` below the part's top [m]."""
+    T = np.eye(4)
+    T[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    centre = (world.T_base_object @ world.T_object_centre)[:3, 3]
+    T[:3, 3] = centre + np.array([0.0, 0.0, np.ptp(world.part_hull.vertices[:, 2]) / 2 - depth])
+    kinematics = Kr16Kinematics.from_model(world.model)
+    q = kinematics.inverse((T @ np.linalg.inv(world.T_flange_scanner))[None])[0]
+    q = q[np.isfinite(q).all(axis=1)]
+    return q[((q >= world.limits.lower) & (q <= world.limits.upper)).all(axis=1)]
+
+
+@pytest.fixture(scope="module")
+def buckets() -> dict[str, World]:
+    """A deep bucket in each fidelity."""
+    return {collision: _world(_bucket(), collision) for collision in FIDELITIES}
+
+
+def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_pieces_and_triangles(buckets: dict[str, World]) -> None:
+    """The scanner looks from 120 mm below the rim; at 60 mm beside the wall none of them lets it."""
+    verdicts = {}
+    for collision, world in buckets.items():
+        q = _looking_down(world, 0.12)
+        assert len(q)
+        checker = MujocoCollisionChecker(world)
+        verdicts[collision] = checker.free(q)
+        if collision == "hull":
+            assert all("housing with part" in checker.contacts(one) for one in q)
+        shifted = MujocoCollisionChecker(world, world.T_base_object + np.outer([0.2, 0, 0, 0], [0, 0, 0, 1]))
+        assert not shifted.free(q).any()
+    assert not verdicts["hull"].any()
+    assert verdicts["decomposed"].any()
+    assert verdicts["exact"].any()
+    assert (verdicts["exact"] | ~verdicts["decomposed"]).all()
+
+
+def test_distances_grow_from_hull_to_pieces_to_triangles(buckets: dict[str, World]) -> None:
+    """Each encloses the next, so it is nowhere farther; configurations in and about the bucket."""
+    rng = np.random.default_rng(0)
+    base = np.concatenate([_looking_down(buckets["hull"], depth) for depth in (-0.1, 0.0, 0.1, 0.2)])
+    q = np.clip(
+        (base[:, None] + rng.normal(0, 0.05, (len(base), 12, 6))).reshape(-1, 6),
+        buckets["hull"].limits.lower, buckets["hull"].limits.upper,
+    )  # fmt: skip
+    by = {name: np.maximum(MujocoCollisionChecker(world).distance(q)[0], 0.0) for name, world in buckets.items()}
+    assert (by["hull"] <= by["decomposed"] + 1e-6).all()
+    assert (by["decomposed"] <= by["exact"] + 1e-6).all()
+    assert (by["exact"] > by["hull"] + 0.005).any()
+
+
+def test_free_contacts_and_distance_agree_with_triangles(buckets: dict[str, World]) -> None:
+    """As they do with hulls; the order of questions changes nothing."""
+    world = buckets["exact"]
+    checker = MujocoCollisionChecker(world)
+    rng = np.random.default_rng(1)
+    base = np.concatenate([_looking_down(world, depth) for depth in (0.0, 0.1, 0.15)])
+    q = (base[:, None] + rng.normal(0, 0.06, (len(base), 10, 6))).reshape(-1, 6)
+    free, (distance, names) = checker.free(q), checker.distance(q)
+    assert 0.05 < free.mean() < 0.95
+    for k, configuration in enumerate(q):
+        assert free[k] == (distance[k] >= checker.clearance) == (checker.contacts(configuration) == ())
+        if not free[k]:
+            assert names[k] in checker.contacts(configuration)
+    assert (checker.free(q[::-1])[::-1] == free).all()
+
+
+def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict[str, World]) -> None:
+    """In the bucket: the model holds the hull, and the triangles say that nothing is near."""
+    world = buckets["exact"]
+    q = next(q for q in _looking_down(world, 0.12) if MujocoCollisionChecker(world).free(q[None])[0])
+    data = world.data()
+    data.qpos[:] = q
+    mujoco.mj_kinematics(world.model, data)
+    theatre = SimpleNamespace(
+        model=world.model, entities=world.entities, clearance=world.clearance, part_tree=world.part_tree
+    )
+    assert touches(theatre, data) == ()
+    theatre.part_tree = None
+    assert any("part" in touch.names for touch in touches(theatre, data))
+
+
+def _sheet() -> trimesh.Trimesh:
+    corners = [[-0.2, -0.1, 0], [0.2, -0.1, 0], [0.2, 0.1, 0], [-0.2, 0.1, 0]]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def _open_bowl() -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(3, 0.15)
+    return trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] < 0.02])
+
+
+def _inside_out() -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(2, 0.15)
+    return trimesh.Trimesh(ball.vertices, ball.faces[:, ::-1], process=False)
+
+
+def _shells() -> trimesh.Trimesh:
+    balls = [trimesh.creation.icosphere(2, 0.03) for _ in range(5)]
+    for k, ball in enumerate(balls):
+        ball.apply_translation([0.0, 0.1 * k, 0.03 * (k % 2)])
+    return trimesh.util.concatenate(balls)
+
+
+PARTS: dict[str, Callable[[], trimesh.Trimesh]] = {
+    "a thin sheet": _sheet,
+    "a bowl that is not closed": _open_bowl,
+    "a ball that is inside out": _inside_out,
+    "five shells": _shells,
+    "a ring around nothing": lambda: trimesh.creation.annulus(0.18, 0.2, 0.03),
+    "one triangle": lambda: trimesh.Trimesh([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0]], [[0, 1, 2]], process=False),
+    "a triangle given twice": lambda: trimesh.Trimesh(
+        [[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0]], [[0, 1, 2], [0, 2, 1]], process=False
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_nasty_parts_compile_and_are_found_in_every_fidelity(name: str) -> None:
+    """The housing on its middle of mass is a contact, home is free, and both are so in each fidelity."""
+    mesh = PARTS[name]()
+    for collision in FIDELITIES:
+        world = _world(mesh, collision)
+        checker = MujocoCollisionChecker(world)
+        assert checker.free(world.home[None])[0]
+        # Put a vertex of the part into the middle of the housing at home.
+        data = world.data()
+        housing = data.geom_xpos[world.model.geom("housing").id]
+        T = np.eye(4)
+        T[:3, 3] = housing - mesh.vertices[mesh.faces[0, 0]]
+        at_housing = MujocoCollisionChecker(world, T)
+        assert not at_housing.free(world.home[None])[0]
+        distance, names = at_housing.distance(world.home[None])
+        assert distance[0] <= 0
+        assert "housing with part" in at_housing.contacts(world.home)
+        assert names[0].endswith("part")
+
+
+def test_vertices_alone_are_taken_as_their_hull() -> None:
+    """There are no triangles to be exact about, and the world says so."""
+    ball = trimesh.creation.icosphere(2, 0.1)
+    assert compile_world(Scene(), ball.vertices, baseline_mm=75.0, refuse=False).collision == "hull"
+
+
+def test_a_fidelity_that_does_not_exist_is_named() -> None:
+    """With what there is; and a part without a finite vertex is refused before its triangles are looked at."""
+    with pytest.raises(ValueError, match="'hull', 'decomposed' or 'exact'"):
+        Scene.model_validate({"plan": {"collision": "convex"}})
+    with pytest.raises(SceneError, match="no finite vertices"):
+        _world(trimesh.Trimesh([[np.nan] * 3] * 3, [[0, 1, 2]], process=False), "exact")
