@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.seeded_scenes import SeededCell, usable
-from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
 from planner.edge import certify
@@ -77,7 +76,7 @@ def _moves(number: int) -> list[tuple[Floats, NDArray[np.bool_], tuple[bool, int
 
 def _without_clearance(cell: SeededCell) -> MujocoCollisionChecker:
     """The checker of the same scene that finds contact alone."""
-    scene = Scene.model_validate(cell.world.scene.model_dump() | {"clearance_mm": 0.0})
+    scene = cell.world.scene.model_copy(update={"clearance_mm": 0.0})
     return MujocoCollisionChecker(compile_world(scene, cell.part.vertices, baseline_mm=75.0))
 
 

@@ -128,6 +128,7 @@ def test_json_prints_one_object_on_stdout(planned: Path) -> None:
         (("plan", "PART", "--units", "mm", "--out", "."), 6, "no name of its own"),
         (("plan", "PART", "--units", "mm", "--bogus"), 2, "No such option"),
         (("plan", "PART", "--units", "mm", "--seed", "1.5"), 2, "--seed"),
+        (("plan", "PART", "--units", "mm", "--speed", "1.5"), 2, "--speed is 1.5; it must be at most 1"),
         (("plan", "PART", "another.stl"), 2, "another.stl"),
         (("plan", "PART", "--units", "mm", "--scene", "no_clearance.toml"), 2, "clearance_mm is 0"),
         (("plan", "PART", "--units", "mm", "--scene", "blind.toml"), 2, "own field of view"),
