@@ -173,6 +173,10 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour, measured: Motion
     )
 
 
+REQUESTED = ("most_coverage", "overlap", "promise", "multiplicity", "cost")
+"""Keys of plan.json that are there only where something was asked for beyond the fewest views."""
+
+
 def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedPlan, candidates: Viewpoints) -> None:
     """`plan.json`: the views in visiting order, with what is known about the selection."""
     swept = chosen.T_object_poses.shape[1] > 1
@@ -194,6 +198,7 @@ def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedP
         {
             "units": "transforms are 4x4 in metres, angles in deg; coverage and gap are fractions",
             **{key: summary[key] for key in kept},
+            **{key: summary[key] for key in REQUESTED if key in summary},
             "views": views,
         },
     )

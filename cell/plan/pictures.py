@@ -83,7 +83,7 @@ def part_and_views(
     bar = figure.colorbar(ScalarMappable(norm, colours), ax=figure.axes, shrink=0.75, ticks=range(most + 1))
     bar.ax.set_yticklabels([str(k) for k in range(most)] + [f"{most} or more"])
     bar.set_label("views that measure the face")
-    _save(figure, path)
+    save(figure, path)
 
 
 def cover_curve(path: Path, marginal_area: Floats, coverable: float, total: float, lower_bound: int) -> None:
@@ -106,7 +106,7 @@ def cover_curve(path: Path, marginal_area: Floats, coverable: float, total: floa
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 def reach_map(
@@ -155,7 +155,7 @@ def reach_map(
         axes.set_title("from above" if labels == "xy" else "from the side (y projected)", fontsize=10)
         axes.grid(alpha=0.25)
     figure.axes[0].legend(loc="upper left", fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 def joint_motion(path: Path, t: Floats, q: Floats, qd: Floats, limits: JointLimits, stops: Floats) -> None:
@@ -181,7 +181,7 @@ def joint_motion(path: Path, t: Floats, q: Floats, qd: Floats, limits: JointLimi
     upper.set_ylabel("joint angle [deg]")
     upper.legend(ncols=6, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.14), frameon=False)
     lower.set(ylabel="joint speed [% of limit]", xlabel="time [s]", ylim=(-108, 108))
-    _save(figure, path)
+    save(figure, path)
 
 
 def _frustums(T_object_scanner: Floats, fov_rad: tuple[float, float], about: Floats) -> Floats:
@@ -208,6 +208,7 @@ def _equal_box(axes: Axes, points: Floats) -> None:
     axes.set_box_aspect((1, 1, 1))  # type: ignore[arg-type]  # the 3D axes' signature differs from Axes'
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG without anything that changes from run to run."""
     FigureCanvasAgg(figure)
     figure.savefig(path, format="png", metadata={"Software": "scan-cell"})

@@ -7,7 +7,7 @@ next one starts.
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,15 @@ from cell.errors import FileError, UnreachableError
 from cell.part import workpiece
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
+from cell.plan import curve as curves
 from cell.plan import files as plan_files
+from cell.plan import promise
+from cell.plan import request as requests
 from cell.plan.candidates import first, grow
 from cell.plan.clearances import clearance_summary
+from cell.plan.request import Request, check_named, seconds_of_views
 from cell.plan.summary import draw, plan_summary
-from cell.plan.view_plan import select_and_connect
+from cell.plan.view_plan import ConnectedPlan, select_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import limit_sigma, part_matrix, surface_features
 from cell.rays.occluders import caster_of, occluder_triangles
@@ -46,8 +50,16 @@ log = logging.getLogger(__name__)
 
 _ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
-_FEATURES, _SELECTION, _MOTION = 0, 2, 3  # 1 is `cell.rays.prediction.HELD_OUT_STREAM`
-"""Streams of randomness: each step draws from its own, so that one step's appetite does not change another's draws."""
+_FEATURES, _SELECTION, _MOTION, _ENSEMBLE, _EXECUTIONS, _CURVE = (
+    0,
+    2,
+    3,
+    4,
+    5,
+    6,
+)
+"""Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
+appetite does not change another's draws."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,6 +172,8 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
 
         reached = reach_of(candidates, progress)
         plan_files.write_reach(run.folder, reached)
+        if scene.plan.candidates != "targeted":  # those come in rounds, see below
+            check_named(scene.plan, reached)
         if not reached.reachable.any():
             raise UnreachableError(_nothing_reachable(reached, part))
 
@@ -187,17 +201,26 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             ).all()  # fmt: skip
             plan_files.write_viewpoints(run.folder, scanners.swept(scanner, candidates))
             plan_files.write_reach(run.folder, reached)
+        check_named(scene.plan, reached)
         candidates = scanners.swept(scanner, candidates)
         plan_files.write_measurability(run.folder, M)
         samples = held_out(reference, planning, run.seed)
         prediction = Prediction.of(samples, judge, casters, candidates.T_object_scanner[reached.reachable], progress)
 
+    layer = None
+    if not promise.pose_error(scene.plan).none:
+        with run.step("pose errors") as progress:
+            layer = promise.layer(
+                scene.plan, M, candidates, reached, judge, casters, run.rng(_ENSEMBLE), progress=progress
+            )
+
     with run.step("select, order and connect") as progress:
         limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
+        costs = seconds_of_views(scene.plan, reached, limits) if scene.plan.cost == "time" else None
+        request = Request(scene.plan, costs, layer)
         chosen = select_and_connect(
             M, reached, candidates, world, limits, kinematics, checker, prediction,
-            coverage=scene.plan.coverage, solver=scene.plan.solver,
-            selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress,
+            request=request, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress,
         )  # fmt: skip
 
     with run.step("measure the clearance") as progress:
@@ -206,6 +229,8 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         chosen = replace(chosen, tour=replace(tour, clearance=measured.distance, between=measured.between))
         motion = timing.retime(chosen.tour.via, chosen.tour.segment, chosen.via_candidate, limits)
         plan_files.write_motion(run.folder, motion, chosen.tour, measured)
+
+    answers = further(run, scene, request, reached, prediction, chosen)
 
     with run.step("report"):
         visible = chosen.visible
@@ -222,11 +247,32 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
             visible.fraction,
             prediction.coverable_with(visible),
         )
+        summary |= answers
         summary["clearance"] = clearance_summary(measured, motion, world.collision)
         plan_files.write_plan(run.folder, summary, chosen, candidates)
         plan_files.write_report(run.folder, summary)
         draw(run.folder, scene, part, planning, candidates, reached, prediction, chosen, motion, world)
     return summary, 3 if _below(run.narrator, summary) else 0
+
+
+def further(
+    run: Run, scene: Scene, request: Request, reached: Reach, prediction: Prediction, chosen: ConnectedPlan
+) -> dict[str, Any]:
+    """What the summary says beyond a plain plan: overlaps in visiting order, the promise simulated, the curve."""
+    selected = chosen.selected
+    if selected.note:
+        run.narrator.note(selected.note)
+    answers = requests.summary(selected, chosen.tour.order, chosen.cover.total_area)
+    if request.layer is not None:
+        with run.step("simulate executions") as progress:
+            kept = promise.simulate(scene.plan, chosen.T_object_poses, prediction, run.rng(_EXECUTIONS), progress)
+        answers["promise"] |= asdict(kept)
+    if scene.plan.curve:
+        with run.step("coverage over views"):
+            curve = curves.curve_of(request, selected, chosen.matrix, reached, run.rng(_CURVE))
+            curves.write(run.folder, curve, len(chosen.cover.views), chosen.cover.covered_area)
+        answers["curve"] = curves.summary(curve)
+    return answers
 
 
 def _below(narrator: Narrator, summary: Mapping[str, Any]) -> bool:

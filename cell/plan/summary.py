@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cell.part.workpiece import Workpiece
 from cell.plan import pictures
+from cell.plan import request as requests
 from cell.plan.files import degrees
 from cell.plan.view_plan import ConnectedPlan
 from cell.rays.prediction import Prediction
@@ -76,6 +77,7 @@ def plan_summary(
             "coverage": scene.plan.coverage,
             "required_visible": scene.plan.required_visible,
             "seed": scene.plan.seed,
+            **requests.settings(scene.plan),
         },
         "n_views": len(cover.views),
         "n_features": M.shape[0],
@@ -90,7 +92,8 @@ def plan_summary(
         },
         **({} if M.sigma is None else {"sigma": _sigma(M, cover.views, scene.plan.max_sigma_mm)}),
         "solver": cover.solver,
-        "status": cover.sentence + _at_target(chosen.target, scene.plan.coverage),
+        "status": (cover if chosen.selected.answer is None else chosen.selected).sentence
+        + _at_target(chosen.target, scene.plan.coverage),
         "lower_bound": cover.lower_bound,
         "gap": cover.gap,
         "verdicts": {verdict.name.lower(): count for verdict, count in reached.counts().items()},
@@ -166,6 +169,11 @@ def envelope(world: World) -> Floats:
     r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(s) + arm.a3 * np.sin(s)
     z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(s) + arm.a3 * np.cos(s)
     return np.stack([r, z], axis=1)
+
+
+def _sentence(chosen: ConnectedPlan) -> str:
+    """The status of the selection: of the views as they were exchanged, where the request allows that."""
+    return chosen.cover.sentence if chosen.selected.answer is None else chosen.selected.sentence
 
 
 def _at_target(target: float, asked: float) -> str:

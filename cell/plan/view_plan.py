@@ -4,8 +4,7 @@ Arm, bracket and housing hide as well, differently at every configuration: a vie
 self_shading.py) is taken with other joint solutions; where all of them do it, the cover is solved again with what they
 leave of the view.
 
-Less than full coverage is a promise about the surface, so it is kept on samples that the optimiser has not seen: where
-the cover falls short of it there, its target on the matrix is raised. The views are ordered and connected; a view to
+The views are selected as the request says (request.py beside). The views are ordered and connected; a view to
 which no path is found is banned and the cover is solved again without it, until every view of the plan is connected.
 
 Before that, views are exchanged for others that measure as much and make the motion shorter (view_exchange.py beside);
@@ -20,10 +19,11 @@ from numpy.typing import NDArray
 from cell.commands.narrator import ProgressCallback
 from cell.errors import SceneError, UnreachableError
 from cell.plan import view_exchange
+from cell.plan.request import Request, Selected, select
 from cell.rays.prediction import Prediction
 from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from cell.world.world import World
-from planner import cover, sweeps, tour
+from planner import sweeps, tour
 from planner.cover import Cover
 from planner.coverage import Coverage
 from planner.measurability import Measurability
@@ -53,7 +53,8 @@ class ConnectedPlan:
 
     Attributes:
         cover: the selection, in order of the area that each view adds.
-        target: share of the coverable samples of the matrix that was asked of the cover.
+        selected: the answer to the request, before views were exchanged.
+        matrix: measurability as the arm leaves it: what the cover was solved on.
         tour: the motion; its views are indices into `cover.views`.
         candidate: (n,) candidates in visiting order.
         T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
@@ -67,7 +68,8 @@ class ConnectedPlan:
     """
 
     cover: Cover
-    target: float
+    selected: Selected
+    matrix: Measurability
     tour: Tour
     candidate: NDArray[np.int64]
     T_object_scanner: Floats
@@ -86,6 +88,11 @@ class ConnectedPlan:
         object.__setattr__(self, "T_object_poses", readonly("T_object_poses", self.T_object_poses, (n, None, 4, 4)))
 
     @property
+    def target(self) -> float:
+        """Share of the coverable samples of the matrix that was asked of the cover."""
+        return self.selected.target
+
+    @property
     def via_candidate(self) -> NDArray[np.int64]:
         """(N,) candidate taken at each via point of the tour, -1 where none is."""
         at = self.tour.view
@@ -102,8 +109,7 @@ def select_and_connect(
     checker: CollisionChecker,
     prediction: Prediction,
     *,
-    coverage: float,
-    solver: str,
+    request: Request,
     selection_rng: np.random.Generator,
     motion_rng: np.random.Generator,
     progress: ProgressCallback | None = None,
@@ -119,15 +125,14 @@ def select_and_connect(
         kinematics: of the arm.
         checker: of the cell.
         prediction: held-out samples, on which a coverage below 1 is kept.
-        coverage: share of the coverable area that is asked for.
-        solver: a name of `planner.cover.SOLVERS`.
+        request: what is asked for.
         selection_rng: randomness of the selection.
         motion_rng: randomness of order and paths.
         progress: told about the edges of the tour as they become real.
 
     Raises:
         SceneError: if home itself is nearer to something than the clearance.
-        UnreachableError: if no view that measures anything can be connected.
+        UnreachableError: if no view that measures anything can be connected, or a pinned one cannot.
     """
     banned: dict[int, str] = {}
     arm = OwnArm(M, reached, candidates, world, prediction.scanner)
@@ -135,16 +140,8 @@ def select_and_connect(
     stale = True
     while True:
         if stale:
-            chosen, target = _covering(
-                arm.M,
-                reached,
-                candidates,
-                prediction,
-                coverage=coverage,
-                solver=solver,
-                banned=tuple(banned),
-                rng=selection_rng,
-            )
+            selected = select(request, arm.M, reached, candidates, prediction, banned=tuple(banned), rng=selection_rng)
+            chosen = selected.cover
             stale = False
         if not len(chosen.views):
             told = [f"candidate {view}: {reason}" for view, reason in (banned | arm.reasons).items()]
@@ -160,7 +157,7 @@ def select_and_connect(
             if stale:
                 continue
         usable = np.asarray(reached.reachable).copy()
-        usable[list(banned)] = False
+        usable[[*banned, *request.plan.banned]] = False
         groups = (
             view_exchange.groups(
                 arm,
@@ -170,11 +167,11 @@ def select_and_connect(
                 prediction,
                 world.home,
                 limits,
-                coverage=coverage,
-                target=target,
+                coverage=request.plan.coverage,
+                target=selected.target,
                 rng=motion_rng,
             )
-            if at_rest
+            if at_rest and request.exchangeable
             else view_exchange.alone(arm, chosen.views)
         )
         motion = tour.plan_motion(
@@ -195,6 +192,11 @@ def select_and_connect(
         for lost in motion.dropped:
             blocker = f" ({lost.blocker})" if lost.blocker else ""
             for view in groups.members[lost.view].tolist():
+                if view in request.plan.pinned:
+                    raise UnreachableError(
+                        f"candidate {view} is pinned and cannot be part of a motion: {lost.reason.sentence}{blocker}; "
+                        "pin another, or change the placement"
+                    )
                 banned[view] = lost.reason.sentence + blocker
         if motion.dropped:
             stale = True
@@ -220,7 +222,8 @@ def select_and_connect(
         with_arm = visible_with_arm(prediction, T_object_poses, arms) if near else visible.fraction
     return ConnectedPlan(
         cover=chosen,
-        target=target,
+        selected=selected,
+        matrix=arm.M,
         tour=motion,
         candidate=chosen.views[motion.order],
         T_object_scanner=T_object_scanner,
@@ -238,29 +241,3 @@ def select_and_connect(
 
 
 _TOLD = 3  # candidates whose reasons are given when none is left
-_RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
-_STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
-
-
-def _covering(
-    M: Measurability,
-    reached: Reach,
-    candidates: Viewpoints,
-    prediction: Prediction,
-    *,
-    coverage: float,
-    solver: str,
-    banned: tuple[int, ...],
-    rng: np.random.Generator,
-) -> tuple[Cover, float]:
-    """The cover that keeps the coverage on the held-out samples, and its target on the samples of the matrix."""
-    matrix, target, raises = M.matrix(), coverage, 0
-    while True:
-        chosen = cover.solve(
-            matrix, M.features.areas, reached.reachable, rng=rng, coverage=target, solver=solver, banned=banned
-        )
-        short = coverage - prediction.share_of_coverable(candidates.T_object_scanner[chosen.views])
-        if target >= 1 or short <= 0:  # full coverage of the matrix's samples is all that can be asked of it
-            return chosen, target
-        raises += 1
-        target = 1.0 if raises == _RAISES else min(1.0, target + short + _STEP)

@@ -77,7 +77,8 @@ def _sentence(detail: dict[str, Any], model: type[BaseModel], lengths: Mapping[t
         key, word = _COMPARISONS[kind]
         return f"{where} is {_show(value)}; it must be {word} {context[key]:g}"
     if kind == "value_error":
-        return f"{where} {context['error']}"
+        told = str(context["error"])  # a table as a whole names the key itself: ".key is ..."
+        return where + told if told.startswith(".") else f"{where} {told}"
     if kind in _WANTED:
         return f"{where} is {_show(value)}; it must be {_WANTED[kind]}"
     return f"{where} is {_show(value)}: {detail['msg']}"

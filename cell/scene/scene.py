@@ -267,6 +267,21 @@ class Plan(_Table):
     max_sigma_mm: Positive | None = None
     collision: Literal["hull", "decomposed", "exact"] = "hull"
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    max_views: Annotated[int, Field(ge=1)] | None = None
+    multiplicity: Annotated[int, Field(ge=1)] = 1
+    pinned: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = ()
+    banned: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = ()
+    cost: Literal["views", "time"] = "views"
+    scan_s: NotNegative = 2.0
+    settle_s: NotNegative = 0.5
+    overlap_mm2: Positive | None = None
+    overlap_share: Share | None = None
+    overlap_in_order: bool = False
+    pose_sd_mm: NotNegative = 0.0
+    pose_sd_deg: NotNegative = 0.0
+    alpha: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    ensemble: Annotated[int, Field(ge=1, le=10_000)] = 32
+    curve: bool = False
 
     @field_validator("fill")
     @classmethod
@@ -281,6 +296,14 @@ class Plan(_Table):
         if percent is not None and info.data.get("faces") is not None:
             raise ValueError("and plan.faces both set the size of the planning mesh; give one of them")
         return percent
+
+    @model_validator(mode="after")
+    def _one_question(self) -> Self:
+        from cell.scene.request import contradiction
+
+        if problem := contradiction(self):
+            raise ValueError(f".{problem}")
+        return self
 
 
 class Scene(_Table):

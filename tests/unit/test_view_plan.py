@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from cell.plan.view_plan import _covering
+from cell.plan.request import Request, select
+from cell.scene.scene import Plan
 
 
 def covered(asked: float, share_of_view: list[float]) -> tuple[int, float]:
@@ -15,11 +16,11 @@ def covered(asked: float, share_of_view: list[float]) -> tuple[int, float]:
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(n, dtype=bool)), features=SimpleNamespace(areas=np.ones(n)))
     candidates = SimpleNamespace(T_object_scanner=np.arange(n))
     prediction = SimpleNamespace(share_of_coverable=lambda views: float(np.take(share_of_view, views).sum()))
-    chosen, target = _covering(
-        M, SimpleNamespace(reachable=np.ones(n, dtype=bool)), candidates, prediction,
-        coverage=asked, solver="auto", banned=(), rng=np.random.default_rng(0),
+    selected = select(
+        Request(Plan(coverage=asked)), M, SimpleNamespace(reachable=np.ones(n, dtype=bool)), candidates, prediction,
+        banned=(), rng=np.random.default_rng(0),
     )  # fmt: skip
-    return len(chosen.views), target
+    return len(selected.cover.views), selected.target
 
 
 def test_a_plan_that_keeps_its_promise_is_not_touched() -> None:

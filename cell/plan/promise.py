@@ -1,0 +1,138 @@
+"""Pose errors in the planning: the layer of probabilities before the selection, and simulated executions after it.
+
+What a plan promises was learned from an ensemble and from the matrix' samples. Whether it holds is asked of fresh
+errors and of samples that the plan has not seen: each of `EXECUTIONS` executions draws an error of its own for every
+view and measures anew. docs/coverage_requests.md says what the figures mean.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell.commands.narrator import ProgressCallback
+from cell.rays.prediction import Prediction
+from cell.scene.scene import Plan
+from planner.measurability import Measurability, measured
+from planner.ports import Floats, RayCaster, Scanner
+from planner.pose_ensemble import PoseError, ProbabilityLayer, credited, probability_layer, times_measured
+from planner.reach import Reach
+from planner.surface import SurfaceSamples
+from planner.viewpoints import Viewpoints
+
+EXECUTIONS = 200
+"""Simulated executions."""
+
+SAMPLES = 10_000
+"""Held-out samples that they look at, drawn from those of the prediction: a share is then known to half a point."""
+
+
+def pose_error(plan: Plan) -> PoseError:
+    """The scene's standard deviations in metres and radians."""
+    return PoseError(plan.pose_sd_mm / 1000, float(np.deg2rad(plan.pose_sd_deg)))
+
+
+def layer(
+    plan: Plan,
+    M: Measurability,
+    candidates: Viewpoints,
+    reached: Reach,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    rng: np.random.Generator,
+    *,
+    progress: ProgressCallback | None = None,
+) -> ProbabilityLayer | None:
+    """Probabilities of the matrix' entries; None where the scene knows no pose error.
+
+    Args:
+        plan: the scene's table.
+        M: the matrix, occluders applied.
+        candidates: its columns.
+        reached: which of them are asked about.
+        scanner: the sensor's law.
+        casters: the part's and the occluders'.
+        rng: draws the ensemble.
+        progress: told about the members.
+    """
+    error = pose_error(plan)
+    if error.none:
+        return None
+    errors = error.draw(plan.ensemble, rng)
+    return probability_layer(M, candidates, scanner, casters, errors, columns=reached.reachable, progress=progress)
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What simulated executions say about a promise; shares of the surface's area, from held-out samples.
+
+    Attributes:
+        executions: how many.
+        samples: how many samples.
+        promised: share that the plan measures with probability 1 - alpha or more, by an ensemble as in planning.
+        achieved: share that was measured in a share of 1 - alpha of the executions or more.
+        kept: share of the promised area that was.
+        frequency: how often promised area was measured, on average.
+        coverage_mean: share that one execution measures, on average.
+        coverage_worst: the same of the worst execution.
+    """
+
+    executions: int
+    samples: int
+    promised: float
+    achieved: float
+    kept: float
+    frequency: float
+    coverage_mean: float
+    coverage_worst: float
+
+
+def simulate(
+    plan: Plan,
+    T_object_poses: Floats,
+    prediction: Prediction,
+    rng: np.random.Generator,
+    progress: ProgressCallback,
+) -> Kept:
+    """Execute the plan's views with errors, and compare with what is promised of the same samples.
+
+    Args:
+        plan: the scene's table.
+        T_object_poses: (n, K, 4, 4) views of the plan [m].
+        prediction: held-out samples, scanner and casters.
+        rng: draws samples, ensemble and executions.
+        progress: told about the executions.
+    """
+    every = prediction.samples
+    some = np.sort(rng.permutation(len(every))[:SAMPLES])
+    samples = SurfaceSamples(
+        every.points[some], every.normals[some], every.areas[some], every.face[some], every.planning_face[some]
+    )
+    area = samples.areas / samples.areas.sum()
+    error, n = pose_error(plan), len(T_object_poses)
+
+    def each(T: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        return measured(T, samples, prediction.scanner, prediction.casters, each=True)
+
+    hits = np.zeros((len(samples), n), dtype=np.int64)
+    for member in error.draw(plan.ensemble, rng):
+        hits += each(T_object_poses @ member)
+    p = credited(hits, plan.ensemble) * each(T_object_poses)
+    promised = np.prod(1.0 - p, axis=1) <= plan.alpha
+    errors = error.draw(EXECUTIONS * n, rng).reshape(EXECUTIONS, n, 4, 4)
+    times, share = times_measured(
+        T_object_poses, samples, prediction.scanner, prediction.casters, errors, progress=progress
+    )
+    frequency = times / EXECUTIONS
+    met = frequency >= 1.0 - plan.alpha
+    whole = float(area[promised].sum())
+    return Kept(
+        executions=EXECUTIONS,
+        samples=len(samples),
+        promised=whole,
+        achieved=float(area[met].sum()),
+        kept=float(area[promised & met].sum()) / whole if whole else 1.0,
+        frequency=float((area * frequency)[promised].sum()) / whole if whole else 1.0,
+        coverage_mean=float(share.mean()),
+        coverage_worst=float(share.min()),
+    )

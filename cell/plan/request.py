@@ -1,0 +1,265 @@
+"""What a plan is asked for beyond the fewest views, and the selection that answers it.
+
+    plain        the fewest (or, at a cost in seconds, the cheapest) views for a coverage, each sample once or k times
+    max_views    the most coverage with at most k views
+    overlap      the fewest views whose scans hang together
+    promise      the fewest views that measure a sample with probability 1 - alpha although poses are off
+
+`planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.request`).
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import SceneError
+from cell.rays.prediction import Prediction
+from cell.scene.scene import Plan
+from planner import cover
+from planner.cover import Cover
+from planner.cover.most_coverage import MostCoverage, most_coverage
+from planner.cover.overlap import Overlap, OverlapCover, OverlapStatus, overlap_cover
+from planner.cover.robust import RobustCover, robust_cover, views_for_promise
+from planner.measurability import Measurability
+from planner.ports import Floats, JointLimits
+from planner.pose_ensemble import ProbabilityLayer
+from planner.reach import Reach, Verdict
+from planner.timing import move_time
+from planner.viewpoints import Viewpoints
+
+_RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
+_STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
+
+_NEIGHBOURS, _LOOKED_AT = 8, 64  # reachable views whose moves make up the time to a view, and of how many
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Request:
+    """The wishes.
+
+    Attributes:
+        plan: the scene's table, which names and explains them.
+        costs: (V,) seconds that each view is expected to take; None where the number of views counts.
+        layer: probabilities of the matrix' entries; None where poses count as exact.
+    """
+
+    plan: Plan = field(default_factory=Plan)
+    costs: Floats | None = None
+    layer: ProbabilityLayer | None = None
+
+    @property
+    def overlap(self) -> Overlap | None:
+        """When two views count as joined [m^2 or share]; None where they need not be."""
+        if self.plan.overlap_mm2 is not None:
+            return Overlap(area=self.plan.overlap_mm2 * 1e-6)
+        return None if self.plan.overlap_share is None else Overlap(share=self.plan.overlap_share)
+
+    @property
+    def exchangeable(self) -> bool:
+        """Whether a view may be exchanged for others that measure the same: no wish hangs on it itself."""
+        plan = self.plan
+        return plan.max_views is None and plan.multiplicity == 1 and self.overlap is None and self.layer is None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selected:
+    """Views that answer a request.
+
+    Attributes:
+        cover: the views.
+        target: share of the coverable samples of the matrix that was asked for.
+        sentence: the status in words with its numbers.
+        answer: what is known beyond the cover; None for a plain request.
+    """
+
+    cover: Cover
+    target: float
+    sentence: str
+    answer: MostCoverage | OverlapCover | RobustCover | None = None
+
+    @property
+    def note(self) -> str:
+        """What the user should be told although the work goes on; empty where all is well."""
+        if isinstance(self.answer, OverlapCover) and self.answer.status is OverlapStatus.CANNOT_CONNECT:
+            return f"{self.answer.sentence}; ask for less overlap, or allow more candidates (standoffs, rolls)"
+        return ""
+
+
+def select(
+    request: Request,
+    M: Measurability,
+    reached: Reach,
+    candidates: Viewpoints,
+    prediction: Prediction,
+    *,
+    banned: tuple[int, ...],
+    rng: np.random.Generator,
+) -> Selected:
+    """Answer a request.
+
+    A coverage below 1 is a promise about the surface: where a cover keeps it on the matrix' samples but not on the
+    held-out ones, its target on the matrix is raised. Two promises are kept on the matrix alone: the most coverage
+    with k views has no target, and probabilities are not known of samples that were not planned for.
+
+    Args:
+        request: the wishes.
+        M: measurability, with occluders and arm applied.
+        reached: which candidates may be used.
+        candidates: the columns of M.
+        prediction: held-out samples.
+        banned: candidates that turned out to be of no use; those that the user bans come on top.
+        rng: randomness of the selection.
+    """
+    plan = request.plan
+    matrix, areas, allowed = M.matrix(), M.features.areas, reached.reachable
+    pinned, out = plan.pinned, (*banned, *plan.banned)
+    if plan.max_views is not None:
+        most = most_coverage(matrix, areas, allowed, rng=rng, max_views=plan.max_views, pinned=pinned, banned=out)
+        return Selected(most.cover, 1.0, most.sentence, most)
+    if request.layer is not None:
+        layer = request.layer.within(M)
+        robust = robust_cover(
+            matrix, layer, areas, allowed, alpha=plan.alpha, rng=rng, coverage=plan.coverage, pinned=pinned, banned=out
+        )
+        return Selected(robust.cover, plan.coverage, robust.sentence, robust)
+    target, raises = plan.coverage, 0
+    while True:
+        if request.overlap is not None:
+            joined = overlap_cover(
+                matrix, areas, allowed, overlap=request.overlap, rng=rng, coverage=target, pinned=pinned, banned=out
+            )
+            selected = Selected(joined.cover, target, joined.sentence, joined)
+        else:
+            chosen = cover.solve(
+                matrix, areas, allowed, rng=rng, coverage=target, solver=plan.solver, pinned=pinned, banned=out,
+                multiplicity=plan.multiplicity, costs=request.costs,
+            )  # fmt: skip
+            selected = Selected(chosen, target, chosen.sentence)
+        if target >= 1 or plan.multiplicity > 1:  # full coverage of the matrix' samples is all that it can be asked
+            return selected
+        short = plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
+        if short <= 0:
+            return selected
+        raises += 1
+        target = 1.0 if raises == _RAISES else min(1.0, target + short + _STEP)
+
+
+def check_named(plan: Plan, reached: Reach) -> None:
+    """Refuse pinned and banned candidates that do not exist, and pinned ones that the arm does not reach.
+
+    Raises:
+        SceneError: with the candidate and its verdict.
+    """
+    for key in ("pinned", "banned"):
+        for view in getattr(plan, key):
+            if view >= len(reached):
+                raise SceneError(f"plan.{key} names candidate {view}; there are candidates 0 to {len(reached) - 1}")
+    for view in plan.pinned:
+        if not reached.reachable[view]:
+            verdict = Verdict(int(reached.verdict[view]))
+            blocker = f" ({reached.blocker[view]})" if reached.blocker[view] else ""
+            raise SceneError(
+                f"plan.pinned names candidate {view}, which is {verdict.sentence}{blocker}; pin another one, or move "
+                "the part"
+            )
+
+
+def seconds_of_views(plan: Plan, reached: Reach, limits: JointLimits) -> Floats:
+    """(V,) seconds that each candidate is expected to take: a scan, settling, and the move to it.
+
+    The move is estimated before any order is known: the mean time of the straight moves from the few nearest of a
+    spread of reachable candidates. So views that stand apart in joint space cost more.
+
+    Args:
+        plan: `scan_s` and `settle_s`.
+        reached: joint solutions.
+        limits: of the axes, scaled to the speed that is wanted.
+    """
+    reachable = np.flatnonzero(reached.reachable)
+    spread = reachable[np.unique(np.linspace(0, len(reachable) - 1, _LOOKED_AT).round().astype(np.int64))]
+    others = np.stack([reached.q_of(int(view))[0] for view in spread])
+    costs = np.full(len(reached), plan.scan_s + plan.settle_s)
+    for view in reachable.tolist():
+        times = move_time(reached.q_of(view)[:, None], others, limits).min(axis=0)
+        times[spread == view] = np.inf
+        nearest = np.sort(times[np.isfinite(times)])[:_NEIGHBOURS]
+        costs[view] += float(nearest.mean()) if len(nearest) else 0.0
+    return costs
+
+
+def settings(plan: Plan) -> dict[str, Any]:
+    """The wishes that differ from their defaults, as report.json lists them."""
+    keys = ("max_views", "multiplicity", "pinned", "banned", "cost", "overlap_mm2", "overlap_share", "overlap_in_order")
+    asked = {key: getattr(plan, key) for key in keys if getattr(plan, key) != Plan.model_fields[key].default}
+    if plan.cost == "time":
+        asked |= {"scan_s": plan.scan_s, "settle_s": plan.settle_s}
+    if plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0:
+        asked |= {key: getattr(plan, key) for key in ("pose_sd_mm", "pose_sd_deg", "alpha", "ensemble")}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asked.items()}
+
+
+def summary(selected: Selected, order: NDArray[np.int64], total_area: float) -> dict[str, Any]:
+    """What report.json and plan.json say of a request beyond a plain one; nothing for a plain one.
+
+    Args:
+        selected: the answer.
+        order: (n,) its views in visiting order.
+        total_area: of the surface [m^2].
+    """
+    answer = selected.answer
+    if isinstance(answer, MostCoverage):
+        return {
+            "most_coverage": {
+                "max_views": answer.max_views,
+                "covered": answer.cover.covered_area / total_area,
+                "upper_bound": answer.upper_area / total_area,
+                "gap_points": answer.gap_points,
+            }
+        }
+    if isinstance(answer, OverlapCover):
+        return {
+            "overlap": {
+                "connected": answer.status is OverlapStatus.CONNECTED,
+                "extra_views": answer.extra_views,
+                "views_without": answer.unconnected_views,
+                "without_earlier": in_order(answer, order),
+                "parts": [
+                    {"views": int((answer.part == k).sum()), "covered": float(area) / total_area}
+                    for k, area in enumerate(answer.part_area)
+                ],
+            }
+        }
+    if isinstance(answer, RobustCover):
+        return {
+            "promise": {
+                "alpha": answer.alpha,
+                "members": answer.members,
+                "views_needed": views_for_promise(answer.alpha, answer.members),
+                "robust_on_features": answer.robust_area / total_area,
+                "robust_coverable_on_features": answer.robust_coverable_area / total_area,
+            }
+        }
+    cover = selected.cover
+    if cover.multiplicity > 1 or cover.price is not None:
+        return {
+            **({} if cover.multiplicity == 1 else {"multiplicity": _several(cover)}),
+            **({} if cover.price is None else {"cost": {"seconds": cover.cost, "bound_seconds": cover.cost_bound}}),
+        }
+    return {}
+
+
+def in_order(answer: OverlapCover, order: NDArray[np.int64]) -> int:
+    """Views that, in visiting order, overlap none of those before them; the first does not count.
+
+    Args:
+        answer: the selection.
+        order: (n,) its views in visiting order.
+    """
+    return sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order)))
+
+
+def _several(cover: Cover) -> dict[str, Any]:
+    """How often samples are measured: the number asked for, and what fewer candidates than that can measure."""
+    return {"views_per_sample": cover.multiplicity, "samples_with_fewer_candidates": len(cover.short_rows)}
