@@ -5,8 +5,9 @@ programme over layers (`best_nodes`). Over orders, `exact` runs the dynamic prog
 doi:10.1137/0110015) on subsets of clusters, with nodes as states. Where that is too dear, `search` looks for a good
 tour (`planner.ruin_and_recreate`), and `bound` says how good it is, up to a proof (`planner.tour_bound`).
 
-Costs are symmetric. An edge that cannot be used costs `BLOCKED`, a number that dwarfs every real cost: a tour is then
-compared first by how many such edges it needs, which an infinite cost could not do.
+Costs may depend on the direction (a sweep ends elsewhere than it begins); the bounds then hold for the cheaper
+direction of each edge, which no tour undercuts. An edge that cannot be used costs `BLOCKED`, a number that dwarfs every
+real cost: a tour is then compared first by how many such edges it needs, which an infinite cost could not do.
 """
 
 from dataclasses import dataclass
@@ -45,13 +46,22 @@ class Instance:
     """Nodes, their clusters and the costs between them.
 
     Attributes:
-        cost: (N, N) symmetric, finite, not negative. Entries inside one cluster are never used.
+        cost: (N, N) from node to node, finite, not negative. Entries inside one cluster are never used.
+        back: (N, N) the same transposed; `cost` itself where it is symmetric.
+        either: (N, N) the cheaper direction of each edge; `cost` itself where it is symmetric.
         first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1. Tours begin and end in cluster 0; where
             that is a place such as home, it is its only node.
     """
 
     cost: Floats
+    back: Floats
+    either: Floats
     first: Ints
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether no edge's cost depends on its direction."""
+        return self.back is self.cost
 
     @property
     def n_clusters(self) -> int:
@@ -72,8 +82,8 @@ class Found:
     """A tour and what is known about it.
 
     Attributes:
-        tour: (m,) nodes in visiting order, beginning in cluster 0; of its two directions, the one in which the lower of
-            the two neighbours of the start comes first.
+        tour: (m,) nodes in visiting order, beginning in cluster 0; where costs are symmetric, the one of its two
+            directions in which the lower of the two neighbours of the start comes first.
         cost: cost of the closed tour.
         lower_bound: no tour costs less.
         steps: tours that were looked at.
@@ -94,19 +104,22 @@ def instance(cost: Floats, first: Ints) -> Instance:
     """Check an instance.
 
     Args:
-        cost: (N, N) symmetric costs, not negative; inf where an edge cannot be used.
+        cost: (N, N) costs from node to node, not negative; inf where an edge cannot be used.
         first: (m + 1,) first node of each cluster, and the number of nodes.
 
     Raises:
-        PlannerError: if a cluster is empty or a cost negative or not symmetric.
+        PlannerError: if a cluster is empty or a cost negative.
     """
     first = readonly("first", first, (None,), np.int64)
     if len(first) < 2 or first[0] != 0 or (np.diff(first) < 1).any():
         raise PlannerError("every cluster needs at least one node, and the first cluster begins at node 0")
     cost = readonly("cost", np.minimum(cost, BLOCKED), (int(first[-1]), int(first[-1])))
-    if (cost < 0).any() or not np.array_equal(cost, cost.T):
-        raise PlannerError("the costs must be symmetric and not negative")
-    return Instance(cost, first)
+    if (cost < 0).any():
+        raise PlannerError("the costs must not be negative")
+    if np.array_equal(cost, cost.T):
+        return Instance(cost, cost, cost, first)
+    either = readonly("cost", np.minimum(cost, cost.T), cost.shape)
+    return Instance(cost, readonly("cost", cost.T, cost.shape), either, first)
 
 
 def solve(
@@ -127,12 +140,12 @@ def solve(
     if exact_work(problem) <= max(ALWAYS_EXACT, _EXACT_PER_STEP * steps):
         return exact(problem)
     cost, tour = best_nodes(problem, start)
-    quick = min(tour_bound.one_tree(problem.cost, problem.first), cost)
+    quick = min(tour_bound.one_tree(problem.either, problem.first), cost)
     if cost > quick * (1.0 + 1e-12):
         cost, tour = search(problem, tour, int(rng.integers(2**63)), steps)
     if cost <= quick * (1.0 + 1e-12) or bound_work <= 0 or cost >= BLOCKED:
         return _found(problem, tour, cost, quick, steps)
-    strong = tour_bound.by_walks(problem.cost, problem.first, cost, bound_work)
+    strong = tour_bound.by_walks(problem.either, problem.first, cost, bound_work)
     if strong.tour is not None and problem.length(strong.tour) < cost:
         tour = strong.tour
         cost = problem.length(tour)
@@ -200,14 +213,16 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float,
         return best_nodes(problem, problem.clusters_of(tour)[1:])
     from planner.ruin_and_recreate import anneal  # imports numba, which small tours do without
 
-    between = tour_bound.between_clusters(problem.cost, problem.first)
+    between = tour_bound.between_clusters(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
     near = np.argsort(between, axis=1, kind="stable")
     usable = between[(between > 0) & (between < BLOCKED)]
-    scale = max(tour_bound.one_tree(problem.cost, problem.first) / problem.n_clusters, 1e-12)
+    scale = max(tour_bound.one_tree(problem.either, problem.first) / problem.n_clusters, 1e-12)
     if scale >= BLOCKED / problem.n_clusters:  # no tour does without a blocked edge
         scale = float(np.median(usable)) if len(usable) else 1.0
-    best, _ = anneal(problem.cost, problem.first, near, tour.copy(), steps, _HOT * scale, _COLD * scale, seed)
+    best, _ = anneal(
+        problem.cost, problem.back, problem.first, near, tour.copy(), steps, _HOT * scale, _COLD * scale, seed
+    )
     best = np.roll(best, -int(np.flatnonzero(best < problem.first[1])[0]))
     return problem.length(best), best
 
@@ -238,8 +253,8 @@ def _exact_from(problem: Instance, start: int) -> tuple[float, Ints]:
 
 
 def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float, steps: int) -> Found:
-    """The tour in the direction in which its second cluster has the smaller number; symmetric costs allow both."""
+    """The tour; where costs are symmetric, in the direction in which its second cluster has the smaller number."""
     clusters = problem.clusters_of(tour)
-    if len(tour) > 2 and clusters[1] > clusters[-1]:
+    if problem.symmetric and len(tour) > 2 and clusters[1] > clusters[-1]:
         tour = np.concatenate((tour[:1], tour[:0:-1]))
     return Found(tour, cost, min(lower_bound, cost), steps)

@@ -102,6 +102,8 @@ def sequence(
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
     start: NDArray[np.int64] | None = None,
+    leaves: Many[NDArray[np.int64]] | None = None,
+    stays: Many[Floats] | None = None,
 ) -> Sequence:
     """Order the views in joint space.
 
@@ -118,6 +120,9 @@ def sequence(
             inf where no path exists.
         T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
         start: (n,) order known from before; the search begins with it where it beats the baseline.
+        leaves: per view, (n_i,) the joint solution of the same view at which the arm leaves, when it arrived at each:
+            a sweep ends where its reverse begins. None: where it arrived.
+        stays: per view, (n_i,) time between arriving and leaving [s], part of the durations. None: none is counted.
 
     Returns:
         The sequence. Its duration is never above the baseline's.
@@ -125,7 +130,7 @@ def sequence(
     Raises:
         PlannerError: if a view has no joint solution, a joint angle is outside its range, or shapes do not fit.
     """
-    problem = _instance(configurations, home, limits, edge_time)
+    problem = _instance(configurations, home, limits, edge_time, leaves, stays)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
     starts = [baseline] if start is None else [baseline, 1 + _permutation(start, len(configurations))]
     costs = [gtsp.best_nodes(problem, order)[0] for order in starts]
@@ -149,15 +154,17 @@ def christofides(
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
     start: NDArray[np.int64] | None = None,
+    leaves: Many[NDArray[np.int64]] | None = None,
+    stays: Many[Floats] | None = None,
 ) -> Sequence:
     """The baseline: a Christofides tour in task space, then its best joint solutions; arguments as in `sequence`.
 
     The tour's length is at most 1.5 times the shortest in task space (Christofides 1976); its time has no such bound.
     """
-    problem = _instance(configurations, home, limits, edge_time)
+    problem = _instance(configurations, home, limits, edge_time, leaves, stays)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
     cost, tour = gtsp.best_nodes(problem, baseline)
-    quick = one_tree(problem.cost, problem.first)
+    quick = one_tree(problem.either, problem.first)
     return _result(problem, configurations, gtsp.Found(tour, cost, min(quick, cost), 1), baseline)
 
 
@@ -165,7 +172,12 @@ ORDERINGS: dict[str, Callable[..., Sequence]] = {"joint-space": sequence, "chris
 
 
 def _instance(
-    configurations: Many[Floats], home: Floats, limits: JointLimits, edge_time: EdgeTimes | None
+    configurations: Many[Floats],
+    home: Floats,
+    limits: JointLimits,
+    edge_time: EdgeTimes | None,
+    leaves: Many[NDArray[np.int64]] | None,
+    stays: Many[Floats] | None,
 ) -> gtsp.Instance:
     """The travelling salesman's instance: one cluster per view, straight-move times, single edges replaced."""
     solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(configurations)]
@@ -183,7 +195,31 @@ def _instance(
                 f"edge_time[({a}, {b})] is {time}; nodes are 0 to {len(nodes) - 1} and a time is at least 0 s"
             )
         cost[a, b] = cost[b, a] = time
+    if leaves is not None:
+        cost = cost[leaving(solutions, leaves)]
+    if stays is not None:
+        cost = cost + np.concatenate([np.zeros(1), *stays])
     return gtsp.instance(cost, np.concatenate(([0], node_offsets(solutions))))
+
+
+def leaving(configurations: Many[Floats], leaves: Many[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """The node at which the arm leaves, for each node at which it arrives.
+
+    Args:
+        configurations: per view, (n_i, 6) joint solutions [rad].
+        leaves: per view, (n_i,) joint solution of the same view, as `sequence` takes them.
+
+    Raises:
+        PlannerError: if an entry is no joint solution of its view.
+    """
+    first = node_offsets(configurations)[:-1]
+    found = [np.zeros(1, dtype=np.int64)]
+    for k, (q, to) in enumerate(zip(configurations, leaves, strict=True)):
+        to = readonly(f"leaves of view {k}", to, (len(q),), np.int64)
+        if ((to < 0) | (to >= len(q))).any():
+            raise PlannerError(f"leaves of view {k} must be joint solutions of it, 0 to {len(q) - 1}")
+        found.append(first[k] + to)
+    return np.concatenate(found)
 
 
 def _permutation(order: NDArray[np.int64], n: int) -> NDArray[np.int64]:

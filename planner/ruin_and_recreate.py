@@ -27,12 +27,13 @@ _WORTH = 1.02  # nodes are chosen anew where the rebuilt tour is at most this mu
 
 @compiled
 def anneal(
-    cost: Floats, first: Ints, near: Ints, start: Ints, steps: int, hot: float, cold: float, seed: int
+    cost: Floats, back: Floats, first: Ints, near: Ints, start: Ints, steps: int, hot: float, cold: float, seed: int
 ) -> tuple[Ints, float]:
     """The best tour seen in a number of steps.
 
     Args:
-        cost: (N, N) symmetric costs.
+        cost: (N, N) costs from node to node.
+        back: (N, N) the same transposed, so that costs to a node lie side by side too; of symmetric costs themselves.
         first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1.
         near: (m, m) the clusters by distance from each cluster, itself first.
         start: (m,) nodes of the tour to begin with.
@@ -55,7 +56,7 @@ def anneal(
     value, onward = np.empty(widest), np.empty(widest)
     parent = np.empty((m, widest), dtype=np.int64)
     best = start.copy()
-    best_cost = choose_nodes(cost, first, cluster_of, best, value, onward, parent)
+    best_cost = choose_nodes(cost, back, first, cluster_of, best, value, onward, parent)
     tour, tour_cost = best.copy(), best_cost
     trial, removed, order = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     is_out = np.zeros(m, dtype=np.int64)
@@ -65,9 +66,9 @@ def anneal(
     for _ in range(steps):
         trial[:] = tour
         left = _ruin(cluster_of, near, trial, removed, is_out, longest, most_strings, state)
-        trial_cost = _recreate(cost, first, trial, removed, order, is_out, left, state)
+        trial_cost = _recreate(cost, back, first, trial, removed, order, is_out, left, state)
         if trial_cost <= tour_cost * _WORTH:
-            trial_cost = choose_nodes(cost, first, cluster_of, trial, value, onward, parent)
+            trial_cost = choose_nodes(cost, back, first, cluster_of, trial, value, onward, parent)
         if trial_cost < tour_cost - temperature * np.log(1.0 - _uniform(state)):
             tour[:] = trial
             tour_cost = trial_cost
@@ -80,12 +81,13 @@ def anneal(
 
 @compiled
 def choose_nodes(
-    cost: Floats, first: Ints, cluster_of: Ints, tour: Ints, value: Floats, onward: Floats, parent: Ints
+    cost: Floats, back: Floats, first: Ints, cluster_of: Ints, tour: Ints, value: Floats, onward: Floats, parent: Ints
 ) -> float:
     """Replace the nodes of a tour by the best ones for its order of clusters; exact.
 
     Args:
         cost: (N, N).
+        back: (N, N) the same transposed.
         first: (m + 1,) first node of each cluster.
         cluster_of: (N,).
         tour: (m,) nodes in visiting order; changed.
@@ -115,7 +117,7 @@ def choose_nodes(
             before, k = k, cluster_of[tour[(anchor + step) % m]]
             low, size = first[before], first[before + 1] - first[before]
             for j in range(first[k + 1] - first[k]):
-                row = cost[first[k] + j]
+                row = back[first[k] + j]
                 least, at = np.inf, 0
                 for i in range(size):
                     through = value[i] + row[low + i]
@@ -187,6 +189,7 @@ def _ruin(
 @compiled
 def _recreate(
     cost: Floats,
+    back: Floats,
     first: Ints,
     tour: Ints,
     removed: Ints,
@@ -212,9 +215,9 @@ def _recreate(
             if _uniform(state) < _BLINK:
                 continue
             a, b = tour[i], tour[(i + 1) % left]
-            from_a, from_b, now = cost[a], cost[b], cost[a, b]
+            from_a, to_b, now = cost[a], back[b], cost[a, b]
             for v in range(first[k], first[k + 1]):
-                more = from_a[v] + from_b[v] - now
+                more = from_a[v] + to_b[v] - now
                 if more < least:
                     least, place, node = more, i, v
         if least == np.inf:
