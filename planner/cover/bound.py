@@ -27,16 +27,16 @@ from planner.readonly import readonly
 ROUNDING = 1e-6
 """Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""
 
-LP_ENTRIES = 60_000
-"""Matrices up to this many ones also get the LP solver's dual; larger ones cost it seconds."""
+LP_ENTRIES = 400_000
+"""Matrices up to this many ones also get the LP solver's dual; larger ones cost it many seconds."""
 
 FIRST_STEP, LAST_STEP, SHRINK, PATIENCE, DEFLECTION = 0.1, 1e-3, 0.6, 20, 0.8
 """Constants of the subgradient steps, see there."""
 
-PIVOT_WORK = 10
+PIVOT_WORK = 30
 """Charge of one simplex pivot for each row and column of the matrix."""
 
-MOST_STEPS, MOST_PIVOTS = 1000, 5
+MOST_STEPS, MOST_PIVOTS = 1000, 2
 """At most so many subgradient steps are made, and so many pivots for each row and column; this is what is charged."""
 
 
@@ -114,11 +114,12 @@ def bound(problem: CoverProblem, upper: int, budget: Budget) -> Bound:
     budget.prove(max(best.value, largest))
     if max(best.value, largest) >= upper or not budget.spend(4 * problem.n_entries):
         return best
+    limit, budget.limit = budget.limit, everything
     try:
         best = _raise(problem, best, upper, budget, rows_by_columns, columns_by_rows)
     finally:
         # The number of steps hangs on float rounding, which differs between machines; what is left must not.
-        budget.spent = max(budget.spent, everything)
+        budget.limit, budget.spent = limit, max(budget.spent, everything)
     return best
 
 
@@ -142,8 +143,9 @@ def _raise(
 def _most_work(problem: CoverProblem) -> int:
     """Charge of a bound, whatever way it takes."""
     size = problem.n_rows + problem.n_columns
-    pivots = MOST_PIVOTS * PIVOT_WORK * size**2 if problem.n_entries <= LP_ENTRIES else 0
-    return 4 * problem.n_entries + pivots + MOST_STEPS * (problem.n_entries + STEP_WORK)
+    if problem.n_entries <= LP_ENTRIES:
+        return 4 * problem.n_entries + MOST_PIVOTS * PIVOT_WORK * size**2
+    return 4 * problem.n_entries + MOST_STEPS * (problem.n_entries + STEP_WORK)
 
 
 def _first_multipliers(problem: CoverProblem) -> Floats:

@@ -15,7 +15,7 @@ from planner.cover.problem import CoverProblem, Ints
 Solver = Callable[[CoverProblem, np.random.Generator, Budget], Ints]
 """Takes a reduced problem, gives a cover without redundant columns; best cover, bound and work stay in the budget."""
 
-BOUND_SHARE, SEARCH_SHARE = 0.2, 0.5
+BOUND_SHARE, SEARCH_SHARE = 0.35, 0.5
 """`auto`: most of the budget that the bound may take, and share of what is left for the search before `exact`."""
 
 HOPEFUL_EXCESS = 0.1
