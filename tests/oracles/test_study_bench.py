@@ -1,0 +1,105 @@
+"""Numbers of the studies against other ways to them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.errors import FileError
+from cell.rays import virtual_scan
+from cell.rays.occluders import caster_of, occluder_triangles
+from cell.scene.scene import load_scene
+from cell.study.bench import Bench, fewest_for, most_with
+from cell.study.placed import placement
+from cell.study.scenes import bench_of, scene_of, scene_settings
+from planner import coverage, measurability, reach
+
+_TABLES = {
+    "part": {"name": "petanque"},
+    "plan": {"faces": 60, "samples_per_face": 3},
+    "scanner": {"resolution_deg": [1.0, 1.0]},
+}
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    """A small, coarse job; 4,000 held-out samples."""
+    return Bench(load_scene(None, _TABLES), samples=4000)
+
+
+def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench) -> None:
+    """Leaving out samples that were near an earlier view changes nothing."""
+    views = bench.zone.T_object_scanner[[0, 17, 40, 63]]
+    points = [virtual_scan.scan(bench.scanner, T, bench.caster, bench.part.reference).points for T in views[:, 0]]
+    merged = coverage.sampled(np.concatenate(points), bench.samples, coverage.sampling_radius(bench.part.reference))
+    assert 0.05 < merged.fraction < 1.0
+    assert bench.sampled(views) == pytest.approx(merged.fraction, abs=1e-12)
+
+
+def test_fewest_views_for_a_coverage_keep_it_and_no_fewer_were_needed_by_more(bench: Bench) -> None:
+    """On the held-out samples; less coverage never takes more views."""
+    full = bench.select("aimed", bench.zone, None, solver="auto")
+    found = [fewest_for(bench, bench.zone, None, share * full.visible) for share in (0.5, 0.8, 0.95)]
+    for plan, share in zip(found, (0.5, 0.8, 0.95), strict=True):
+        assert plan.visible >= share * full.visible
+    numbers = [len(plan.cover.views) for plan in [*found, full]]
+    assert numbers == sorted(numbers)
+
+
+def test_most_coverage_with_as_many_views_as_the_full_plan_is_that_of_the_full_plan(bench: Bench) -> None:
+    """And with fewer it is less; the bound of both solvers agrees."""
+    full = bench.select("aimed", bench.zone, None, solver="auto")
+    n = len(full.cover.views)
+    same = most_with(bench, bench.zone, None, n)
+    assert same.cover.covered_area == pytest.approx(full.cover.covered_area)
+    if full.cover.lower_bound == n:
+        assert most_with(bench, bench.zone, None, n - 1).cover.covered_area < full.cover.covered_area
+
+
+def test_settings_give_the_scene_back(tmp_path: Path) -> None:
+    """Also one with a fixture and a field of view of its own."""
+    path = tmp_path / "cell.toml"
+    path.write_text(
+        '[scanner]\nfov_deg = [40.0, 30.0]\n[[fixtures]]\nname = "clamp"\nshape = "box"\nsize_mm = [50, 40, 6]\n'
+    )
+    scene = load_scene(path, _TABLES)
+    assert scene_of(scene_settings(scene)) == scene
+    assert scene_settings(scene) != scene_settings(load_scene(None, _TABLES))
+
+
+def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
+    """Its trials would speak of another part than their keys say."""
+    path = tmp_path / "part.stl"
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(path)
+    settings = scene_settings(load_scene(None, {"part": {"path": str(path), "units": "m"}}))
+    assert scene_of(settings).part.path == str(path)
+    path.write_bytes(path.read_bytes() + b" ")
+    with pytest.raises(FileError, match="changed since"):
+        scene_of(settings)
+
+
+def test_a_placement_s_numbers_are_those_of_its_steps() -> None:
+    """Reach, occlusion and coverage done one by one give the same shares."""
+    scene = load_scene(None, _TABLES)
+    settings = scene_settings(scene)
+    values = placement(
+        {**settings, "position_mm": [1100, 400, 100], "abc_deg": [30, 0, 0], "what": "whole", "solver": "auto",
+         "candidates": None}
+    )  # fmt: skip
+    bench = bench_of(settings)
+    a = np.deg2rad(30)
+    T = np.array([[np.cos(a), -np.sin(a), 0, 1.1], [np.sin(a), np.cos(a), 0, 0.4], [0, 0, 1, 0.1], [0, 0, 0, 1]])
+    placed = bench.world.placed(T)
+    reached = reach.solve(
+        bench.zone, placed, bench.world.T_flange_scanner, bench.kinematics, bench.checker(placed)
+    ).reachable
+    casters = caster_of(occluder_triangles(bench.world, placed))
+    M = measurability.occlude(bench.matrix("aimed", bench.zone), bench.zone, bench.scanner, casters).matrix()
+    measured = M.toarray()[:, reached].any(axis=1)
+    areas = bench.matrix("aimed", bench.zone).features.areas
+    assert 0.1 < values["coverable"] < 1.0
+    assert values["reachable"] == pytest.approx(reached.mean())
+    assert values["coverable"] == pytest.approx(areas[measured].sum() / areas.sum())
+    assert values["lower_bound"] <= values["views"]
+    assert values["cycle_s"] > 0

@@ -1,0 +1,110 @@
+"""A study's folder: tidy rows, what failed, pictures and sentences; equal trials give equal bytes."""
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure
+
+from cell.commands.narrator import Narrator
+from cell.errors import FileError
+from cell.study import study as studies
+from cell.study.study import Study, StudyResult, conduct, markdown_table, shown
+from cell.study.trial import Outcome, Trial
+
+_TRIALS = [Trial.of("table-row", {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
+
+
+class _Workers:
+    """Knows the outcomes; the second trial fails."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
+        for trial in reversed(trials):  # as they are finished, not as they were asked for
+            self.asked += 1
+            faces = json.loads(trial.settings)["faces"]
+            failed = "too few faces" if faces == 9 else ""
+            yield Outcome(trial, {} if failed else {"views": faces / 3}, failed, {"total": 0.1 * self.asked})
+
+    def __enter__(self) -> "_Workers":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
+def _study() -> Study:
+    def rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+        return [{"faces": json.loads(each.trial.settings)["faces"], **each.values} for each in outcomes]
+
+    def pictures(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, Figure]]:
+        figure = Figure()
+        figure.add_subplot().plot([row["faces"] for row in rows], [row["views"] for row in rows])
+        yield "views", figure
+
+    return Study("faces", "Views over faces", _TRIALS, rows, pictures, lambda rows: [f"{len(rows)} rows."])
+
+
+@pytest.fixture
+def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A study of three trials, one of which fails."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    result = conduct(_study(), _Workers(), out=tmp_path / "out", narrator=Narrator(quiet_stdout=True))
+    assert result.computed == 3
+    return result.folder
+
+
+def test_rows_are_in_the_order_of_the_trials_and_failures_stand_apart(conducted: Path) -> None:
+    """Whatever order they were finished in; the reason stands in report and JSON."""
+    rows = list(csv.DictReader((conducted / "rows.csv").read_text().splitlines()))
+    assert [row["faces"] for row in rows] == ["8", "10"]
+    content = json.loads((conducted / "study.json").read_text())
+    assert [(each["faces"], each["reason"]) for each in content["failed"]] == [(9, "too few faces")]
+    report = (conducted / "report.md").read_text()
+    assert "too few faces" in report
+    assert "2 rows." in report
+    assert "(views.png)" in report
+
+
+def test_the_same_again_is_the_same_bytes_and_only_failures_are_computed(
+    conducted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows, report and pictures, SVG too; a failed trial is tried again."""
+    workers = _Workers()
+    result = conduct(_study(), workers, out=tmp_path / "again", narrator=Narrator(quiet_stdout=True))
+    assert workers.asked == 1
+    assert result.computed == 1
+    for name in ("rows.csv", "study.json", "report.md", "views.png", "views.svg"):
+        assert (result.folder / name).read_bytes() == (conducted / name).read_bytes(), name
+
+
+def test_a_foreign_folder_is_not_written_into(tmp_path: Path) -> None:
+    """A folder with something else in it, or a file, is refused before anything is computed."""
+    (tmp_path / "notes.txt").write_text("mine")
+    for out in (tmp_path, tmp_path / "notes.txt"):
+        with pytest.raises(FileError, match="no study's folder"):
+            conduct(_study(), _Workers(), out=out, narrator=Narrator(quiet_stdout=True))
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk is full while the rows are written."""
+
+    def full(path: Path, content: str) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(studies, "_write", full)
+    result = StudyResult(tmp_path / "out", [], [], [], 0, [])
+    with pytest.raises(FileError, match="No space left"):
+        studies.write_folder("faces", "Views", result, (), ())
+
+
+def test_a_table_shows_numbers_shortly_and_nothing_as_nothing() -> None:
+    """Four digits; a missing value is an empty field; no rows, no table."""
+    assert [shown(value) for value in (3, 1 / 3, None, "x", True)] == ["3", "0.3333", "", "x", "True"]
+    assert markdown_table([{"a": 1, "b": None}, {"a": 2.5}]) == ["| a | b |", "|---|---|", "| 1 |  |", "| 2.5 |  |"]
+    assert markdown_table([]) == []
