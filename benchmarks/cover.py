@@ -1,15 +1,22 @@
-"""Compare the view-selection solvers: time, views, lower bound and gap in one row.
+"""Compare the view-selection solvers: time, views, lower bound and gap in one row; and a chart for each family.
 
-python -m benchmarks.cover                      # visibility of a displaced sphere, made here
-python -m benchmarks.cover --seconds 10 FILE... # OR-Library row files (unicost), plain or .gz
+python -m benchmarks.cover                              # real visibility of built-in parts, and a displaced sphere
+python -m benchmarks.cover --budgets 10 FILE...         # set-cover files as in `cell cover`, at cost 1 for each column
+python -m benchmarks.cover --seconds 10 FILE...         # the same, ended by processor time in place of counted work
+python -m benchmarks.cover --charts docs/images FILE... # draw time against gap, a panel for each family of instances
+python -m benchmarks.cover --memory                     # 10,000 x 10,000 at 5 %, peak memory in a process of its own
 """
 
 import argparse
-import gzip
+import json
 import platform
+import resource
+import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +24,68 @@ import numpy as np
 import scipy
 import scipy.sparse as sp
 
+from cell.cover.cover_files import read
 from planner import cover
-from planner.cover.budget import DEFAULT_WORK
+from planner.cover.budget import UNLIMITED_WORK, WORK_PER_SECOND
 
-UNLIMITED = 10**15
+BUDGETS = (0.1, 0.3, 1.0, 3.0)
+"""Seconds' worth of work of the runs that a chart connects."""
+
+COMPARED = ("greedy", "meta-raps", "local-search", "auto")
+
+_COLOURS = {
+    "greedy": "#888888",
+    "meta-raps": "#c0392b",
+    "local-search": "#2471a3",
+    "auto": "#1e8449",
+    "exact": "#7d3c98",
+}
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A matrix, its family (a panel of the chart), and the fewest columns known, where a list lies beside it."""
+
+    name: str
+    family: str
+    M: Any
+    known: int | None = None
+
+
+def part_visibility(part: str, fov_deg: float, count: int = 1500) -> Any:
+    """Measurability of a built-in part: so many samples of its surface, from one view over each of so many faces.
+
+    Args:
+        part: name of the part.
+        fov_deg: full opening angle of the scanner; the narrower, the sparser the matrix.
+        count: rows, and columns.
+
+    Returns:
+        (count, count) sparse matrix of bool; each entry is two rays past the part's own triangles.
+    """
+    from cell.part import workpiece
+    from cell.plan import candidates
+    from cell.rays.embree import EmbreeRayCaster
+    from cell.rays.matrix import surface_features
+    from cell.scanners.laser_area import LaserArea
+    from cell.scene.resolve import resolve
+    from cell.scene.scene import load_scene
+    from planner import measurability, surface
+
+    tables = {
+        "part": {"name": part},
+        "placement": {"position_mm": [1200.0, 500.0, 0.0]},
+        "scanner": {"fov_deg": [fov_deg, fov_deg]},
+        "plan": {"faces": count, "rolls_deg": [0.0], "samples_per_face": 1},
+    }
+    scene = load_scene(None, tables)
+    piece = workpiece.load(scene.part.source, scene.part.units)
+    settings = resolve(scene, piece)
+    planning = surface.decimate(piece.reference, count)
+    features = surface_features(scene, piece.reference, planning, np.random.default_rng([0, 0]))
+    views = candidates.first(scene, settings, piece, planning)
+    caster = EmbreeRayCaster(piece.reference.vertices, piece.reference.faces)
+    return measurability.fill(views, features, LaserArea(**settings.scanner), caster).matrix()
 
 
 def displaced_sphere(n_samples: int, n_views: int, half_angle: float, rng: np.random.Generator) -> Any:
@@ -78,106 +143,203 @@ def displaced_sphere(n_samples: int, n_views: int, half_angle: float, rng: np.ra
     return sp.csc_array((np.ones(len(rows), bool), rows, start), shape=(n_samples, n_views)).tocsr()
 
 
-def read_or_library(path: Path) -> Any:
-    """An OR-Library set-cover file in row format; its costs are ignored (unicost).
-
-    Args:
-        path: text, or gzip where the name ends in .gz.
+def sphere_caps(count: int, density: float, rng: np.random.Generator) -> Any:
+    """A large matrix made quickly: random points on a sphere, seen from above others within a cap of the given share.
 
     Returns:
-        (rows, columns) csr_array of bool.
+        (count, count) csr_array of bool.
     """
-    with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
-        numbers = np.array(file.read().split(), dtype=np.int64)
-    n_rows, n_columns = int(numbers[0]), int(numbers[1])
-    at = 2 + n_columns
-    start, columns = [0], []
-    for _ in range(n_rows):
-        count = int(numbers[at])
-        columns.append(numbers[at + 1 : at + 1 + count] - 1)
-        start.append(start[-1] + count)
-        at += 1 + count
-    members = np.concatenate(columns)
-    return sp.csr_array((np.ones(len(members), bool), members, np.array(start)), shape=(n_rows, n_columns))
+    points, eyes = (
+        directions / np.linalg.norm(directions, axis=1, keepdims=True) for directions in rng.normal(size=(2, count, 3))
+    )
+    blocks = [sp.csr_array(points[at : at + 500] @ eyes.T > 1.0 - 2.0 * density) for at in range(0, count, 500)]
+    return sp.vstack(blocks, format="csr")
 
 
-def instances(paths: Sequence[Path]) -> list[tuple[str, Any]]:
-    """Named matrices: the files, or, where none is given, displaced spheres from sparse to dense."""
-    if paths:
-        return [(path.name.split(".")[0], read_or_library(path)) for path in paths]
-    shapes = {
-        "sphere narrow": (1500, 1500, 0.10),
-        "sphere wide": (1500, 1500, 0.25),
-        "sphere default plan": (3720, 1860, 0.45),
+def instances(paths: Sequence[Path]) -> Iterator[Instance]:
+    """The files, or, where none is given, visibility matrices from sparse to dense."""
+    for path in paths:
+        name = path.name.removesuffix(".gz").removesuffix(".txt")
+        beside = path.parent / "best_known.json"
+        known = json.loads(beside.read_text())["best_known_unicost"].get(name) if beside.exists() else None
+        yield Instance(name, _family(name), read(path).matrix, known)
+    if not paths:
+        yield Instance("mseke, 6 deg", "part, 1 %", part_visibility("mseke", 6.0))
+        yield Instance("mseke, 18 deg", "part, 9 %", part_visibility("mseke", 18.0))
+        rng = np.random.default_rng(7)
+        yield Instance("displaced sphere", "dense sphere", displaced_sphere(3720, 1860, 0.45, rng))
+
+
+def _family(name: str) -> str:
+    """scp41 is of the family scp4, scpclr10 of scpclr, rail507 of rail, data.45 of Steiner."""
+    letters = name.removeprefix("scp").rstrip("0123456789")
+    return {"": f"scp{name[3:4]}", "rail": "rail", "data.": "Steiner"}.get(letters, f"scp{letters}")
+
+
+def solve(instance: Instance, solver: str, budget_s: float | None, seconds: float | None) -> dict[str, Any]:
+    """One row: a solver on an instance.
+
+    Args:
+        instance: the problem; every column costs 1.
+        solver: a name in `planner.cover.SOLVERS`.
+        budget_s: seconds' worth of work; None: no end.
+        seconds: processor time that ends the search; None: no guard.
+    """
+    M = instance.M
+    wall, started = time.perf_counter(), time.process_time()
+    result = cover.solve(
+        M,
+        np.ones(M.shape[0]),
+        rng=np.random.default_rng(1),
+        solver=solver,
+        budget=UNLIMITED_WORK if budget_s is None else round(budget_s * WORK_PER_SECOND),
+        time_limit_s=seconds,
+        clock=time.process_time,
+    )
+    row = {
+        "instance": instance.name,
+        "family": instance.family,
+        "rows": M.shape[0],
+        "columns": M.shape[1],
+        "density_percent": round(100 * M.nnz / (M.shape[0] * M.shape[1]), 2),
+        "solver": solver,
+        "budget_s": budget_s,
+        "cpu_s": round(time.process_time() - started, 2),
+        "wall_s": round(time.perf_counter() - wall, 2),
+        "views": len(result.views),
+        "lower_bound": result.lower_bound,
+        "gap_percent": round(100 * result.gap, 1),
     }
-    return [(name, displaced_sphere(*shape, np.random.default_rng(7))) for name, shape in shapes.items()]
+    if instance.known is not None:
+        row |= {"known": instance.known, "over_known_percent": round(100 * (len(result.views) / instance.known - 1), 2)}
+    return row | {"work": result.work, "status": result.sentence}
 
 
 def run(
     paths: Sequence[Path] = (),
-    solvers: Sequence[str] = ("greedy", "meta-raps", "local-search", "auto"),
+    solvers: Sequence[str] = COMPARED,
+    budgets: Sequence[float] = BUDGETS,
     seconds: float | None = None,
-    coverage: float = 1.0,
 ) -> list[dict[str, Any]]:
-    """One row per instance and solver.
+    """One row per instance, solver and budget; greedy has no use for more than one.
 
     Args:
-        paths: OR-Library files; none: instances made here.
+        paths: set-cover files; none: visibility matrices made here.
         solvers: names in `planner.cover.SOLVERS`.
-        seconds: processor seconds for each run; None: the default budget of work.
-        coverage: share of the coverable area.
+        budgets: seconds' worth of work of each run.
+        seconds: processor seconds for each run in place of the budgets.
     """
-    rows: list[dict[str, Any]] = []
-    for name, M in instances(paths):
+    solve(Instance("warm", "", np.eye(3, dtype=bool)), "greedy", 0.1, None)
+    rows = []
+    for instance in instances(paths):
         for solver in solvers:
-            started = time.process_time()
-            result = cover.solve(
-                M,
-                np.ones(M.shape[0]),
-                rng=np.random.default_rng(1),
-                solver=solver,
-                coverage=coverage,
-                budget=DEFAULT_WORK if seconds is None else UNLIMITED,
-                time_limit_s=seconds,
-                clock=time.process_time,
-            )
-            elapsed = time.process_time() - started
-            rows.append(
-                {
-                    "instance": name,
-                    "rows": M.shape[0],
-                    "columns": M.shape[1],
-                    "density_percent": round(100 * M.nnz / (M.shape[0] * M.shape[1]), 2),
-                    "solver": solver,
-                    "cpu_s": round(elapsed, 2),
-                    "views": len(result.views),
-                    "lower_bound": result.lower_bound,
-                    "gap_percent": round(100 * result.gap, 1),
-                    "work": result.work,
-                    "status": result.sentence,
-                }
-            )
+            for budget_s in [None] if seconds is not None else [0.0] if solver == "greedy" else budgets:
+                rows.append(solve(instance, solver, budget_s, seconds))
     return rows
+
+
+def chart(rows: Sequence[dict[str, Any]], folder: Path) -> None:
+    """Time against the mean excess over the fewest known views, a panel for each family."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    fewest = {row["instance"]: row.get("known") for row in rows}
+    for row in rows:
+        found = fewest[row["instance"]]
+        fewest[row["instance"]] = row["views"] if found is None else min(found, row["views"])
+    families = list(dict.fromkeys(row["family"] for row in rows))
+    across = min(4, len(families))
+    down = -(-len(families) // across)
+    figure = Figure(figsize=(3.1 * across, 2.5 * down + 0.7), dpi=110, layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False).flat
+    for axis, family in zip(panels, families, strict=False):
+        for solver in dict.fromkeys(row["solver"] for row in rows):
+            mine = [row for row in rows if row["family"] == family and row["solver"] == solver]
+            mine.sort(key=lambda row: row["budget_s"])
+            groups = [list(group) for _, group in groupby(mine, key=lambda row: row["budget_s"])]
+            time_s = [float(np.mean([row["cpu_s"] for row in group])) for group in groups]
+            excess = [
+                float(np.mean([100 * (row["views"] / fewest[row["instance"]] - 1) for row in group]))
+                for group in groups
+            ]
+            axis.plot(
+                np.maximum(time_s, 0.01),
+                excess,
+                "o-",
+                color=_COLOURS[solver],
+                markersize=3.5,
+                linewidth=1.4,
+                label=solver,
+            )
+        axis.set_xscale("log")
+        axis.set_xlim(0.008, 12)
+        axis.set_ylim(bottom=-0.5)
+        count = len({row["instance"] for row in rows if row["family"] == family})
+        axis.set_title(family + (f" ({count} files)" if count > 1 else ""), fontsize=9.5, loc="left")
+        axis.grid(color="0.92", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.tick_params(labelsize=8)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    for axis in list(figure.axes)[len(families) :]:
+        axis.set_visible(False)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=9.5)
+    figure.supxlabel("processor time [s]", fontsize=9.5)
+    figure.supylabel("more views than the fewest known [%]", fontsize=9.5)
+    FigureCanvasAgg(figure)
+    name = "cover_files.png" if any("known" in row for row in rows) else "cover_visibility.png"
+    figure.savefig(folder / name, format="png", metadata={"Software": "scan-cell"})
+
+
+def memory() -> dict[str, Any]:
+    """The largest matrix that is promised, in a process of its own: peak memory beside time and result."""
+    child = subprocess.run(
+        [sys.executable, "-m", "benchmarks.cover", "--memory-child"], capture_output=True, text=True, check=True
+    )
+    row: dict[str, Any] = json.loads(child.stdout)
+    return row
+
+
+def _memory_child() -> None:
+    M = sphere_caps(10_000, 0.05, np.random.default_rng(7))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    row = solve(Instance("sphere caps", "large", M), "auto", 10.0, None)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    json.dump(row | {"peak_mb": round(peak), "peak_mb_with_the_matrix_alone": round(before)}, sys.stdout)
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", type=Path, help="OR-Library set-cover files (row format)")
-    parser.add_argument(
-        "--seconds", type=float, help="processor time for each run; default: the default budget of work"
-    )
-    parser.add_argument("--coverage", type=float, default=1.0, help="share of the coverable area")
-    parser.add_argument("--solvers", nargs="+", default=["greedy", "meta-raps", "local-search", "auto"])
+    parser.add_argument("files", nargs="*", type=Path, help="set-cover files, as in cell cover")
+    parser.add_argument("--budgets", nargs="+", type=float, default=BUDGETS, help="seconds' worth of work of each run")
+    parser.add_argument("--seconds", type=float, help="processor time of each run, in place of the budgets")
+    parser.add_argument("--solvers", nargs="+", default=COMPARED)
+    parser.add_argument("--charts", type=Path, help="draw into this folder")
+    parser.add_argument("--memory", action="store_true", help="only the memory of the largest matrix")
+    parser.add_argument("--memory-child", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    if arguments.memory_child:
+        _memory_child()
+        return
     out = sys.stdout
     versions = f"numpy {np.__version__}, scipy {scipy.__version__}, python {platform.python_version()}"
     out.write(f"{versions}, {platform.machine()} {platform.system()}\n")
-    table = run(arguments.files, arguments.solvers, arguments.seconds, arguments.coverage)
-    names = list(table[0])
+    if arguments.memory:
+        table = [memory()]
+    else:
+        table = run(arguments.files, arguments.solvers, arguments.budgets, arguments.seconds)
+    names = list(dict.fromkeys(name for row in table for name in row))
     out.write(" | ".join(names) + "\n")
     for row in table:
-        out.write(" | ".join(str(row[name]) for name in names) + "\n")
+        out.write(" | ".join(str(row.get(name, "")) for name in names) + "\n")
+    for solver in dict.fromkeys(row["solver"] for row in table):
+        over = [row["over_known_percent"] for row in table if row["solver"] == solver and "known" in row]
+        if over:
+            out.write(f"{solver}: mean {np.mean(over):.2f} % over the fewest known, {len(over)} runs\n")
+    if arguments.charts is not None and table:
+        chart(table, arguments.charts)
 
 
 if __name__ == "__main__":
