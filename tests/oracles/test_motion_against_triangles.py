@@ -1,0 +1,40 @@
+"""Reduced form of `benchmarks.motion_recheck`: final motions of seeded scenes judged by true triangles in python-fcl.
+
+SCAN_CELL_SCENES sets the number of scenes (1 here; `python -m benchmarks motion_recheck` has the full form).
+"""
+
+import os
+
+import numpy as np
+import pytest
+
+from benchmarks.motion_recheck import judged
+from benchmarks.seeded_scenes import usable
+from benchmarks.triangle_cell import TriangleCell
+
+SCENES = range(2, 2 + int(os.environ.get("SCAN_CELL_SCENES", "1")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", SCENES)
+def test_no_triangles_meet_and_no_limit_is_exceeded(number: int) -> None:
+    """Every millisecond of the motion; the clearance that the plan says is what the triangles show, within 1 mm."""
+    row = judged(number)
+    assert row["moves"] > row["views"] == 10
+    assert row["checked"] > 1000 * row["motion s"]
+    assert row["contacts"] == 0
+    assert row["over limits"] <= 1e-9
+    assert row["nearest mm"] >= row["said mm"] - 1.0
+
+
+def test_the_judge_sees_contact() -> None:
+    """Precondition of this file: configurations in contact are found, by pair, and free ones are not."""
+    cell = usable(2)
+    q = np.random.default_rng(0).uniform(cell.world.limits.lower, cell.world.limits.upper, (400, 6))
+    distance, _ = cell.checker.distance(q)
+    judge = TriangleCell(cell.world, cell.part)
+    assert judge.contacts(q[distance > 0.002]) == {}
+    touching = q[distance < -0.02]
+    deep = [bool(judge.contacts(one[None])) for one in touching]
+    # Triangles have no inside, and the part's hull is more than the part: not all that touches meets.
+    assert np.mean(deep) > 0.9
