@@ -42,7 +42,7 @@ class Settings:
         integrator: of the simulation.
         bandwidth: of the servo [Hz].
         mass_error: relative error of the masses that the feed-forward believes; -0.1: they are 10 % too light.
-        friction_error: the same of the friction that does not depend on speed.
+        friction_error: the same of the friction that does not depend on speed; -1: it is not compensated.
     """
 
     time_step: float = 1e-3
@@ -57,9 +57,10 @@ class Settings:
                 raise UsageError(
                     f"the plant's {name} is {getattr(self, name)}; it must be above 0 and at most {most:g}"
                 )
-        for name in ("mass_error", "friction_error"):
-            if not -1.0 < getattr(self, name) < np.inf:
-                raise UsageError(f"the plant's {name} is {getattr(self, name)}; it must be above -1 and finite")
+        if not -1.0 < self.mass_error < np.inf:
+            raise UsageError(f"the plant's mass_error is {self.mass_error}; it must be above -1 and finite")
+        if not -1.0 <= self.friction_error < np.inf:
+            raise UsageError(f"the plant's friction_error is {self.friction_error}; it must be at least -1 and finite")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -177,7 +177,7 @@ def test_mass_matrix_is_that_of_the_jacobians(chain: Chain) -> None:
 def test_the_feed_forward_is_lagranges(chain: Chain) -> None:
     """A servo that is right about masses and knows no Coulomb friction asks for Lagrange's torques."""
     rng = np.random.default_rng(0)
-    right = servo.FeedForward(TOOL, Settings(mass_error=0.0, friction_error=-1.0 + 1e-15))
+    right = servo.FeedForward(TOOL, Settings(mass_error=0.0, friction_error=-1.0))
     q, qd, qdd = rng.uniform(-2, 2, (3, 3, 6)) * np.array([1.0, 1.5, 3.0])[:, None, None]
     expected = [chain.inverse(*motion) for motion in zip(q, qd, qdd, strict=True)]
     np.testing.assert_allclose(right.torque(q, qd, qdd), expected, rtol=1e-6, atol=1e-4)
@@ -186,7 +186,7 @@ def test_the_feed_forward_is_lagranges(chain: Chain) -> None:
 def test_light_masses_make_all_but_the_rotors_light(chain: Chain) -> None:
     """At 10 % too little mass the torque lacks 10 % of gravity, of velocity terms and of the links' inertia."""
     rng = np.random.default_rng(1)
-    light = servo.FeedForward(TOOL, Settings(mass_error=-0.1, friction_error=-1.0 + 1e-15))
+    light = servo.FeedForward(TOOL, Settings(mass_error=-0.1, friction_error=-1.0))
     q, qd, qdd = rng.uniform(-2, 2, (3, 6))
     motors = chain.rotor * qdd + chain.viscous * qd
     expected = motors + 0.9 * (chain.inverse(q, qd, qdd) - motors)
@@ -256,7 +256,7 @@ def test_without_integral_the_arm_droops_like_a_spring(pose: str, chain: Chain) 
     model, data = plant.model, plant.data
     kp = -model.actuator_biasprm[:, 1]
     model.dof_frictionloss[:] = 0.0  # friction would hold it anywhere near
-    believed = servo.FeedForward(TOOL, Settings(friction_error=-1.0 + 1e-15))
+    believed = servo.FeedForward(TOOL, Settings(friction_error=-1.0))
     rest = np.zeros((1, 6))
     data.ctrl[:] = kp * POSES[pose] + believed.torque(POSES[pose][None], rest, rest)[0]
     mujoco.mj_step(model, data, nstep=3000)
@@ -268,7 +268,7 @@ def test_without_integral_the_arm_droops_like_a_spring(pose: str, chain: Chain) 
 def test_a_small_error_dies_out_as_the_linear_servo_says() -> None:
     """A6 turns about its own axis alone: its error obeys J e''' + kd e'' + kp e' + ki e = 0, in time and size."""
     model = dynamics.arm(Tool())
-    plant = MujocoPlant(HOME, Tool(), Settings(time_step=1e-4, friction_error=-1.0 + 1e-15))
+    plant = MujocoPlant(HOME, Tool(), Settings(time_step=1e-4, friction_error=-1.0))
     plant.model.dof_frictionloss[:] = 0.0
     plant.model.dof_damping[:] = 0.0
     offset = 1e-3 * np.eye(6)[5]

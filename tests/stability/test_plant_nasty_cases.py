@@ -35,7 +35,7 @@ WITHIN_THE_MARGIN = {
     "explicit, time step x 2": Settings(time_step=0.002, integrator="Euler"),
     "masses 30 % wrong": Settings(mass_error=-0.3),
     "masses 30 % too heavy": Settings(mass_error=0.3),
-    "no friction compensation": Settings(friction_error=-0.99),
+    "no friction compensation": Settings(friction_error=-1.0),
 }
 
 
