@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.edge import certify_many, quantise_inside
-from planner.order import node_offsets
+from planner.order import leaving, node_offsets
 from planner.path import connect, path_time, shorten
 from planner.ports import CollisionChecker, Floats, JointLimits
 from planner.timing import move_time
@@ -43,6 +43,7 @@ class Roadmap:
         seed: int,
         path_checks: int,
         total_checks: int,
+        leaves: Many[NDArray[np.int64]] | None = None,
     ) -> None:
         """Number the nodes as `planner.order.node_offsets` does and drop those that are not free.
 
@@ -54,10 +55,13 @@ class Roadmap:
             seed: seed of all searches; each edge's search depends on it and on the edge alone.
             path_checks: checks that one search may use.
             total_checks: checks after which a search gets no more than a token share.
+            leaves: per view, (n_i,) joint solution at which the arm leaves (`planner.order.sequence`); None: where it
+                arrived.
         """
         self.checker, self.limits = checker, limits
         self.q = quantise_inside(np.concatenate([home[None], *(q.reshape(-1, 6) for q in configurations)]), limits)
         self.offsets = node_offsets(configurations)
+        self.leave = np.arange(len(self.q)) if leaves is None else leaving(configurations, leaves)
         self.active = checker.free(self.q)
         self.checks = len(self.q)
         self.isolated: set[int] = set()
@@ -72,9 +76,9 @@ class Roadmap:
         self._pose = np.unique(units % 3_600_000, axis=0, return_inverse=True)[1].reshape(-1)
 
     def nodes_of(self, view: int) -> NDArray[np.int64]:
-        """Active nodes of a view."""
+        """Active nodes of a view that can be left again."""
         nodes = np.arange(self.offsets[view], self.offsets[view + 1])
-        return nodes[self.active[nodes]]
+        return nodes[self.active[nodes] & self.active[self.leave[nodes]]]
 
     def prices(self) -> dict[Edge, float]:
         """Prices [s] of the edges whose price is not the straight move's time."""

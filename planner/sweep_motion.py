@@ -27,6 +27,7 @@ Base frame, metres, radians, seconds.
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -34,11 +35,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.edge import certify_many
+from planner.errors import PlannerError
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.readonly import readonly
 from planner.s_curve import Profile, sample
 from planner.setpoints import from_steps, to_steps
 from planner.sweep_line import DEFAULT_SPEED, SweepLine, SweepSpeed, line_through, rotation_vectors
+from planner.tour import Passage
 
 TUBE = 5e-5
 """Largest distance [m] of the scanner frame on the joint-linear segments between vertices from the line."""
@@ -272,6 +275,22 @@ class DrivenSweep:
     def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """(n, 6) angles, speeds and accelerations at (n,) times after its start [s]."""
         return timed(self.path, self.T_flange_scanner, self.kinematics, t)
+
+
+def passages_of(paths: Sequence[SweepPath]) -> list[Passage]:
+    """The sweeps of one view as passages of a tour; the reverse of each must be among them, unless it stands.
+
+    Raises:
+        PlannerError: if a sweep cannot be left for want of its reverse.
+    """
+    begins = {tuple(to_steps(path.q[0]).tolist()): i for i, path in enumerate(paths)}
+    passages = []
+    for path in paths:
+        leaves = begins.get(tuple(to_steps(path.q[-1]).tolist()))
+        if leaves is None:
+            raise PlannerError("a sweep's reverse is missing; give both directions of every sweep")
+        passages.append(Passage(path.q, path.pose, path.duration, leaves))
+    return passages
 
 
 class _Arm:

@@ -22,7 +22,33 @@ from planner.ports import CollisionChecker, Floats, JointLimits
 from planner.readonly import readonly
 from planner.roadmap import Roadmap
 from planner.timing import check_inside, check_limits
-from planner.tour_search import DEFAULT_BUDGET, MotionBudget, Progress, TourSearch, edges_of
+from planner.tour_search import DEFAULT_BUDGET, MotionBudget, Progress, TourSearch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """What the arm does at a view between arriving and leaving: the line of a sweep.
+
+    Attributes:
+        via: (m, 6) via points [rad], certified, the first where the arm arrives and the last where it leaves.
+        pose: (m,) pose of the view that is taken at each, -1 for none.
+        duration: of the passage [s].
+        leaves: joint solution of the same view (its index) that begins where this one ends.
+    """
+
+    via: Floats
+    pose: NDArray[np.int64]
+    duration: float
+    leaves: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
+        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.via),), np.int64))
+
+    @property
+    def middle(self) -> Floats:
+        """(6,) joint angles at the middle one of its poses [rad]."""
+        return np.asarray(self.via[int(np.flatnonzero(self.pose == (self.pose >= 0).sum() // 2)[0])])
 
 
 class TourStatus(IntEnum):
@@ -89,14 +115,17 @@ class Tour:
     Attributes:
         order: (n,) visited views, as indices into the configurations.
         choice: (n,) joint solution of each visited view, as an index into that view's configurations.
-        q: (n, 6) joint angles at the views, in visiting order [rad], multiples of 1e-4 deg.
+        q: (n, 6) joint angles at the views, in visiting order [rad], multiples of 1e-4 deg; of a sweep at its middle
+            pose.
         via: (N, 6) via points from home to home [rad]; one row (home) without views, none where home is in collision.
         segment: (N,) leg that ends at or passes the via point; 0 for the first.
-        view: (N,) view taken at the via point, -1 at home and on detours.
+        view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
+        pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
+        entered: (n,) via point at which each visited view is entered: where its passage begins.
         clearance: (n + 1,) smallest distance found along each leg [m] (`planner.edge.clearance_along`).
         between: n + 1 names of the pair that is nearest on each leg.
         detour: (n + 1,) True where the leg is no straight move.
-        duration: time of all moves [s], stopping at each via point.
+        duration: time of all moves, stopping at each via point, and of the passages [s].
         baseline_duration: time of the Christofides tour with straight moves [s], collisions not looked at.
         lower_bound: no motion over the visited views and more, through these joint solutions, is faster [s].
         dropped: views that are not visited, with reasons.
@@ -112,6 +141,8 @@ class Tour:
     via: Floats
     segment: NDArray[np.int64]
     view: NDArray[np.int64]
+    pose: NDArray[np.int64]
+    entered: NDArray[np.int64]
     clearance: Floats
     between: tuple[str, ...]
     detour: NDArray[np.bool_]
@@ -132,6 +163,8 @@ class Tour:
         object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
         object.__setattr__(self, "segment", readonly("segment", self.segment, (len(self.via),), np.int64))
         object.__setattr__(self, "view", readonly("view", self.view, (len(self.via),), np.int64))
+        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.via),), np.int64))
+        object.__setattr__(self, "entered", readonly("entered", self.entered, (n,), np.int64))
         object.__setattr__(self, "clearance", readonly("clearance", self.clearance, (len(self.between),)))
         object.__setattr__(self, "detour", readonly("detour", self.detour, (len(self.between),), np.bool_))
 
@@ -148,6 +181,7 @@ def plan_motion(
     *,
     ordering: str = "joint-space",
     T_base_home: Floats | None = None,
+    passages: Many[Many[Passage]] | None = None,
 ) -> Tour:
     """Plan the motion that visits every view once, from home and back.
 
@@ -162,6 +196,7 @@ def plan_motion(
         progress: told about real edges as they become known.
         ordering: a name of `planner.order.ORDERINGS`.
         T_base_home: (4, 4) scanner pose at home [m].
+        passages: per view, one for each of its joint solutions, beginning there; None: the arm stands and measures.
 
     Returns:
         The motion with the views that it cannot visit. It is certified: see `planner.edge`.
@@ -184,7 +219,8 @@ def plan_motion(
     if not checker.clearance > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
     seed = int(rng.integers(2**63))
-    roadmap = Roadmap(solutions, home, checker, limits, seed, budget.path_checks, budget.checks)
+    leaves, stays = _between(solutions, passages)
+    roadmap = Roadmap(solutions, home, checker, limits, seed, budget.path_checks, budget.checks, leaves)
     if not roadmap.active[0]:
         return _no_motion(roadmap, len(solutions))
 
@@ -196,35 +232,78 @@ def plan_motion(
             blocker = next(iter(checker.contacts(q[0])), "")
             dropped.append(Dropped(k, DropReason.IN_COLLISION, blocker))
 
-    search = TourSearch(roadmap, poses, T_base_home, limits, seed, budget, ordering, progress)
+    search = TourSearch(roadmap, poses, T_base_home, limits, seed, budget, ordering, progress, stays)
     nodes = search.run()
     dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
-    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)))
+    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), passages)
 
 
-def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[Dropped, ...]) -> Tour:
+def _between(
+    solutions: Many[Floats], passages: Many[Many[Passage]] | None
+) -> tuple[list[NDArray[np.int64]] | None, Floats | None]:
+    """Where each joint solution is left, per view, and how long the arm is there [s], per node with home first."""
+    if passages is None:
+        return None, None
+    stays = [0.0]
+    for k, (q, own) in enumerate(zip(solutions, passages, strict=True)):
+        if len(own) != len(q):
+            raise PlannerError(f"view {k} has {len(q)} joint solutions and {len(own)} passages; they must be as many")
+        for i, passage in enumerate(own):
+            ends = passage.via[[0, -1]], q[[i, passage.leaves]]
+            if not np.allclose(*ends, rtol=0.0, atol=1e-9):
+                raise PlannerError(f"passage {i} of view {k} does not begin and end at the joint solutions it names")
+            stays.append(passage.duration)
+    leaves = [np.array([passage.leaves for passage in own], dtype=np.int64) for own in passages]
+    return leaves, np.array(stays)
+
+
+def _tour(
+    roadmap: Roadmap,
+    nodes: list[int],
+    search: TourSearch,
+    dropped: tuple[Dropped, ...],
+    passages: Many[Many[Passage]] | None,
+) -> Tour:
     """Put the legs together and measure their clearance."""
     views = [search.view_of(node) for node in nodes[1:-1]]
-    via, segment, view = [roadmap.q[:1]], [0], [-1]
+    stands = [
+        Passage(roadmap.q[[node]], np.zeros(1, dtype=np.int64), 0.0, 0)
+        if passages is None
+        else passages[view][node - int(roadmap.offsets[view])]
+        for view, node in zip(views, nodes[1:-1], strict=True)
+    ]
+    via, segment, view, pose, entered = [roadmap.q[:1]], [0], [-1], [-1], []
     clearance, between, detour, duration = [], [], [], 0.0
-    for leg, (a, b) in enumerate(edges_of(nodes)):
+    for leg, (a, b) in enumerate(search.edges(nodes)):
         path = search.path(a, b)
-        via.append(path[1:])
-        segment += [leg] * (len(path) - 1)
-        view += [-1] * (len(path) - 2) + [views[leg] if leg < len(views) else -1]
         nearest, pair = clearance_along(path, roadmap.checker)
+        duration += path_time(path, search.limits)
+        via.append(path[1:])
+        view += [-1] * (len(path) - 1)
+        pose += [-1] * (len(path) - 1)
+        if leg < len(views):
+            here = stands[leg]
+            entered.append(len(view) - 1)
+            via.append(here.via[1:])
+            view[-1:] = np.where(here.pose >= 0, views[leg], -1).tolist()
+            pose[-1:] = here.pose.tolist()
+            duration += here.duration
+            if len(here.via) > 1:
+                nearest, pair = min((nearest, pair), clearance_along(here.via, roadmap.checker))
+        segment += [leg] * (len(view) - len(segment))
         clearance.append(nearest)
         between.append(pair)
         detour.append(len(path) > 2)
-        duration += path_time(path, search.limits)
     visited = np.array(nodes[1:-1], dtype=np.int64)
     return Tour(
         order=np.array(views, dtype=np.int64),
         choice=visited - roadmap.offsets[views] if views else visited,
-        q=roadmap.q[visited],
+        q=np.array([here.middle for here in stands]).reshape(-1, 6),
         via=np.concatenate(via),
         segment=np.array(segment),
         view=np.array(view),
+        pose=np.array(pose),
+        entered=np.array(entered, dtype=np.int64),
         clearance=np.array(clearance),
         between=tuple(between),
         detour=np.array(detour, dtype=bool),
@@ -249,6 +328,8 @@ def _no_motion(roadmap: Roadmap, n_views: int) -> Tour:
         via=np.zeros((0, 6)),
         segment=none,
         view=none,
+        pose=none,
+        entered=none,
         clearance=np.zeros(0),
         between=(),
         detour=np.zeros(0, dtype=bool),

@@ -66,6 +66,7 @@ class TourSearch:
         budget: MotionBudget,
         ordering: str,
         progress: Progress | None,
+        stays: Floats | None = None,
     ) -> None:
         self.roadmap, self.poses, self.T_base_home, self.limits = roadmap, poses, T_base_home, limits
         self.seed, self.budget, self.progress = seed, budget, progress
@@ -74,13 +75,15 @@ class TourSearch:
         self.unconnected: list[int] = []
         self.baseline, self.lower_bound = 0.0, 0.0
         self.rounds = 0
+        self.stays = np.zeros(len(roadmap.q)) if stays is None else stays  # time between arriving and leaving, by node
 
     def run(self) -> list[int]:
         """Nodes of the tour in visiting order, home at both ends; every edge of it is real."""
         nodes, full, settled_cost = self.order(self.budget.orders, []), True, float("inf")
         while self.rounds < self.budget.rounds:
             if self.make_real(nodes):
-                cost = sum(path_time(self.path(a, b), self.limits) for a, b in edges_of(nodes))
+                cost = sum(path_time(self.path(a, b), self.limits) for a, b in self.edges(nodes))
+                cost += float(self.stays[nodes].sum())
                 if full or cost >= settled_cost * (1 - 1e-9):
                     return nodes
                 # Quick orderings brought all edges to light; a full one may find a faster tour over them.
@@ -91,7 +94,7 @@ class TourSearch:
                 nodes = self.order(self.budget.orders // 10, nodes)
         while not self.make_real(nodes):
             self.drop_unconnected()
-            nodes = [node for node in nodes if node == 0 or self.roadmap.active[node]]
+            nodes = [node for node in nodes if node == 0 or self.usable(node)]
         kept = {self.view_of(node) for node in nodes[1:-1]}
         self.unconnected += [k for k in self.views if k not in kept]
         return nodes
@@ -102,7 +105,7 @@ class TourSearch:
         Returns:
             Whether every edge of this tour is real now, and was priced so when the tour was ordered.
         """
-        edges = edges_of(nodes)
+        edges = self.edges(nodes)
         if not self.roadmap.look(edges):
             self.tell(edges)
             return False
@@ -139,6 +142,8 @@ class TourSearch:
             bound_work=self.budget.bound if self.rounds == 0 else 0,
             edge_time=edge_time,
             start=np.array(start) if len(start) == len(self.views) and start else None,
+            leaves=None if self.at_rest else [numbers[roadmap.leave[n]] - numbers[n[0]] for n in nodes],
+            stays=None if self.at_rest else [self.stays[n] for n in nodes],
         )
         if self.rounds == 0:  # no edge was looked at: times of straight moves, which no path undercuts
             self.baseline, self.lower_bound = found.baseline_duration, found.lower_bound
@@ -150,6 +155,19 @@ class TourSearch:
         lost = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
         self.unconnected += lost
         self.views = [k for k in self.views if k not in lost]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether every view is left where it is entered, at once."""
+        return bool((self.roadmap.leave == np.arange(len(self.roadmap.q))).all() and not self.stays.any())
+
+    def usable(self, node: int) -> bool:
+        """Whether a node can still be entered and left."""
+        return bool(self.roadmap.active[node] and self.roadmap.active[self.roadmap.leave[node]])
+
+    def edges(self, nodes: list[int]) -> list[Edge]:
+        """Edges of the roadmap that a tour drives: from where each view is left to where the next is entered."""
+        return [(int(self.roadmap.leave[a]), b) for a, b in edges_of(nodes)]
 
     def view_of(self, node: int) -> int:
         """View to which a node belongs."""

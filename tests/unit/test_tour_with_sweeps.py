@@ -1,0 +1,113 @@
+"""Tours over views that are entered at one end of a sweep and left at the other: whole, timed, in the best order."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cell.robot.kinematics import Kr16Kinematics
+from planner.errors import PlannerError
+from planner.ports import Floats
+from planner.sweep_motion import DrivenSweep, SweepPath, passages_of, sweeps_of
+from planner.sweeps import straight_poses
+from planner.timing import move_time, retime
+from planner.tour import Passage, TourStatus, plan_motion
+
+KINEMATICS = Kr16Kinematics.load()
+LIMITS = KINEMATICS.limits
+MOUNT = np.eye(4)
+MOUNT[2, 3] = 0.12
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+
+
+class _FreeSpace:
+    """A checker of an empty cell, but for configurations with A1 in a band."""
+
+    clearance = 0.01
+
+    def __init__(self, band_deg: tuple[float, float] = (400.0, 401.0)) -> None:
+        self.band = np.radians(band_deg)
+
+    def free(self, q: Floats) -> NDArray[np.bool_]:
+        return np.asarray((q[:, 0] < self.band[0]) | (q[:, 0] > self.band[1]))
+
+    def contacts(self, q: Floats) -> tuple[str, ...]:
+        return () if self.free(q[None])[0] else ("housing with wall",)
+
+    def distance(self, q: Floats) -> tuple[Floats, tuple[str, ...]]:
+        return np.minimum(np.abs(q[:, :1] - self.band).min(axis=1), 1.0), ("housing with wall",) * len(q)
+
+    def travel(self, q_from: Floats, q_to: Floats) -> Floats:
+        return np.asarray(np.abs(q_to - q_from).sum(axis=1) * 1.7)
+
+
+def _views(count: int) -> tuple[list[tuple[SweepPath, ...]], Floats]:
+    """Sweeps of one branch at several places, two directions each, and the columns' first poses."""
+    paths, poses = [], []
+    for k in range(count):
+        q = np.radians([12 - 14 * k, -75 + 5 * k, 110, 35, -60, 140])
+        column = KINEMATICS.forward(q[None])[0] @ MOUNT @ straight_poses(0.15, 8)
+        found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS).paths
+        paths.append(tuple(path for path in found if path.branch == 1)[:2])
+        poses.append(column[0])
+    return paths, np.stack(poses)
+
+
+def test_the_tour_holds_every_sweep_whole_and_takes_the_shortest_way() -> None:
+    """Against all orders and directions; timed with its lines it takes the time that the tour says."""
+    paths, poses = _views(4)
+    tour = plan_motion(
+        [np.stack([path.q[0] for path in view]) for view in paths], HOME, _FreeSpace(), LIMITS, poses,
+        np.random.default_rng(0), passages=[passages_of(view) for view in paths],
+    )  # fmt: skip
+    assert tour.status is TourStatus.COMPLETE
+    best = np.inf
+    for order in itertools.permutations(range(4)):
+        for way in itertools.product((0, 1), repeat=4):
+            stands, time = HOME, 0.0
+            for view, which in zip(order, way, strict=True):
+                path = paths[view][which]
+                time += float(move_time(stands, path.q[0], LIMITS)) + path.duration
+                stands = path.q[-1]
+            best = min(best, time + float(move_time(stands, HOME, LIMITS)))
+    assert tour.duration == pytest.approx(best, abs=1e-9)
+    chosen = [paths[view][choice] for view, choice in zip(tour.order, tour.choice, strict=True)]
+    for path, row, view, q in zip(chosen, tour.entered, tour.order, tour.q, strict=True):
+        own = slice(row, row + len(path.q))
+        np.testing.assert_array_equal(tour.via[own], path.q)
+        np.testing.assert_array_equal(tour.pose[own], path.pose)
+        np.testing.assert_array_equal(tour.view[own], np.where(path.pose >= 0, view, -1))
+        assert np.ptp(tour.segment[own]) == 0
+        np.testing.assert_array_equal(q, path.measured_q[4])
+    assert (tour.view >= 0).sum() == 32
+    lines = {int(row): DrivenSweep(path, MOUNT, KINEMATICS) for row, path in zip(tour.entered, chosen, strict=True)}
+    motion = retime(tour.via, tour.segment, tour.view, LIMITS, pose=tour.pose, lines=lines)
+    assert motion.duration == pytest.approx(tour.duration, abs=1e-9)
+    assert motion.view[motion.stops].tolist() == tour.order.tolist()
+    assert (np.diff(tour.segment) >= 0).all()
+
+
+def test_a_sweep_whose_end_cannot_be_left_is_driven_the_other_way_or_dropped() -> None:
+    """The place of one end is in a wall: neither direction can be driven, and the view is dropped; the rest remains."""
+    paths, poses = _views(3)
+    ends = np.degrees(np.sort([paths[1][0].q[0][0], paths[1][0].q[-1][0]]))
+    wall = _FreeSpace((float(ends[0]) - 0.2, float(ends[0]) + 0.2))
+    tour = plan_motion(
+        [np.stack([path.q[0] for path in view]) for view in paths], HOME, wall, LIMITS, poses,
+        np.random.default_rng(0), passages=[passages_of(view) for view in paths],
+    )  # fmt: skip
+    assert 1 in [lost.view for lost in tour.dropped]
+    assert 1 not in tour.order.tolist()
+
+
+def test_passages_must_fit_their_joint_solutions() -> None:
+    """As many as there are, each from its own solution to the one it names."""
+    q = np.stack([HOME, HOME + 0.1])
+    still = Passage(HOME[None], np.zeros(1, dtype=np.int64), 0.0, 0)
+    with pytest.raises(PlannerError, match="they must be as many"):
+        plan_motion([q], HOME, _FreeSpace(), LIMITS, np.eye(4)[None], np.random.default_rng(0), passages=[[still]])
+    with pytest.raises(PlannerError, match="does not begin and end"):
+        plan_motion(
+            [q], HOME, _FreeSpace(), LIMITS, np.eye(4)[None], np.random.default_rng(0), passages=[[still, still]]
+        )
