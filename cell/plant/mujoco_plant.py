@@ -97,7 +97,7 @@ class MujocoPlant:
         # The implicit integrator damps with the speed at the end of the step; the set-point has to be of that time.
         self._speed_ahead = 0 if settings.integrator == "Euler" else 1
         self._levers = dynamics.levers(self.model, tool)
-        self._slowest = 2.0 * np.pi * settings.bandwidth
+        self._bandwidth = 2.0 * np.pi * settings.bandwidth
         self._failure = ""
         self._braked = False
         # The grid of steps: so many since the reference was taken, `_offset` after a step, and what is left of time.
@@ -220,8 +220,8 @@ class MujocoPlant:
             self._begin(reference)
 
     def _at_rest(self) -> bool:
-        # An error decays no slower than its speed divided by the bandwidth lets it.
-        motion = np.abs(self._error) + np.abs(self.data.qvel) / self._slowest
+        # At a speed v the servo lets an axis run on by v over its bandwidth.
+        motion = np.abs(self._error) + np.abs(self.data.qvel) / self._bandwidth
         return bool(self._levers @ motion <= AT_REST)
 
     def _fail(self, error: Floats) -> None:

@@ -59,11 +59,6 @@ class Tool:
     pieces: tuple[Piece, ...] = ()
 
     @property
-    def mass(self) -> float:
-        """[kg]."""
-        return sum(piece.mass for piece in self.pieces)
-
-    @property
     def reach(self) -> float:
         """Distance of its farthest point from the flange's middle [m], an upper bound."""
         return max((float(np.linalg.norm(piece.position)) + piece.reach for piece in self.pieces), default=0.0)
