@@ -2,21 +2,23 @@
 
 Each iteration builds a cover with the greedy rule, randomised: with probability `priority` a best column is taken,
 otherwise a random one among those within `restriction` of the best. Redundant columns are removed. A cover that is at
-most `improvement` longer than the shortest one built so far is improved: a share `magnitude` of its columns is thrown
-away at random and it is built up again in the same way, kept if not longer, `improvement_iterations` times.
+most `improvement` dearer than the cheapest one built so far is improved: a share `magnitude` of its columns is thrown
+away at random and it is built up again in the same way, kept if not dearer, `improvement_iterations` times.
 
-With unit cost the paper's several priority rules order columns alike, so there is one rule here (uncovered area); in
-place of its core problem every solver here gets the reduced problem; its penalty on columns that often come out worst
-is left out.
+Where columns cost differently, each construction draws one of several priority rules (Vasko, Wilson 1984,
+doi:10.1002/nav.3800310122): functions of a column's cost and of the uncovered area that it covers. With unit cost they
+order columns alike, so the first one serves. In place of the paper's core problem every solver here gets the reduced
+problem; its penalty on columns that often come out worst is left out.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner.cover.budget import STEP_WORK, Budget
 from planner.cover.greedy import greedy, missing_units, prune, uncovered_area
-from planner.cover.problem import CoverProblem, Ints
+from planner.cover.problem import CoverProblem, Floats, Ints
 from planner.errors import PlannerError
 
 
@@ -30,7 +32,7 @@ class MetaRapsParameters:
     Attributes:
         priority: probability of taking a best column; the rest is the degree of randomisation.
         restriction: a column within this share of the best gain is a candidate.
-        improvement: a cover at most this share longer than the shortest one built is improved.
+        improvement: a cover at most this share dearer than the cheapest one built is improved.
         magnitude: share of a cover's columns thrown away in one improvement step.
         iterations: covers built.
         improvement_iterations: improvement steps for each cover that is improved.
@@ -52,6 +54,15 @@ class MetaRapsParameters:
             if getattr(self, name) < 0:
                 raise PlannerError(f"{name} of Meta-RaPS is {getattr(self, name)}; it must be zero or above")
 
+
+PRIORITY_RULES: tuple[Callable[[Floats, Floats], Floats], ...] = (
+    lambda gains, costs: gains / costs,
+    lambda gains, costs: gains * np.log1p(gains) / costs,
+    lambda gains, costs: gains**2 / costs,
+    lambda gains, costs: gains**2 / np.sqrt(costs),
+    lambda gains, costs: np.log1p(gains) / costs,
+)
+"""Worth of columns from the uncovered area that they cover, in mean areas of a row, and their costs."""
 
 DEFAULT_PARAMETERS = MetaRapsParameters()
 
@@ -114,8 +125,10 @@ def _construct(
     work = int(uncovered.sum()) * max(problem.n_entries // max(problem.n_rows, 1), 1)
     missing = missing_units(problem, uncovered)
     chosen = part.tolist()
+    rule = PRIORITY_RULES[0 if problem.unit_cost else int(rng.random() * len(PRIORITY_RULES))]
+    costs, unit = problem.costs.astype(np.float64), float(problem.units.mean())
     while missing > 0:
-        worth = gains / problem.costs
+        worth = rule(np.maximum(gains, 0.0) / unit, costs)
         threshold = worth.max()
         if rng.random() >= parameters.priority:
             threshold *= 1.0 - parameters.restriction
