@@ -229,7 +229,7 @@ def run(
         budgets: seconds' worth of work of each run.
         seconds: processor seconds for each run in place of the budgets.
     """
-    solve(Instance("warm", "", np.eye(3, dtype=bool)), "greedy", 0.1, None)
+    solve(Instance("warm", "", sp.eye_array(3, dtype=bool, format="csr")), "greedy", 0.1, None)  # imports
     rows = []
     for instance in instances(paths):
         for solver in solvers:
