@@ -16,10 +16,11 @@ from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.ports import Floats
 from planner.readonly import readonly
+from planner.surface import TriangleMesh
 
 
 def scene_of(run: RunRecord, resolved: Mapping[str, Any], *, without: Collection[str] = ()) -> Scene:
-    """What stood in the cell, as a scene; scanner and plan keep their defaults (only the baseline is set).
+    """What stood in the cell, as a scene; scanner and plan keep their defaults (but for baseline and collision).
 
     Args:
         run: a run folder.
@@ -41,6 +42,8 @@ def scene_of(run: RunRecord, resolved: Mapping[str, Any], *, without: Collection
             robot["pedestal_size_mm"] = pedestal["size_mm"][:2]
         content = {
             "clearance_mm": float(resolved["clearance_mm"]),
+            # Runs that do not say it were checked with the hull.
+            "plan": {"collision": resolved["plan"].get("collision", "hull")},
             "robot": robot,
             "scanner": {"baseline_mm": float(resolved["scanner"].get("baseline_mm", 0.0))},
             "mount": _pose(T_flange_scanner),
@@ -61,20 +64,21 @@ def scene_of(run: RunRecord, resolved: Mapping[str, Any], *, without: Collection
 
 
 def world_of(
-    run: RunRecord, resolved: Mapping[str, Any], part_vertices: Floats, *, without: Collection[str] = ()
+    run: RunRecord, resolved: Mapping[str, Any], part: TriangleMesh, *, without: Collection[str] = ()
 ) -> World:
     """The compiled cell.
 
     Args:
         run: a run folder.
         resolved: its `scene.resolved.json`.
-        part_vertices: (N, 3) vertices of the part [m], object frame.
+        part: the part [m], object frame.
         without: names of fixtures to leave out; "post" leaves out the post.
 
     Raises:
         FileError: if the run's files are damaged.
     """
-    return compile_world(scene_of(run, resolved, without=without), part_vertices, refuse=False)
+    scene = scene_of(run, resolved, without=without)
+    return compile_world(scene, part.vertices, part_faces=part.faces, refuse=False)
 
 
 def _fixture(run: RunRecord, fixture: Mapping[str, Any]) -> dict[str, Any]:

@@ -265,7 +265,7 @@ class Plan(_Table):
     coverage: Share = 1.0
     required_visible: Annotated[float, Field(ge=0, le=1)] = 0.0
     max_sigma_mm: Positive | None = None
-    collision: Literal["hull", "decomposed", "exact"] = "hull"
+    collision: Literal["hull", "decomposed", "exact"] = "exact"
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     max_views: Annotated[int, Field(ge=1)] | None = None
     multiplicity: Annotated[int, Field(ge=1)] = 1

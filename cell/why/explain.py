@@ -152,7 +152,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         scene = scan_scene.load(run)
         candidates = _as_executed(run)
         fails, blockers = _failing(run, len(candidates))
-        world = world_of(run, resolved, scene.reference.vertices)
+        world = world_of(run, resolved, scene.reference)
         pieces = occluder_triangles(world)
         scanner, max_sigma = _law(run, resolved, scene.scanner)
         part_caster, occluder_caster = scene.part_caster, one_caster(pieces)
@@ -177,7 +177,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
     with narrator.stage("changes") as progress:
         removable = tuple(f["name"] for f in resolved["fixtures"] if not f["built_in"] or f["name"] == "post")
         changes = Changes(
-            world, lambda name: world_of(run, resolved, scene.reference.vertices, without=(name,)), removable,
+            world, lambda name: world_of(run, resolved, scene.reference, without=(name,)), removable,
             candidates, np.flatnonzero(fails == Reason.NOT_SELECTED), scanner, scene.scanner_parameters, max_sigma,
             resolved["plan"]["candidates"] == "targeted", part_caster, occluder_caster,
         )  # fmt: skip

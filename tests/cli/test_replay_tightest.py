@@ -1,0 +1,110 @@
+"""The tightest moment in `cell replay`: where plan.json says, drawn there, and refused where nothing is known of it."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cell.commands.narrator import Narrator
+from cell.errors import FileError, UsageError
+from cell.replay.closest import add_closest, close_camera
+from cell.replay.offscreen import PACKAGES, OffScreen, backend
+from cell.replay.replay import ReplayOptions, load_show, replay
+from cell.replay.show import Show, show_what_is_seen
+from cell.replay.viewer import Player
+from cell.run.record import open_run
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+_SIZE = (480, 360)
+_END = 269
+
+draws = pytest.mark.skipif(backend() is None, reason=f"neither EGL nor OSMesa can be loaded; install {PACKAGES}")
+
+
+@pytest.fixture(scope="module")
+def show(planned: Path) -> Show:
+    """The finished run, ready to be drawn."""
+    return load_show(open_run(planned), None, _SIZE, Narrator())
+
+
+def test_the_show_stands_where_the_plan_says_that_it_is_tightest(planned: Path, show: Show) -> None:
+    """Joint angles at that moment of the show are those of plan.json; its points are as far apart as it says."""
+    told = json.loads((planned / "plan.json").read_text())["clearance"]
+    tightest, closest = told["tightest"], show.closest
+    assert closest is not None
+    np.testing.assert_allclose(np.degrees(show.timeline.at(closest.time)), tightest["q_deg"], atol=0.3)
+    assert show.timeline.moved(closest.time) == pytest.approx(tightest["time_s"], abs=1e-6)
+    assert np.linalg.norm(closest.points[0] - closest.points[1]) == pytest.approx(closest.distance, abs=1e-6)
+    assert tightest["distance_mm"] == min(segment["minimum_mm"] for segment in told["segments"])
+    assert all(segment["at_least_mm"] <= segment["minimum_mm"] for segment in told["segments"])
+    assert f"tightest: {closest.sentence}" in show.caption(closest.time)
+    assert "tightest" not in show.caption(closest.time + 1.0)
+
+
+def test_the_end_key_goes_to_the_tightest_moment_and_stands_there(show: Show) -> None:
+    """Without one it does nothing."""
+    assert show.closest is not None
+    player = Player(show.timeline, tightest=show.closest.time)
+    player.press(_END)
+    assert (player.t, player.playing) == (show.closest.time, False)
+    without = Player(show.timeline)
+    without.press(_END)
+    assert (without.t, without.playing) == (0.0, True)
+
+
+@draws
+def test_both_points_and_the_line_are_in_the_picture(show: Show) -> None:
+    """From near by, they stand in the middle of it; without them the picture is another one there only."""
+    closest = show.closest
+    assert closest is not None
+    show.pose(closest.time)
+    camera = close_camera(show.theatre.model, show.data, closest)
+    with OffScreen(show.theatre.model, _SIZE) as screen:
+        show_what_is_seen(screen.option)
+        bare = screen.picture(show.data, camera).astype(int)
+        drawn = screen.picture(show.data, camera, lambda scene: add_closest(scene, closest)).astype(int)
+    changed = (np.abs(drawn - bare) > 25).any(axis=2)
+    middle = changed[_SIZE[1] // 2 - 60 : _SIZE[1] // 2 + 60, _SIZE[0] // 2 - 60 :]  # the label goes to the right
+    assert middle.sum() > 0.95 * changed.sum() > 100
+    red = changed & (drawn[..., 0] > drawn[..., 1] + 50) & (drawn[..., 0] > drawn[..., 2] + 50)
+    assert red[_SIZE[1] // 2 - 40 : _SIZE[1] // 2 + 40, _SIZE[0] // 2 - 40 : _SIZE[0] // 2 + 40].sum() > 20
+
+
+@draws
+def test_the_command_draws_it(planned: Path, tmp_path: Path, run_cell: Run) -> None:
+    """`--tightest --picture` is another picture than that of the tour; with --view it is refused."""
+    done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", cwd=tmp_path)
+    pictures = [np.asarray(Image.open(tmp_path / name)).astype(int) for name in ("t.png", "p.png")]
+    assert (np.abs(pictures[0] - pictures[1]) > 25).any(axis=2).mean() > 0.2
+    done = run_cell("replay", planned, "--tightest", "--view", "1", "--picture", "x.png", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--tightest and --view both say where to begin" in done.stderr
+
+
+@draws
+def test_a_run_that_does_not_know_it_says_so(planned: Path, tmp_path: Path) -> None:
+    """An older run is shown as before, without; asked for, it is refused; a damaged entry is named."""
+    folder = Path(shutil.copytree(planned, tmp_path / "run"))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    plan = json.loads((folder / "plan.json").read_text())
+
+    def written(content: dict[str, object]) -> None:
+        manifest["artefacts"].pop("plan.json", None)
+        (folder / "manifest.json").write_text(json.dumps(manifest))
+        (folder / "plan.json").write_text(json.dumps(content))
+
+    written({key: value for key, value in plan.items() if key != "clearance"})
+    assert load_show(open_run(folder), None, _SIZE, Narrator()).closest is None
+    with pytest.raises(UsageError, match="this replay knows none"):
+        replay(folder, ReplayOptions(tightest=True, picture=tmp_path / "x.png", size=_SIZE), Narrator())
+    written(plan | {"clearance": {"tightest": {"time_s": "soon"}}})
+    with pytest.raises(FileError, match=r"plan\.json"):
+        load_show(open_run(folder), None, _SIZE, Narrator())
