@@ -107,6 +107,8 @@ class Narrator:
 
     def plan_table(self, outcome: "PlanOutcome") -> None:
         """The summary of a plan."""
+        from cell.plan import told as requests
+
         summary = outcome.summary
         coverage, motion = summary["coverage"], summary["motion"]
         table = Table(title=f"View plan of {summary['part']['name']}", title_justify="left", show_header=False)
@@ -119,6 +121,8 @@ class Narrator:
             f"{100 * coverage['visible']:.2f} % of the surface, "
             f"{100 * coverage['visible_of_coverable']:.2f} % of what reachable candidates can measure",
         )
+        for name, told in requests.rows(summary):
+            table.add_row(name, told)
         verdicts = summary["verdicts"]
         table.add_row("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in verdicts.items()))
         if summary["dropped"]:

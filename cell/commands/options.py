@@ -30,6 +30,17 @@ _OPTION_OF_KEY = {
     "plan.solver": "--solver",
     "plan.collision": "--collision",
     "plan.seed": "--seed",
+    "plan.max_views": "--max-views",
+    "plan.multiplicity": "--multiplicity",
+    "plan.pinned": "--pin",
+    "plan.banned": "--ban",
+    "plan.cost": "--cost",
+    "plan.overlap_mm2": "--overlap",
+    "plan.overlap_share": "--overlap",
+    "plan.overlap_in_order": "--overlap-in-order",
+    "plan.pose_sd_mm": "--pose-sd",
+    "plan.pose_sd_deg": "--pose-sd",
+    "plan.alpha": "--alpha",
 }
 
 
@@ -101,3 +112,59 @@ def numbers(option: str, text: str | None) -> list[float] | None:
         return [float(piece) for piece in text.split(",")]
     except ValueError:
         raise UsageError(f"{option} {text} must be numbers separated by commas, without spaces") from None
+
+
+def views(option: str, texts: list[str] | None) -> list[int] | None:
+    """Candidates of an option that may be given several times, each with one number or several; None without any.
+
+    Raises:
+        UsageError: if a piece is no candidate's number.
+    """
+    if not texts:
+        return None
+    pieces = [piece.strip() for text in texts for piece in text.split(",")]
+    if not all(piece.isdecimal() for piece in pieces):
+        raise UsageError(
+            f"{option} {' '.join(texts)} must name candidates by their numbers, for instance {option} 12,40"
+        )
+    return [int(piece) for piece in pieces]
+
+
+def overlap(text: str | None) -> dict[str, float]:
+    """Keys of `[plan]` of `--overlap 20%` or `--overlap 500mm2`: the unit is given, never guessed.
+
+    Raises:
+        UsageError: if it is neither.
+    """
+    if text is None:
+        return {}
+    for ending, key, scale in (("%", "overlap_share", 0.01), ("mm2", "overlap_mm2", 1.0)):
+        if text.endswith(ending):
+            value = numbers("--overlap", text.removesuffix(ending).strip())
+            if value is not None and len(value) == 1:
+                return {key: value[0] * scale}
+    raise UsageError(
+        f"--overlap {text} must be a share of the smaller view or an area, for instance --overlap 20% or "
+        "--overlap 500mm2"
+    )
+
+
+def pose_sd(text: str | None) -> dict[str, float]:
+    """Keys of `[plan]` of `--pose-sd 0.5mm,0.1deg`; one of the two may be left away.
+
+    Raises:
+        UsageError: if a piece has no unit, or one comes twice.
+    """
+    found: dict[str, float] = {}
+    for piece in text.split(",") if text is not None else []:
+        for ending, key in (("mm", "pose_sd_mm"), ("deg", "pose_sd_deg")):
+            value = numbers("--pose-sd", piece.removesuffix(ending).strip()) if piece.endswith(ending) else None
+            if value is not None and key not in found:
+                found[key] = value[0]
+                break
+        else:
+            raise UsageError(
+                f"--pose-sd {text} must be standard deviations of position and orientation with their units, for "
+                "instance --pose-sd 0.5mm,0.1deg"
+            )
+    return found

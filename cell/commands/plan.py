@@ -12,6 +12,7 @@ from cell.errors import UsageError
 
 _PART = "Part and place"
 _VIEWS = "Views"
+_WISHES = "Wishes beyond the fewest views (docs/coverage_requests.md)"
 _OUTPUT = "Output"
 
 EPILOG = (
@@ -19,6 +20,9 @@ EPILOG = (
     "cell plan --place 1200,500,0\n\n"
     "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95\n\n"
     "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial\n\n"
+    "cell plan --max-views 8 --curve\n\n"
+    "cell plan --overlap 20% --coverage 0.98\n\n"
+    "cell plan --pose-sd 0.5mm,0.1deg --alpha 0.05 --coverage 0.98\n\n"
     "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, "
     "130 Ctrl-C."
 )
@@ -119,6 +123,60 @@ def plan(
         typer.Option(help="Override: share of the axis speeds, above 0 to 1.", rich_help_panel=_VIEWS),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random choice.", rich_help_panel=_VIEWS)] = None,
+    max_views: Annotated[
+        int | None, typer.Option(metavar="K", help="The most coverage with at most K views.", rich_help_panel=_WISHES)
+    ] = None,
+    multiplicity: Annotated[
+        int | None,
+        typer.Option(
+            "--multiplicity", "--k-fold", metavar="K", help="Measure each sample from K views.", rich_help_panel=_WISHES
+        ),
+    ] = None,
+    pin: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID[,ID...]", help="Candidates that the plan must take.", rich_help_panel=_WISHES),
+    ] = None,
+    ban: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID[,ID...]", help="Candidates that it must not take.", rich_help_panel=_WISHES),
+    ] = None,
+    cost: Annotated[
+        str | None,
+        typer.Option(
+            help="What a view costs: views (1 each) or time (scan, settling and an estimated move, in seconds).",
+            rich_help_panel=_WISHES,
+        ),
+    ] = None,
+    overlap: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARE%|AREAmm2",
+            help="All scans hang together: views are joined where they share so much, e.g. 20% of the smaller one or "
+            "500mm2.",
+            rich_help_panel=_WISHES,
+        ),
+    ] = None,
+    overlap_in_order: Annotated[
+        bool | None,
+        typer.Option("--overlap-in-order", help="Each view overlaps an earlier one.", rich_help_panel=_WISHES),
+    ] = None,
+    pose_sd: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MMmm,DEGdeg",
+            help="Standard deviations of executed poses, e.g. 0.5mm,0.1deg: samples count only where the plan measures "
+            "them with probability 1 - alpha.",
+            rich_help_panel=_WISHES,
+        ),
+    ] = None,
+    alpha: Annotated[
+        float | None,
+        typer.Option(help="Probability with which such a sample may be missed. Default 0.05.", rich_help_panel=_WISHES),
+    ] = None,
+    curve: Annotated[
+        bool | None,
+        typer.Option("--curve", help="Also coverage over the number of views, bounded.", rich_help_panel=_WISHES),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel=_OUTPUT),
@@ -160,6 +218,16 @@ def plan(
         "solver": solver,
         "collision": collision,
         "seed": seed,
+        "max_views": max_views,
+        "multiplicity": multiplicity,
+        "pinned": options.views("--pin", pin),
+        "banned": options.views("--ban", ban),
+        "cost": cost,
+        "overlap_in_order": overlap_in_order,
+        "alpha": alpha,
+        "curve": curve,
+        **options.overlap(overlap),
+        **options.pose_sd(pose_sd),
     }
     tables["plan"] = {key: value for key, value in given.items() if value is not None}
     if speed is not None:

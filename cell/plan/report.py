@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from cell.plan import told
+
 from cell.plan.clearances import tightest_sentence
 
 _PART = {
@@ -44,6 +46,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         f"| motion | {motion['duration_s']:.2f} s home to home, {motion['via_points']} points, speed "
         f"{_percent(motion['speed_fraction'])} |",
         f"| the same stops without a limit of jerk (time-optimal bound) | {motion['jerk_free_bound_s']:.2f} s |",
+        *(f"| {name} | {sentence} |" for name, sentence in told.rows(summary)),
         *_arm_and_sigma(summary),
         f"| seed | {settings['seed']} |",
         "",
@@ -69,7 +72,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     if summary["dropped"]:
         lines += ["", "Dropped, and the cover solved again without them:", ""]
         lines += [f"- candidate {view['id']}: {view['reason']}" for view in summary["dropped"]]
-    lines += ["", "![Coverage over number of views](cover.png)", "", "## Motion", ""]
+    lines += ["", "![Coverage over number of views](cover.png)", "", *told.page(summary), "## Motion", ""]
     tightest = tightest_sentence(summary["clearance"])
     if tightest:
         lines += [f"Tightest moment: {tightest}; the part is {_PART[summary['clearance']['collision']]}.", ""]

@@ -92,8 +92,7 @@ def plan_summary(
         },
         **({} if M.sigma is None else {"sigma": _sigma(M, cover.views, scene.plan.max_sigma_mm)}),
         "solver": cover.solver,
-        "status": (cover if chosen.selected.answer is None else chosen.selected).sentence
-        + _at_target(chosen.target, scene.plan.coverage),
+        "status": _sentence(chosen) + _at_target(chosen.target, scene.plan.coverage),
         "lower_bound": cover.lower_bound,
         "gap": cover.gap,
         "verdicts": {verdict.name.lower(): count for verdict, count in reached.counts().items()},

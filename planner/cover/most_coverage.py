@@ -122,7 +122,7 @@ def most_coverage(
     work = Budget(budget, time_limit_s, clock)
     problem, size = ready.problem, max_views - len(ready.fixed)
     if problem.n_columns == 0 or size == 0:
-        columns, upper = ready.useful_fixed, ready.base
+        columns, upper, fewest = ready.useful_fixed, ready.base, 0
     else:
         with work.portion(SEARCH_SHARE):
             best, area = search_most(problem, size, rng, work)
@@ -132,7 +132,8 @@ def most_coverage(
             bounds = area_bounds(problem, covered, work, sizes=(size,))
         chosen, inner = close_gap(problem, best, area, size, bounds, work)
         columns, upper = ready.canonical(chosen), ready.base + inner
-    return _result(ready, columns, upper, max_views, work)
+        fewest = int(np.flatnonzero(np.append(bounds.units[:-1], np.inf) >= ready.units(chosen))[0])
+    return _result(ready, columns, upper, len(ready.fixed) + fewest, max_views, work)
 
 
 def search_most(problem: CoverProblem, size: int, rng: np.random.Generator, work: Budget) -> tuple[Ints, int]:
@@ -215,7 +216,7 @@ def close_gap(
     return chosen, upper
 
 
-def _result(ready: Prepared, columns: Ints, upper: int, max_views: int, work: Budget) -> MostCoverage:
+def _result(ready: Prepared, columns: Ints, upper: int, fewest: int, max_views: int, work: Budget) -> MostCoverage:
     """Areas and status."""
     problem = ready.found.problem
     total = int(problem.units.sum())
@@ -229,7 +230,7 @@ def _result(ready: Prepared, columns: Ints, upper: int, max_views: int, work: Bu
         status = MostStatus.PROVEN
     else:
         status = MostStatus.TIME_LIMITED if work.time_limited else MostStatus.BOUNDED
-    fewest = ready.fewest_for(units)
+    fewest = max(fewest, ready.fewest_for(units))
     cover = told(ready.found, ready.fixed, columns, fewest, solver="most-coverage", work=work, idle_too=False)
     proven = status not in (MostStatus.BOUNDED, MostStatus.TIME_LIMITED)
     upper_area = cover.covered_area if proven else cover.coverable_area * min(upper / total, 1.0)
