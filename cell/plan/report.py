@@ -45,7 +45,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         f"gap {_percent(summary['gap'])} |",
         f"| motion | {motion['duration_s']:.2f} s home to home, {motion['via_points']} points, speed "
         f"{_percent(motion['speed_fraction'])} |",
-        f"| the same stops without a limit of jerk (time-optimal bound) | {motion['jerk_free_bound_s']:.2f} s |",
+        f"| the same stops without a limit of jerk (time-optimal bound) | {_bound(motion)} |",
         *(f"| {name} | {sentence} |" for name, sentence in told.rows(summary)),
         *_arm_and_sigma(summary),
         f"| seed | {settings['seed']} |",
@@ -140,6 +140,12 @@ def _arm_and_sigma(summary: Mapping[str, Any]) -> list[str]:
             f"{sigma['quantile_95_mm']:.4f} mm, limit {sigma['limit_mm']:g} mm |"
         )
     return rows
+
+
+def _bound(motion: Mapping[str, Any]) -> str:
+    """The bound without a limit of jerk, and how far the motion is from it."""
+    bound = float(motion["jerk_free_bound_s"])
+    return f"{bound:.2f} s" + (f"; the motion takes {motion['duration_s'] / bound:.3f} x as long" if bound else "")
 
 
 def _percent(share: float) -> str:
