@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from cell.plan import told
-
 from cell.plan.clearances import tightest_sentence
 
 _PART = {
@@ -117,13 +116,13 @@ def _scanner_rows(settings: Mapping[str, Any]) -> list[str]:
 
 
 def _of_sweeps(settings: Mapping[str, Any]) -> list[str]:
-    """What the motion of views that sweep does not hold."""
+    """What there is to know about views that sweep."""
     if "sweep_poses" not in settings:
         return []
     return [
-        f"Each view is a sweep of {settings['sweep_poses']} poses, all of them reachable. **The sweep itself is not in "
-        "this motion yet**: it stops at the first pose of each view; neither the way from pose to pose nor its time is "
-        "planned. Coverage counts all poses of the sweep; the arm's own shadow along it is not judged.",
+        f"Each view is a sweep of {settings['sweep_poses']} poses, driven as a straight line at constant speed on one "
+        f"joint branch, in {settings['sweep_s'][0]:.1f} to {settings['sweep_s'][1]:.1f} s. Its singularities, joint "
+        "limits and collisions are looked at between its poses too; the arm's own shadow along it is not judged.",
         "",
     ]
 
