@@ -50,6 +50,7 @@ def frozen(
     edge_time: Any = None,
     T_base_home: Any = None,
     start: Any = None,
+    **_: Any,
 ) -> Sequence:
     """Order the views as it was done then; arguments as in `planner.order.sequence`."""
     nodes = np.concatenate([home[None], *configurations])

@@ -24,8 +24,8 @@ from planner.readonly import readonly
 BLOCKED = 1e7
 """Cost of an edge that cannot be used."""
 
-ALWAYS_EXACT = 10_000_000
-"""Price (`exact_work`) up to which the exact search is always run: 8 clusters of 24 nodes, 10 ms."""
+ALWAYS_EXACT = 15_000_000
+"""Price (`exact_work`) up to which the exact search is always run: 8 clusters of 24 nodes, 20 ms."""
 
 STEPS = 10_000
 """Default budget of the search: tours ruined and rebuilt; 0.1 s at 20 clusters of 10 nodes."""
@@ -33,8 +33,10 @@ STEPS = 10_000
 BOUND_WORK = 400_000_000
 """Default budget of the bound: edges looked at; about 0.3 s."""
 
-_EXACT_PER_STEP = 40_000
+_EXACT_PER_STEP = 45_000
 """Additions of the exact search that are worth one step of the search; at the default, 12 clusters of 24 nodes."""
+
+_PER_SUBSET = 20_000  # additions that handling one subset costs beside its own
 
 _HOT, _COLD = 2.5, 0.025  # temperatures of the search, in mean lengths of an edge; see docs/motion.md for what they do
 
@@ -184,8 +186,8 @@ def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
 
 
 def exact_work(problem: Instance) -> int:
-    """Additions that `exact` needs: subsets times nodes squared, for each node of the start."""
-    return int(2 ** min(problem.n_clusters - 1, 60)) * len(problem.cost) ** 2 * int(problem.first[1])
+    """What `exact` needs, in additions: subsets times nodes squared and a share each, for each node of the start."""
+    return int(2 ** min(problem.n_clusters - 1, 60)) * (len(problem.cost) ** 2 + _PER_SUBSET) * int(problem.first[1])
 
 
 def exact(problem: Instance) -> Found:

@@ -26,6 +26,7 @@ _DEFLECTION = 0.6  # share of the last direction in the next one
 _PATIENCE, _PROGRESS = 6, 1e-3  # evaluations without progress (a share of the gap) before the step is halved
 _LEAST_SCALE = 0.1  # share of the full step at which a round ends
 _WORTH_LEAVING_OUT = 0.25  # gap below which nodes may be left out: the try costs about three evaluations
+_PER_CLUSTER = 8  # edges that the way to another cluster costs beside those between the nodes
 _ROUNDING = 1e-9
 
 
@@ -115,7 +116,7 @@ class _Ascent:
         np.fill_diagonal(cheapest, np.inf)
         nearest = np.argsort(cheapest, axis=1, kind="stable")
         members = min(_NEAREST, visits - 1)
-        while members > 0 and (self.price << members) * _EVALUATIONS > work:
+        while members > 0 and (self.price << members) * _EVALUATIONS > work:  # the price doubles with each member
             members -= 1
         self.neighbours[:, :members], self.count[1:] = nearest[:, :members], members
         self._index()
@@ -199,7 +200,10 @@ class _Ascent:
         states = sizes << self.count
         self.table, self.rows = walks.memory_table(self.neighbours, self.count)
         self.base = np.concatenate(([0], np.cumsum(states)))
-        self.price = int(states[1:].sum()) * int(sizes[1:].sum()) * self.far
+        steps = int(states[1:].sum()) * int(sizes[1:].sum()) + _PER_CLUSTER * int((1 << self.count[1:]).sum()) * len(
+            sizes
+        )
+        self.price = steps * self.far
 
     def _arguments(self, prize: Floats, start: int) -> tuple[Floats, Ints, Floats, int, Ints, Ints, Ints, Ints]:
         return self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base

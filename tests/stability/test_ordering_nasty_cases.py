@@ -1,0 +1,214 @@
+"""Where ordering could fail, by name: turns and cables, moves of nothing and of everything, costs of 0 and of inf.
+
+Every case is ordered twice: exactly where there are few views, and by the search, which many views or a small budget
+bring about.
+"""
+
+from collections.abc import Sequence as Many
+
+import numpy as np
+import pytest
+
+from planner import generalised_tsp as gtsp
+from planner import tour_bound
+from planner.errors import PlannerError
+from planner.order import OrderStatus, Sequence, sequence
+from planner.ports import JointLimits
+from planner.timing import move_time
+
+RANGE = np.radians([185, 150, 150, 350, 130, 350])
+LIMITS = JointLimits(
+    -RANGE, RANGE, np.radians([156, 156, 156, 330, 330, 615]), np.radians([312, 312, 312, 660, 660, 1230])
+)
+HOME = np.zeros(6)
+
+
+def degrees(*angles: float) -> np.ndarray:
+    """One joint solution, in radians."""
+    return np.radians(angles)[None]
+
+
+def ordered(views: Many[np.ndarray], **arguments: object) -> Sequence:
+    """Order views; their scanner poses are all the same, so that task space says nothing."""
+    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    return sequence(list(views), HOME, LIMITS, T_base_scanner=poses, rng=np.random.default_rng(0), **arguments)  # type: ignore[arg-type]
+
+
+def stops(found: Sequence) -> np.ndarray:
+    """(n + 2, 6) joint angles from home to home."""
+    return np.concatenate((HOME[None], found.q, HOME[None]))
+
+
+def exactly_ordered(views: Many[np.ndarray]) -> bool:
+    """Whether the default budget lets these views be ordered exactly."""
+    nodes = 1 + sum(map(len, views))
+    cost = np.zeros((nodes, nodes))
+    problem = gtsp.instance(cost, np.cumsum([0, 1, *map(len, views)]))
+    return gtsp.exact_work(problem) <= gtsp.ALWAYS_EXACT
+
+
+@pytest.mark.parametrize("n", [2, 18])
+def test_views_reachable_only_beyond_half_a_turn(n: int) -> None:
+    """A4 or A6 beyond 180 deg is driven to as it stands: no solution is wrapped, and home is left by the long way."""
+    views = [degrees(5.0 * k, -20, 30, 200 + k, 10, -300 + 2 * k) for k in range(n)]
+    found = ordered(views)
+    assert exactly_ordered(views) == (n == 2)
+    np.testing.assert_array_equal(np.sort(found.q[:, 3]), np.sort([v[0, 3] for v in views]))
+    path = stops(found)
+    assert found.duration == pytest.approx(float(move_time(path[:-1], path[1:], LIMITS).sum()), rel=1e-12)
+    assert found.duration >= 2 * float(move_time(HOME, degrees(0, 0, 0, 200, 0, 0)[0], LIMITS))
+
+
+@pytest.mark.parametrize("n", [4, 20])
+def test_the_cable_is_not_wound_up_over_the_tour(n: int) -> None:
+    """Each view turns the tool 100 deg on from the last one, at any whole turn that A6 has room for.
+
+    Followed turn by turn, A6 would be wound up by 100 n deg. Joint angles are absolute: every stop is within the range,
+    the turns of the whole tour add up to none, and no stop is at another angle than one of the view's own.
+    """
+    views = []
+    for k in range(n):
+        angle = 100.0 * (k + 1)
+        turns = [angle - 360 * t for t in range(int(angle // 360) + 2) if abs(angle - 360 * t) <= 350]
+        views.append(np.concatenate([degrees(2.0 * k, 0, 0, 0, 0, turn) for turn in turns]))
+    found = ordered(views)
+    path = stops(found)
+    assert (np.abs(path) <= RANGE).all()
+    assert np.diff(path[:, 5]).sum() == pytest.approx(0.0, abs=1e-12)
+    for view, q in zip(found.order, found.q, strict=True):
+        assert (views[view] == q).all(axis=1).any()
+
+
+@pytest.mark.parametrize("n", [3, 18])
+def test_moves_of_a_billionth_and_of_seven_hundred_degrees(n: int) -> None:
+    """Views that differ by 1e-9 rad stand together, at one end of A6's range; the turn of 700 deg is driven twice."""
+    low = [degrees(0, 0, 0, 0, 0, -350) + 1e-9 * k * np.eye(6)[2] for k in range(n)]
+    high = [degrees(0, 0, 0, 0, 0, 350) - 1e-9 * k * np.eye(6)[2] for k in range(n)]
+    found = ordered([*low, *high])
+    ends = np.sign(found.q[:, 5])
+    assert (np.diff(ends) != 0).sum() == 1
+    crossing = float(move_time(low[0][0], high[0][0], LIMITS))
+    path = stops(found)
+    assert float(move_time(path[:-1], path[1:], LIMITS).max()) == pytest.approx(crossing, rel=1e-6)
+
+
+@pytest.mark.parametrize("n", [5, 40])
+def test_views_all_in_one_place_cost_nothing_more(n: int) -> None:
+    """With all costs between views 0 the tour goes there and back, and is proven."""
+    at = degrees(30, -20, 10, 40, 20, 60)
+    found = ordered([at] * n)
+    assert sorted(found.order) == list(range(n))
+    assert found.duration == pytest.approx(2 * float(move_time(HOME, at[0], LIMITS)), rel=1e-12)
+    assert found.status is OrderStatus.OPTIMAL
+
+
+@pytest.mark.parametrize("n", [5, 40])
+def test_views_all_at_home_cost_nothing(n: int) -> None:
+    """Every cost is 0; so are duration and bound."""
+    found = ordered([HOME[None]] * n)
+    assert (found.duration, found.lower_bound, found.status) == (0.0, 0.0, OrderStatus.OPTIMAL)
+
+
+@pytest.mark.parametrize("n", [6, 24])
+def test_two_views_with_the_same_pose_follow_each_other(n: int) -> None:
+    """The second of two equal views costs nothing, so the tour over both is that over one."""
+    rng = np.random.default_rng(n)
+    views = [rng.uniform(-1, 1, (2, 6)) for _ in range(n)]
+    found = ordered([*views, views[2]])
+    places = [found.order.tolist().index(k) for k in (2, n)]
+    assert abs(places[0] - places[1]) == 1
+    assert found.duration == pytest.approx(ordered(views).duration, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [6, 24])
+def test_clusters_with_one_node_are_a_plain_salesman(n: int) -> None:
+    """Views along A1, one solution each: the tour goes out and back, each view once, and no move is of length 0."""
+    rng = np.random.default_rng(n)
+    views = [degrees(float(angle), 0, 0, 0, 0, 0) for angle in rng.permutation(np.linspace(5, 150, n))]
+    found = ordered(views)
+    turned = np.diff(stops(found)[:, 0])
+    assert (turned != 0).all()
+    assert found.lower_bound <= found.duration * (1 + 1e-12)
+
+
+def test_one_view_with_very_many_solutions_among_views_with_one() -> None:
+    """Three hundred solutions of one view: the one that lies on the way is taken."""
+    rng = np.random.default_rng(0)
+    many = np.concatenate([rng.uniform(-2, 2, (299, 6)), degrees(50, 0, 0, 0, 0, 0)])
+    others = [degrees(float(angle), 0, 0, 0, 0, 0) for angle in np.linspace(10, 150, 15)]
+    found = ordered([many, *others])
+    assert found.choice[found.order.tolist().index(0)] == 299
+
+
+@pytest.mark.parametrize("n", [3, 20])
+def test_a_view_that_no_move_reaches(n: int) -> None:
+    """Infinite prices on all moves of one view: the status says so, and the time is infinite.
+
+    The other views still stand in a tour with no more forbidden moves than needed.
+    """
+    rng = np.random.default_rng(n)
+    views = [rng.uniform(-1, 1, (2, 6)) for _ in range(n)]
+    forbidden = {(a, b): np.inf for a in (1, 2) for b in range(2 * n + 1)}
+    found = ordered(views, edge_time=forbidden)
+    assert found.status is OrderStatus.NO_TOUR
+    assert (found.duration, found.baseline_duration) == (np.inf, np.inf)
+    assert sorted(found.order) == list(range(n))
+    path = stops(found)
+    others = [k for k in range(n + 1) if found.order[min(k, n - 1)] != 0 and (k == 0 or found.order[k - 1] != 0)]
+    assert np.isfinite(move_time(path[:-1], path[1:], LIMITS)[others]).all()
+
+
+@pytest.mark.parametrize("n", [4, 18])
+def test_every_move_but_one_tour_forbidden(n: int) -> None:
+    """Only the moves of one tour have a price: that tour is found."""
+    rng = np.random.default_rng(n)
+    cycle = np.concatenate(([0], 1 + rng.permutation(n)))
+    price = {(a, b): np.inf for a in range(n + 1) for b in range(a)}
+    for a, b in zip(cycle, np.roll(cycle, -1), strict=True):
+        price[max(a, b), min(a, b)] = 1.0
+    found = ordered([np.full((1, 6), 0.01 * k) for k in range(n)], edge_time=price)
+    assert found.duration == pytest.approx(n + 1.0)
+    assert found.status is OrderStatus.OPTIMAL
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_no_view_and_one_view(n: int) -> None:
+    """Nothing to order: home and back."""
+    found = ordered([degrees(10, 0, 0, 0, 0, 0)] * n)
+    assert len(found.order) == n
+    assert found.lower_bound == found.duration == n * found.duration
+
+
+def test_a_budget_of_nothing_gives_the_baseline_and_a_bound() -> None:
+    """No step and no work: the baseline with its best solutions, above a bound that is still one."""
+    rng = np.random.default_rng(5)
+    found = ordered([rng.uniform(-2, 2, (4, 6)) for _ in range(20)], budget=0, bound_work=0)
+    assert found.duration == found.baseline_duration
+    assert 0 < found.lower_bound < found.duration
+
+
+@pytest.mark.parametrize("clusters", [1, 2, 3])
+def test_fewer_clusters_than_a_tour_has_corners(clusters: int) -> None:
+    """One, two and three clusters of two nodes each: exact search, search and bounds agree."""
+    rng = np.random.default_rng(clusters)
+    places = rng.uniform(0, 1, (2 * clusters, 2))
+    problem = gtsp.instance(np.linalg.norm(places[:, None] - places, axis=2), np.arange(0, 2 * clusters + 1, 2))
+    exact = gtsp.exact(problem)
+    _, start = gtsp.best_nodes(problem, np.arange(1, clusters))
+    assert gtsp.search(problem, start, 0, 100)[0] == pytest.approx(exact.cost)
+    assert tour_bound.one_tree(problem.cost, problem.first) <= exact.cost * (1 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cost", "first", "message"),
+    [
+        (np.zeros((3, 3)), [0, 1, 1, 3], "every cluster needs at least one node"),
+        (np.zeros((3, 3)), [1, 2, 3], "the first cluster begins at node 0"),
+        (np.array([[0.0, -1], [-1, 0]]), [0, 1, 2], "negative"),
+        (np.array([[0.0, np.nan], [np.nan, 0]]), [0, 1, 2], "NaN"),
+    ],
+)
+def test_broken_instances_are_refused(cost: np.ndarray, first: list[int], message: str) -> None:
+    """Each with one sentence."""
+    with pytest.raises(PlannerError, match=message):
+        gtsp.instance(cost, np.array(first))
