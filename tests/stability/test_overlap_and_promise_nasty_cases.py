@@ -1,0 +1,132 @@
+"""Overlap and promises where they fail, by name."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from planner.cover.overlap import Overlap, OverlapStatus, overlap_cover
+from planner.cover.robust import robust_cover
+from planner.errors import PlannerError
+from planner.pose_ensemble import ProbabilityLayer
+
+
+def joined(M, areas, overlap, **options):
+    """A cover that hangs together, with the tests' budget."""
+    return overlap_cover(M, areas, overlap=overlap, rng=np.random.default_rng(0), **{"budget": 2_000_000} | options)
+
+
+def promised(M, hits, members=32, **options):
+    """A robust cover of a dense matrix with hits of its entries."""
+    matrix = csr_array(np.asarray(M, dtype=bool))
+    layer = ProbabilityLayer(matrix.indptr, matrix.indices, np.broadcast_to(hits, matrix.nnz), members)
+    return robust_cover(matrix, layer, np.ones(len(M)), rng=np.random.default_rng(0), **{"budget": 2_000_000} | options)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 3), (3, 0), (3, 3)])
+def test_empty_matrix(shape):
+    """Nothing to cover: no views, a status each, no exception."""
+    found = joined(csr_array(shape, dtype=bool), np.ones(shape[0]), Overlap(area=1.0))
+    assert (len(found.cover.views), found.status) == (0, OverlapStatus.NOTHING_COVERABLE)
+    assert found.sentence == "no allowed view measures any sample"
+    robust = promised(np.zeros(shape, dtype=bool), np.zeros(0))
+    assert (len(robust.cover.views), robust.robust_coverable_area) == (0, 0.0)
+
+
+def test_two_islands_cannot_be_connected():
+    """Disjoint blocks: said, with the part that measures most; each part hangs together, everything is covered."""
+    M = np.zeros((10, 4), dtype=bool)
+    M[:4, 0] = M[3:7, 1] = M[7:9, 2] = M[8:, 3] = True
+    found = joined(M, np.ones(10), Overlap(area=1.0))
+    assert found.status is OverlapStatus.CANNOT_CONNECT
+    assert sorted(found.cover.views.tolist()) == [0, 1, 2, 3]
+    assert found.part_area.tolist() == [7.0, 3.0]
+    assert set(found.cover.views[found.part == 0].tolist()) == {0, 1}
+    assert "fall into 2 parts" in found.sentence
+    assert "2 of 4 views" in found.sentence
+    assert "70.00 %" in found.sentence
+
+
+def test_part_of_the_coverage_connects_where_all_of_it_cannot():
+    """The same islands at 70 %: the large one is enough, and hangs together."""
+    M = np.zeros((10, 4), dtype=bool)
+    M[:4, 0] = M[3:7, 1] = M[7:9, 2] = M[8:, 3] = True
+    found = joined(M, np.ones(10), Overlap(area=1.0), coverage=0.7)
+    assert found.status is OverlapStatus.CONNECTED
+    assert sorted(found.cover.views.tolist()) == [0, 1]
+
+
+def test_pinned_views_on_both_islands_cannot_be_connected():
+    """A pinned view on the small island: the plan has it, and says that it stands apart."""
+    M = np.zeros((10, 4), dtype=bool)
+    M[:4, 0] = M[3:7, 1] = M[7:9, 2] = M[8:, 3] = True
+    found = joined(M, np.ones(10), Overlap(area=1.0), coverage=0.7, pinned=[3])
+    assert found.status is OverlapStatus.CANNOT_CONNECT
+    assert 3 in found.cover.views
+
+
+def test_one_view_hangs_together_with_itself():
+    """A column that covers all needs no neighbour."""
+    M = np.ones((5, 3), dtype=bool)
+    found = joined(M, np.ones(5), Overlap(share=1.0))
+    assert (len(found.cover.views), found.extra_views, found.status) == (1, 0, OverlapStatus.CONNECTED)
+    assert found.sentence.startswith("proven fewest")
+
+
+def test_an_overlap_that_is_met_exactly_counts():
+    """Inclusive, also where the area is a sum of rounded numbers."""
+    M = np.zeros((12, 2), dtype=bool)
+    M[:7, 0] = M[4:, 1] = True
+    for overlap in (Overlap(area=0.1 + 0.1 + 0.1), Overlap(share=3 / 7)):
+        assert joined(M, np.full(12, 0.1), overlap).status is OverlapStatus.CONNECTED
+    assert joined(M, np.full(12, 0.1), Overlap(area=0.3001)).status is OverlapStatus.CANNOT_CONNECT
+
+
+@pytest.mark.parametrize(
+    "wanted", [{}, {"area": 1.0, "share": 0.5}, {"area": 0.0}, {"area": np.inf}, {"share": 0.0}, {"share": 1.1}]
+)
+def test_what_is_no_overlap_is_refused(wanted):
+    """Neither or both, none, endless, more than all."""
+    with pytest.raises(PlannerError, match="overlap"):
+        Overlap(**wanted)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0, -0.1, 2.0, np.nan])
+def test_certainty_and_indifference_are_refused(alpha):
+    """With pose errors nothing is certain, and a miss that is always allowed is no promise."""
+    with pytest.raises(PlannerError, match="alpha"):
+        promised(np.eye(3, dtype=bool), 32, alpha=alpha)
+
+
+def test_no_entry_is_ever_hit():
+    """All hits 0: nothing can be promised; no views, a sentence, nominal coverable area as before."""
+    found = promised(np.eye(3, dtype=bool), 0)
+    assert (len(found.cover.views), found.robust_coverable_area) == (0, 0.0)
+    assert found.cover.coverable_area == 3.0
+    assert "no sample can be measured" in found.sentence
+
+
+def test_a_promise_that_needs_more_views_than_there_are():
+    """One view of 32 hits in 32 gives 98.5 %: enough for 95 %, not for 99 %; two are."""
+    assert len(promised(np.ones((1, 1)), 32, alpha=0.05).cover.views) == 1
+    assert promised(np.ones((1, 1)), 32, alpha=0.01).robust_coverable_area == 0.0
+    assert len(promised(np.ones((1, 2)), 32, alpha=0.01).cover.views) == 2
+
+
+def test_pinned_and_banned_views_hold_for_promises_too():
+    """Pinned is in, banned is out, both at once is refused."""
+    M = np.ones((2, 4))
+    found = promised(M, 32, pinned=[2], banned=[0])
+    assert found.cover.views.tolist() == [2]
+    with pytest.raises(PlannerError, match="banned"):
+        promised(M, 32, pinned=[2], banned=[2])
+    with pytest.raises(PlannerError, match="banned"):
+        joined(M, np.ones(2), Overlap(area=1.0), pinned=[2], banned=[2])
+
+
+def test_identical_columns_and_budget_zero():
+    """Ties and no work: greedy's answer, a bound that holds, the promise kept."""
+    M = np.repeat(np.eye(4, dtype=bool), 5, axis=1)
+    for budget in (0, 2_000_000):
+        found = promised(M, 20, alpha=0.05, budget=budget)
+        assert found.robust_area == 4.0
+        assert found.cover.lower_bound <= 16 == len(found.cover.views)  # four of each: (13.5/33)^4 < 0.05 < (13.5/33)^3

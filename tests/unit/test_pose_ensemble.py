@@ -1,0 +1,156 @@
+"""Pose errors, what an ensemble of them is credited with, and the layer of probabilities on a matrix."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from cell.scan.pose_error import Disturbance
+from planner.errors import PlannerError
+from planner.measurability import fill
+from planner.ports import Hits, Rejection
+from planner.pose_ensemble import (
+    PoseError,
+    ProbabilityLayer,
+    credited,
+    probability_layer,
+    rotations,
+    times_measured,
+)
+from planner.surface import SurfaceSamples
+from planner.viewpoints import Viewpoints
+
+
+class Cone:
+    """A toy sensor: measures what lies within 10 degrees of its axis, whatever the distance."""
+
+    source = np.zeros(3)
+    sensor = np.zeros(3)
+    grid_shape = (1, 1)
+
+    def ray_directions(self):
+        return np.array([[0.0, 0.0, 1.0]])
+
+    def reject(self, points, normals):
+        inside = np.hypot(points[:, 0], points[:, 1]) <= np.tan(np.radians(10)) * points[:, 2] + 1e-12
+        return np.where(inside, Rejection.MEASURED, Rejection.OUT_OF_FOV).astype(np.uint8)
+
+
+class Nothing:
+    """Nothing stands in the way."""
+
+    def first_hit(self, origins, directions):
+        return Hits(np.full(len(origins), -1), np.full(len(origins), np.inf))
+
+    def blocked(self, origins, targets):
+        return np.zeros(len(origins), dtype=bool)
+
+
+def scene(offsets_deg):
+    """One view at the origin looking along +z, and samples 1 m away at angles off its axis."""
+    angle = np.radians(np.asarray(offsets_deg, dtype=float))
+    points = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+    n = len(angle)
+    samples = SurfaceSamples(points, -points, np.ones(n), np.zeros(n, int), np.zeros(n, int))
+    views = Viewpoints(np.eye(4)[None, None], np.zeros(1, int), np.ones(1), np.zeros(1))
+    return samples, views
+
+
+def test_a_drawn_error_moves_a_pose_as_an_execution_does() -> None:
+    """The same normal numbers give the pose from which `cell scan` would trace its rays."""
+    T = np.eye(4)
+    T[:3, 3] = 0.3, -0.2, 0.9
+    T[:3, :3] = rotations(np.array([[0.4, -1.1, 0.6]]))[0]
+    for seed in range(5):
+        mine = T @ PoseError(0.002, 0.01).draw(1, np.random.default_rng(seed))[0]
+        theirs = Disturbance(position=0.002, rotation=0.01).true_pose(T, np.random.default_rng(seed))
+        np.testing.assert_allclose(mine, theirs, atol=1e-15)
+
+
+def test_rotations_are_rotations_also_at_zero() -> None:
+    """Orthonormal, of determinant 1, by the angle of the vector; none for the zero vector."""
+    vectors = np.concatenate([np.zeros((1, 3)), np.random.default_rng(0).normal(size=(20, 3))])
+    R = rotations(vectors)
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    np.testing.assert_array_equal(R[0], np.eye(3))
+    angle = np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    np.testing.assert_allclose(np.cos(angle), np.cos(np.linalg.norm(vectors, axis=1)), atol=1e-12)
+
+
+def test_credit_is_capped_and_nothing_counts_for_no_hit() -> None:
+    """(hits + 1/2) / (members + 1), 0 for none at all, 1 where poses are exact."""
+    np.testing.assert_allclose(credited(np.array([0, 1, 16, 32]), 32), [0.0, 1.5 / 33, 0.5, 32.5 / 33])
+    np.testing.assert_array_equal(credited(np.array([0, 0]), 0), [1.0, 1.0])
+
+
+def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
+    """At the edge of a cone half of the turned poses measure the sample; 1 sigma inside 84 %; far inside all."""
+    sd = 0.5
+    samples, views = scene([10.0, 10.0 - sd, 5.0, 14.0])
+    M = fill(views, samples, Cone(), Nothing())
+    members = 4000
+    errors = PoseError(0.0, np.radians(sd)).draw(members, np.random.default_rng(0))
+    layer = probability_layer(M, views, Cone(), (Nothing(),), errors)
+    assert M.matrix().toarray()[:, 0].tolist() == [True, True, True, False]  # the last has no entry to have hits
+    share = layer.hits / members
+    np.testing.assert_allclose(share, [0.5, 0.8413, 1.0], atol=4 * 0.5 / np.sqrt(members))
+
+
+def test_only_asked_columns_are_looked_at() -> None:
+    """Entries of columns that are not asked about get no hit; no errors mean exact poses."""
+    samples, views = scene([0.0, 5.0])
+    M = fill(views, samples, Cone(), Nothing())
+    errors = PoseError(0.0, 0.001).draw(3, np.random.default_rng(0))
+    assert probability_layer(M, views, Cone(), (Nothing(),), errors).hits.tolist() == [3, 3]
+    unasked = probability_layer(M, views, Cone(), (Nothing(),), errors, columns=np.zeros(1, bool))
+    assert unasked.hits.tolist() == [0, 0]
+    exact = probability_layer(M, views, Cone(), (Nothing(),), np.zeros((0, 4, 4)))
+    assert (exact.members, exact.probability.tolist()) == (0, [1.0, 1.0])
+
+
+def test_a_sweep_measures_from_any_of_its_poses() -> None:
+    """A column of two poses that look 8 degrees apart: the ensemble of the union, not of the first pose."""
+    samples, _ = scene([12.0])
+    turned = np.eye(4)
+    turned[:3, :3] = rotations(np.array([[0.0, np.radians(8.0), 0.0]]))[0]
+    both = Viewpoints(np.stack([np.eye(4), turned])[None], np.zeros(1, int), np.ones(1), np.zeros(1))
+    errors = PoseError(0.0, np.radians(0.2)).draw(50, np.random.default_rng(0))
+    layer = probability_layer(fill(both, samples, Cone(), Nothing()), both, Cone(), (Nothing(),), errors)
+    assert layer.hits.tolist() == [50]
+
+
+def test_simulated_executions_find_the_probability_again() -> None:
+    """Two views at the same place, errors of their own: 1 - (1 - p)^2 of the executions measure the edge."""
+    samples, _ = scene([10.0, 0.0, 60.0])
+    executions = 2000
+    errors = PoseError(0.0, np.radians(0.5)).draw(2 * executions, np.random.default_rng(1))
+    poses = np.broadcast_to(np.eye(4), (2, 1, 4, 4))
+    times, share = times_measured(poses, samples, Cone(), (Nothing(),), errors.reshape(executions, 2, 4, 4))
+    assert times[1:].tolist() == [executions, 0]
+    assert times[0] / executions == pytest.approx(0.75, abs=4 * np.sqrt(0.75 * 0.25 / executions))
+    np.testing.assert_allclose(share.mean(), (times / executions).mean())
+
+
+def test_a_layer_follows_a_matrix_that_lost_entries() -> None:
+    """Hits of what is left stay; entries that the layer never had are refused."""
+    M = csr_array(np.array([[1, 1, 0], [0, 1, 1]], dtype=bool))
+    layer = ProbabilityLayer(M.indptr, M.indices, np.array([1, 2, 3, 4]), 4)
+
+    class Matrix:
+        """What of a measurability matrix is asked for."""
+
+        def __init__(self, dense):
+            rows = csr_array(np.array(dense, dtype=bool))
+            self.indptr, self.indices, self.n_viewpoints = rows.indptr, rows.indices, 3
+
+    assert layer.within(Matrix([[0, 1, 0], [0, 1, 1]])).hits.tolist() == [2, 3, 4]
+    assert layer.within(Matrix([[0, 0, 0], [0, 0, 0]])).hits.tolist() == []
+    with pytest.raises(PlannerError, match="lacks"):
+        layer.within(Matrix([[1, 1, 1], [0, 0, 0]]))
+
+
+@pytest.mark.parametrize(("position", "orientation"), [(-1.0, 0.0), (0.0, np.nan), (np.inf, 0.0)])
+def test_what_is_no_standard_deviation_is_refused(position: float, orientation: float) -> None:
+    """Negative, NaN or endless."""
+    with pytest.raises(PlannerError, match="standard deviation"):
+        PoseError(position, orientation)
