@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from cell.world.clearance import MotionClearance, moment
+from planner.errors import PlannerError
 from planner.timing import Motion
 
 
@@ -34,6 +35,20 @@ def clearance_summary(measured: MotionClearance, motion: Motion, collision: str)
             "q_deg": [float(angle) for angle in np.degrees(tightest.q).round(6)],
         },
     }
+
+
+def require_no_contact(measured: MotionClearance) -> None:
+    """The last look at a motion before it is written; certified moves pass it, so what does not is a bug.
+
+    Raises:
+        PlannerError: if a segment is not proven to be free of contact.
+    """
+    for number, (proven, between) in enumerate(zip(measured.at_least, measured.between, strict=True), start=1):
+        if proven <= 0:
+            raise PlannerError(
+                f"segment {number} of the motion is not proven to be free of contact ({between}, "
+                f"{1000 * measured.distance[number - 1]:.3f} mm measured); every segment must be"
+            )
 
 
 def tightest_sentence(clearance: dict[str, Any]) -> str:

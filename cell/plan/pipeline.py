@@ -25,7 +25,7 @@ from cell.plan import files as plan_files
 from cell.plan import promise
 from cell.plan import request as requests
 from cell.plan.candidates import first, grow
-from cell.plan.clearances import clearance_summary
+from cell.plan.clearances import clearance_summary, require_no_contact
 from cell.plan.request import Request, check_named, seconds_of_views
 from cell.plan.summary import draw, plan_summary
 from cell.plan.view_plan import ConnectedPlan, select_and_connect
@@ -226,6 +226,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
     with run.step("measure the clearance") as progress:
         tour = chosen.tour
         measured = clearance.of_motion(checker, tour.via, tour.segment, len(tour.between), progress)
+        require_no_contact(measured)
         chosen = replace(chosen, tour=replace(tour, clearance=measured.distance, between=measured.between))
         motion = timing.retime(chosen.tour.via, chosen.tour.segment, chosen.via_candidate, limits)
         plan_files.write_motion(run.folder, motion, chosen.tour, measured)

@@ -27,7 +27,7 @@ from planner.readonly import readonly
 TOLERANCE = 2e-4
 """How far the true minimum may be below the one that is said [m], where it is near."""
 
-_SHARE = 0.02  # of the distance: the tolerance where it is far
+_SHARE = 0.05  # of the distance: the tolerance where it is far
 _MOST = 4_000  # configurations looked at in a segment; what is then left open widens the gap that is said
 
 
@@ -167,7 +167,7 @@ class _Search:
     def _measure(self, q: Floats, reach: float) -> tuple[float, float]:
         """Smallest distance of the pairs with one moving body, and of those with two; `reach` where it is more [m]."""
         self.checks += 1
-        standing, both = (self._checker.nearest(q, reach, both_move=kind) for kind in (False, True))
+        standing, both = self._checker.nearest_by_kind(q, reach)
         for pair, distance in (standing, both):
             if pair >= 0 and distance < self.best:
                 self.best, self.pair, self.q = distance, pair, q.copy()

@@ -126,13 +126,12 @@ class MujocoCollisionChecker:
             names.append(self.pair_name(best) if best >= 0 else "")
         return distances, tuple(names)
 
-    def nearest(self, q: Floats, reach: float, *, both_move: bool | None = None) -> tuple[int, float]:
+    def nearest(self, q: Floats, reach: float) -> tuple[int, float]:
         """The nearest guarded pair at one configuration.
 
         Args:
             q: (6,) joint angles [rad], KUKA signs.
             reach: nothing beyond is looked for [m].
-            both_move: only pairs of two moving bodies (True), or of a moving and a standing one (False).
 
         Returns:
             Number of the pair and its distance [m]; -1 and `reach` where everything is farther.
@@ -142,11 +141,29 @@ class MujocoCollisionChecker:
         for bound, pair in zip(*self._candidates(reach), strict=True):
             if bound >= distance:
                 break
-            if both_move is None or self._both_move[pair] == both_move:
-                measured = self._gap(pair, distance)
-                if measured < distance:
-                    best, distance = int(pair), measured
+            measured = self._gap(pair, distance)
+            if measured < distance:
+                best, distance = int(pair), measured
         return best, distance
+
+    def nearest_by_kind(self, q: Floats, reach: float) -> tuple[tuple[int, float], tuple[int, float]]:
+        """The same for the pairs of a moving and a standing body, and for those of two moving ones.
+
+        Args:
+            q: (6,) joint angles [rad], KUKA signs.
+            reach: nothing beyond is looked for [m].
+        """
+        self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
+        best, distance = [-1, -1], [reach, reach]
+        for bound, pair in zip(*self._candidates(reach), strict=True):
+            kind = int(self._both_move[pair])
+            if bound < distance[kind]:
+                measured = self._gap(pair, distance[kind])
+                if measured < distance[kind]:
+                    best[kind], distance[kind] = int(pair), measured
+            elif bound >= distance[1 - kind]:
+                break
+        return (best[0], distance[0]), (best[1], distance[1])
 
     def pair_name(self, pair: int) -> str:
         """What a reader calls a guarded pair: "housing with part"."""

@@ -13,6 +13,7 @@ from cell.world.world import World
 from cell.world.world import compile as compile_world
 
 _SAMPLES = 1500
+SHARE = 0.05  # of the distance, as the documentation promises
 
 
 def _cup() -> trimesh.Trimesh:
@@ -40,7 +41,7 @@ def _via() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_no_sample_is_nearer_than_what_is_proven_and_none_much_nearer_than_what_is_said(world: World) -> None:
-    """The value is measured on the motion, so it is an upper bound; the proven one is a lower bound within 2 %."""
+    """The value is measured on the motion, so it is an upper bound; the proven one is a lower bound within 5 %."""
     checker = MujocoCollisionChecker(world)
     via, segment = _via()
     found = of_motion(checker, via, segment, 3)
@@ -51,8 +52,8 @@ def test_no_sample_is_nearer_than_what_is_proven_and_none_much_nearer_than_what_
         distance, names = checker.distance(dense)
         least = float(distance.min())
         assert found.at_least[number] <= least + 1e-9
-        assert found.distance[number] <= least + max(TOLERANCE, 0.02 * least) + 1e-9
-        assert found.at_least[number] >= found.distance[number] - max(TOLERANCE, 0.02 * found.distance[number]) - 1e-9
+        assert found.distance[number] <= least + max(TOLERANCE, SHARE * least) + 1e-9
+        assert found.at_least[number] >= found.distance[number] - max(TOLERANCE, SHARE * found.distance[number]) - 1e-9
         if found.distance[number] < DISTANCE_CAP:
             near = {names[k] for k in np.flatnonzero(distance < least + 0.003)}
             assert found.between[number] in near

@@ -1,0 +1,40 @@
+"""What a plan says of its clearance, and that a motion in contact is never written."""
+
+import numpy as np
+import pytest
+
+from cell.plan.clearances import require_no_contact, tightest_sentence
+from cell.world.clearance import MotionClearance, Tightest, moment
+from planner.errors import PlannerError
+
+
+def _measured(*proven: float) -> MotionClearance:
+    names = tuple("housing with part" for _ in proven)
+    return MotionClearance(np.array(proven) + 0.001, np.array(proven), names, None, 1)
+
+
+def test_a_motion_that_is_not_proven_is_not_written() -> None:
+    """Zero is contact; the sentence names the segment, from 1, and the pair."""
+    require_no_contact(_measured(0.01, 1e-6))
+    with pytest.raises(PlannerError, match=r"segment 2 of the motion is not proven .*housing with part, 1\.000 mm"):
+        require_no_contact(_measured(0.01, 0.0))
+
+
+def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
+    """The same configuration is passed three times; only that of the segment counts."""
+    t = np.arange(7.0)
+    q = np.zeros((7, 6))
+    q[:, 0] = [0.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0]
+    segment = np.array([0, 0, 1, 1, 1, 2, 2])
+    at = np.array([1.25, 0, 0, 0, 0, 0])
+    assert moment(t, q, segment, Tightest(1, at, 0.02, "housing with part", np.zeros((2, 3)))) == pytest.approx(3.25)
+    at = np.array([0.5, 0, 0, 0, 0, 0])
+    assert moment(t, q, segment, Tightest(2, at, 0.02, "housing with part", np.zeros((2, 3)))) == pytest.approx(5.5)
+
+
+def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
+    """Nothing is said then; else distance, pair, time and segment from 1."""
+    assert tightest_sentence({"tightest": None, "segments": []}) == ""
+    tightest = {"distance_mm": 12.345, "between": "housing with post", "time_s": 3.2, "segment": 1}
+    said = tightest_sentence({"tightest": tightest, "segments": [{}, {}, {}]})
+    assert said == "12.3 mm, housing with post, 3.20 s after the start, on the way of segment 2 of 3"
