@@ -25,6 +25,9 @@ from cell.errors import FileError, UsageError
 
 Ints = NDArray[np.int64]
 
+LARGEST = 100_000_000
+"""Rows or columns of a file; more is a sign of another kind of file, and would only fill the memory."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverFile:
@@ -96,9 +99,11 @@ def _parse(name: str, numbers: Ints) -> CoverFile:
     if min(sizes) < 0:
         raise _MismatchError("a size is negative")
     n_rows, n_columns = (sizes[1], sizes[0]) if name == "steiner" else sizes
-    costs = np.ones(n_columns, dtype=np.int64) if n_columns <= len(numbers) else None
-    if costs is None or n_rows > len(numbers):
-        raise _MismatchError(f"{len(numbers)} numbers are too few for {n_rows} rows and {n_columns} columns")
+    if max(sizes) > LARGEST:
+        raise _MismatchError(f"{max(sizes)} rows or columns are more than {LARGEST}")
+    costs = np.ones(n_columns, dtype=np.int64)
+    if name == "rows" and len(numbers) < 2 + n_columns:
+        raise _MismatchError(f"it ends before the {n_columns} costs")
     if name == "rows":
         costs = numbers[2 : 2 + n_columns]
         start, members = _lists(numbers, 2 + n_columns, n_rows, "row", n_columns)

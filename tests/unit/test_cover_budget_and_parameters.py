@@ -1,10 +1,15 @@
 """Budget, Meta-RaPS parameters and the readable parts of a result."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from planner.cover import Budget, CoverStatus, MetaRapsParameters, solve
 from planner.cover.greedy import greedy
+from planner.cover.interrupts import interruptible
+from planner.cover.local_search import CHUNK_WORK, local_search
 from planner.cover.meta_raps import meta_raps
 from planner.cover.problem import candidates
 from planner.errors import PlannerError
@@ -88,3 +93,33 @@ def test_results_are_read_only():
     result = solve(np.eye(3, dtype=bool), np.ones(3), rng=np.random.default_rng(0))
     with pytest.raises(ValueError, match="read-only"):
         result.views[0] = 1
+
+
+def test_nothing_is_compiled_where_the_reductions_leave_nothing():
+    """Importing the package and solving what reduces to nothing does not import numba: that costs 0.5 s."""
+    program = (
+        "import sys, numpy as np\n"
+        "from planner.cover import solve\n"
+        "result = solve(np.eye(40, dtype=bool), np.ones(40), rng=np.random.default_rng(0))\n"
+        "assert len(result.views) == result.lower_bound == 40\n"
+        "assert 'numba' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_interruptible_hands_over_results_and_errors():
+    """What the call returns or raises comes back from its thread."""
+    assert interruptible(lambda: 7) == 7
+    with pytest.raises(ZeroDivisionError):
+        interruptible(lambda: 1 // 0)
+
+
+def test_guard_overrun_is_one_chunk():
+    """With a clock that jumps past the limit the search ends at the next look, after one chunk of work at most."""
+    rng = np.random.default_rng(0)
+    problem = candidates(rng.random((200, 300)) < 0.03, np.ones(200)).problem
+    ticks = iter([0.0, *[0.5] * 3, *[2.0] * 1000])
+    budget = Budget(10**12, time_limit_s=1.0, clock=lambda: next(ticks))
+    local_search(problem, rng, budget)
+    assert budget.time_limited
+    assert budget.spent <= 3 * CHUNK_WORK
