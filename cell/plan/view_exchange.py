@@ -36,11 +36,14 @@ class Groups:
         members: for each view of the plan the candidates, the one that is expected first.
         owner: for each view the candidate of each row of its configurations.
         configurations: for each view (m, 6) joint solutions of its members, one after the other [rad].
+        straight_before: time of straight moves over the views that were exchanged [s]: a motion that takes no longer
+            needs no comparison with theirs. inf where nothing was exchanged.
     """
 
     members: tuple[Ints, ...]
     owner: tuple[Ints, ...]
     configurations: tuple[Floats, ...]
+    straight_before: float = float("inf")
 
     @property
     def views(self) -> Ints:
@@ -102,11 +105,16 @@ def groups(
         )
         if target >= 1:
             _tell(found)
-            return _groups(arm, found.groups)
+            return replace(_groups(arm, found.groups), straight_before=found.duration_before)
         if prediction.share_of_coverable(candidates.T_object_scanner[found.views]) >= coverage:
             _tell(found)
-            return alone(arm, found.views)
+            return replace(alone(arm, found.views), straight_before=found.duration_before)
     return alone(arm, chosen.views)
+
+
+def shorter(exchanged: tuple[Groups, Tour], own: tuple[Groups, Tour]) -> tuple[Groups, Tour]:
+    """The shorter of two motions; one that visits every view before one that does not."""
+    return min(exchanged, own, key=lambda planned: (len(planned[1].dropped), planned[1].duration))
 
 
 def settled(chosen: Cover, M: Measurability, motion: Tour, picks: Ints) -> tuple[Cover, Tour]:

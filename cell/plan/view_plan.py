@@ -137,6 +137,19 @@ def select_and_connect(
     banned: dict[int, str] = {}
     arm = OwnArm(M, reached, candidates, world, prediction.scanner)
     at_rest = candidates.T_object_scanner.shape[1] == 1
+
+    def connect(groups: view_exchange.Groups) -> Tour:
+        return tour.plan_motion(
+            groups.configurations,
+            world.home,
+            checker,
+            limits,
+            world.T_base_object @ candidates.T_object_scanner[groups.views, 0],
+            motion_rng,
+            progress=progress,
+            T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
+        )
+
     stale = True
     while True:
         if stale:
@@ -174,16 +187,10 @@ def select_and_connect(
             if at_rest and request.exchangeable
             else view_exchange.alone(arm, chosen.views)
         )
-        motion = tour.plan_motion(
-            groups.configurations,
-            world.home,
-            checker,
-            limits,
-            world.T_base_object @ candidates.T_object_scanner[groups.views, 0],
-            motion_rng,
-            progress=progress,
-            T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
-        )
+        motion = connect(groups)
+        if motion.duration > groups.straight_before:  # detours may have cost what the exchange saved
+            own = view_exchange.alone(arm, chosen.views)
+            groups, motion = view_exchange.shorter((groups, motion), (own, connect(own)))
         if motion.status is TourStatus.HOME_IN_COLLISION:
             raise SceneError(
                 f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "
