@@ -179,7 +179,6 @@ REQUESTED = ("most_coverage", "overlap", "promise", "multiplicity", "cost")
 
 def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedPlan, candidates: Viewpoints) -> None:
     """`plan.json`: the views in visiting order, with what is known about the selection."""
-    swept = chosen.T_object_poses.shape[1] > 1
     views = [
         {
             "id": int(candidate),
@@ -188,7 +187,7 @@ def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedP
             "T_base_scanner": chosen.T_base_scanner[stop].tolist(),
             "T_base_flange": chosen.T_base_flange[stop].tolist(),
             "q_deg": degrees(chosen.tour.q[stop]),
-            **({"sweep": {"T_object_scanner": chosen.T_object_poses[stop].tolist()}} if swept else {}),
+            **({"sweep": _sweep(chosen, stop)} if chosen.sweeps else {}),
         }
         for stop, candidate in enumerate(chosen.candidate)
     ]
@@ -202,6 +201,24 @@ def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedP
             "views": views,
         },
     )
+
+
+def _sweep(chosen: ConnectedPlan, stop: int) -> dict[str, Any]:
+    """What is driven at a view of a line sensor: poses in the column's order, and the line through them."""
+    path = chosen.sweeps[stop]
+    steady = float(path.profile.cruise)
+    return {
+        "T_object_scanner": chosen.T_object_poses[stop].tolist(),
+        "q_deg": [degrees(q) for q in path.measured_q],
+        "from_q_deg": degrees(path.q[0]),
+        "to_q_deg": degrees(path.q[-1]),
+        "backwards": bool(path.pose[path.pose >= 0][0] > 0),
+        "length_mm": _mm(path.line.length),
+        "angle_deg": round(float(np.degrees(path.line.angle)), 9),
+        "speed_mm_s": round(_mm(path.line.length / steady), 6) if steady > 0 else 0.0,
+        "speed_deg_s": round(float(np.degrees(path.line.angle / steady)), 6) if steady > 0 else 0.0,
+        "duration_s": path.duration,
+    }
 
 
 def write_report(folder: RunFolder, summary: Mapping[str, Any]) -> None:

@@ -228,7 +228,8 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         measured = clearance.of_motion(checker, tour.via, tour.segment, len(tour.between), progress)
         require_no_contact(measured)
         chosen = replace(chosen, tour=replace(tour, clearance=measured.distance, between=measured.between))
-        motion = timing.retime(chosen.tour.via, chosen.tour.segment, chosen.via_candidate, limits)
+        tour = chosen.tour
+        motion = timing.retime(tour.via, tour.segment, chosen.via_candidate, limits, pose=tour.pose, lines=chosen.lines)
         plan_files.write_motion(run.folder, motion, chosen.tour, measured)
 
     answers = further(run, scene, request, reached, prediction, chosen)

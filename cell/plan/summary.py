@@ -192,9 +192,15 @@ def _sigma(M: Measurability, views: NDArray[np.int64], limit_mm: float | None) -
 
 
 def sweep_summary(chosen: ConnectedPlan) -> dict[str, Any]:
-    """What is said of views that sweep: how many poses, and that the motion does not hold them; else nothing."""
-    K = chosen.T_object_poses.shape[1]
-    return {} if K == 1 else {"sweep_poses": K, "sweep_in_motion": False}
+    """What is said of views that sweep: how many poses, and how fast the slowest sweep is driven; else nothing."""
+    if not chosen.sweeps:
+        return {}
+    seconds = [path.duration for path in chosen.sweeps]
+    return {
+        "sweep_poses": chosen.T_object_poses.shape[1],
+        "sweep_in_motion": True,
+        "sweep_s": [round(min(seconds), 6), round(max(seconds), 6)],
+    }
 
 
 def _mm_or_none(metres: float) -> float | None:

@@ -11,6 +11,7 @@ Before that, views are exchanged for others that measure as much and make the mo
 views that sweep are not: where their motion ends is not where it begins.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,16 +21,19 @@ from cell.commands.narrator import ProgressCallback
 from cell.errors import SceneError, UnreachableError
 from cell.plan import view_exchange
 from cell.plan.request import Request, Selected, select
+from cell.plan.sweep_solutions import SweepSolutions
 from cell.rays.prediction import Prediction
 from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from cell.world.world import World
-from planner import sweeps, tour
+from planner import tour
 from planner.cover import Cover
 from planner.coverage import Coverage
 from planner.measurability import Measurability
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.reach import Reach
 from planner.readonly import readonly
+from planner.sweep_motion import SweepPath
+from planner.timing import TimedLine
 from planner.tour import Tour, TourStatus
 from planner.viewpoints import Viewpoints
 
@@ -60,11 +64,13 @@ class ConnectedPlan:
         T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
         T_base_scanner: (n, 4, 4) the same in base [m].
         T_base_flange: (n, 4, 4) the same of the flange [m].
-        T_object_poses: (n, K, 4, 4) all poses of each view: `T_object_scanner`, and the rest of its sweep.
+        T_object_poses: (n, K, 4, 4) all poses of each view; of a sweep `T_object_scanner` is the middle one.
+        sweeps: the sweeps that are driven, in visiting order; none for views at rest.
+        lines: their timing, by the via point at which each begins.
         dropped: candidates that could not be connected, or that the arm shades.
         visible: visible coverage of the views on the held-out samples.
         visible_with_arm: visible coverage where each view's own arm hides as well, fraction of the surface; None for
-            views that sweep: where the arm stands during a sweep is not planned.
+            views that sweep: the arm's shadow along a sweep is not judged.
     """
 
     cover: Cover
@@ -76,6 +82,8 @@ class ConnectedPlan:
     T_base_scanner: Floats
     T_base_flange: Floats
     T_object_poses: Floats
+    sweeps: tuple[SweepPath, ...]
+    lines: Mapping[int, TimedLine]
     dropped: tuple[DroppedView, ...]
     visible: Coverage
     visible_with_arm: float | None
@@ -137,6 +145,7 @@ def select_and_connect(
     banned: dict[int, str] = {}
     arm = OwnArm(M, reached, candidates, world, prediction.scanner)
     at_rest = candidates.T_object_scanner.shape[1] == 1
+    sweeping = None if at_rest else SweepSolutions(candidates, world, kinematics, checker, limits)
 
     def connect(groups: view_exchange.Groups) -> Tour:
         return tour.plan_motion(
@@ -148,6 +157,7 @@ def select_and_connect(
             motion_rng,
             progress=progress,
             T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
+            passages=None if sweeping is None else sweeping.passages(groups.views),
         )
 
     stale = True
@@ -169,6 +179,11 @@ def select_and_connect(
             stale = arm.look(chosen.views, first) is Look.LESS_MEASURED
             if stale:
                 continue
+        if sweeping is not None and (refused := sweeping.refusals(chosen.views.tolist())):
+            _require_not_pinned(refused, request)
+            banned |= refused
+            stale = True
+            continue
         usable = np.asarray(reached.reachable).copy()
         usable[[*banned, *request.plan.banned]] = False
         groups = (
@@ -186,6 +201,8 @@ def select_and_connect(
             )
             if at_rest and request.exchangeable
             else view_exchange.alone(arm, chosen.views)
+            if sweeping is None
+            else sweeping.groups(chosen.views)
         )
         motion = connect(groups)
         if motion.duration > groups.straight_before:  # detours may have cost what the exchange saved
@@ -198,13 +215,9 @@ def select_and_connect(
             )
         for lost in motion.dropped:
             blocker = f" ({lost.blocker})" if lost.blocker else ""
-            for view in groups.members[lost.view].tolist():
-                if view in request.plan.pinned:
-                    raise UnreachableError(
-                        f"candidate {view} is pinned and cannot be part of a motion: {lost.reason.sentence}{blocker}; "
-                        "pin another, or change the placement"
-                    )
-                banned[view] = lost.reason.sentence + blocker
+            unconnected = {view: lost.reason.sentence + blocker for view in groups.members[lost.view].tolist()}
+            _require_not_pinned(unconnected, request)
+            banned |= unconnected
         if motion.dropped:
             stale = True
             continue
@@ -217,9 +230,8 @@ def select_and_connect(
     chosen, motion = view_exchange.settled(chosen, arm.M, motion, picks)
     T_base_flange = kinematics.forward(motion.q)
     T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
-    T_object_poses = (
-        T_object_scanner[:, None] if at_rest else sweeps.begun_at(T_object_scanner, candidates.T_object_scanner[stops])
-    )
+    driven = () if sweeping is None else sweeping.driven(chosen.views, motion)
+    T_object_poses = T_object_scanner[:, None] if sweeping is None else sweeping.poses(driven)
     visible = prediction.visible(T_object_poses)
     with_arm = None
     if at_rest:
@@ -242,9 +254,25 @@ def select_and_connect(
             if view not in chosen.views  # a view that its arm shades in part may be in the plan with what is left of it
         ),
         T_object_poses=T_object_poses,
+        sweeps=driven,
+        lines={} if sweeping is None else sweeping.lines(driven, motion),
         visible=visible,
         visible_with_arm=with_arm,
     )
+
+
+def _require_not_pinned(lost: Mapping[int, str], request: Request) -> None:
+    """Refuse to plan without a view that was asked for.
+
+    Raises:
+        UnreachableError: if one of the candidates that cannot be part of a motion is pinned.
+    """
+    for view, reason in lost.items():
+        if view in request.plan.pinned:
+            raise UnreachableError(
+                f"candidate {view} is pinned and cannot be part of a motion: {reason}; pin another, or change the "
+                "placement"
+            )
 
 
 _TOLD = 3  # candidates whose reasons are given when none is left

@@ -161,8 +161,8 @@ def note_what_is_not_planned(note: Callable[[str], None], scene: "Scene", scanne
     T_view_scanner = getattr(scanner, "T_view_scanner", None)
     if T_view_scanner is not None:
         note(
-            f"each view is a sweep of {len(T_view_scanner)} poses, all of them reachable; the motion stops at the "
-            "first of them: the sweep itself is not in the motion yet, and the arm's own shadow along it is not judged"
+            f"each view is a sweep of {len(T_view_scanner)} poses, driven as a line; the arm's own shadow along it is "
+            "not judged"
         )
     if scene.scanner.sensor is not None and "size_mm" not in scene.housing.model_fields_set:
         from cell.scene import sensors
