@@ -130,7 +130,7 @@ def sequence(
     Raises:
         PlannerError: if a view has no joint solution, a joint angle is outside its range, or shapes do not fit.
     """
-    problem = _instance(configurations, home, limits, edge_time, leaves, stays)
+    problem = instance(configurations, home, limits, edge_time, leaves, stays)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
     starts = [baseline] if start is None else [baseline, 1 + _permutation(start, len(configurations))]
     costs = [gtsp.best_nodes(problem, order)[0] for order in starts]
@@ -161,17 +161,20 @@ def christofides(
 
     The tour's length is at most 1.5 times the shortest in task space (Christofides 1976); its time has no such bound.
     """
-    problem = _instance(configurations, home, limits, edge_time, leaves, stays)
+    problem = instance(configurations, home, limits, edge_time, leaves, stays)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
     cost, tour = gtsp.best_nodes(problem, baseline)
     quick = one_tree(problem.either, problem.first)
     return _result(problem, configurations, gtsp.Found(tour, cost, min(quick, cost), 1), baseline)
 
 
-ORDERINGS: dict[str, Callable[..., Sequence]] = {"joint-space": sequence, "christofides": christofides}
+Ordering = Callable[..., Sequence]
+"""Takes what `sequence` takes."""
+
+ORDERINGS: dict[str, Ordering] = {"joint-space": sequence, "christofides": christofides}
 
 
-def _instance(
+def instance(
     configurations: Many[Floats],
     home: Floats,
     limits: JointLimits,

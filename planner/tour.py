@@ -179,7 +179,7 @@ def plan_motion(
     budget: MotionBudget = DEFAULT_BUDGET,
     progress: Progress | None = None,
     *,
-    ordering: str = "joint-space",
+    ordering: str | ordering_of_views.Ordering = "joint-space",
     T_base_home: Floats | None = None,
     passages: Many[Many[Passage]] | None = None,
 ) -> Tour:
@@ -194,7 +194,7 @@ def plan_motion(
         rng: source of all randomness.
         budget: work that may be used.
         progress: told about real edges as they become known.
-        ordering: a name of `planner.order.ORDERINGS`.
+        ordering: a name of `planner.order.ORDERINGS`, or a function like them.
         T_base_home: (4, 4) scanner pose at home [m].
         passages: per view, one for each of its joint solutions, beginning there; None: the arm stands and measures.
 
@@ -205,7 +205,7 @@ def plan_motion(
         PlannerError: if the ordering is unknown, home or a joint solution outside the joint range, a limit unusable,
             or the checker keeps no clearance.
     """
-    if ordering not in ordering_of_views.ORDERINGS:
+    if isinstance(ordering, str) and ordering not in ordering_of_views.ORDERINGS:
         raise PlannerError(
             f"there is no ordering {ordering!r}; it must be one of {', '.join(ordering_of_views.ORDERINGS)}"
         )

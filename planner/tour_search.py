@@ -64,13 +64,13 @@ class TourSearch:
         limits: JointLimits,
         seed: int,
         budget: MotionBudget,
-        ordering: str,
+        ordering: str | ordering_of_views.Ordering,
         progress: Progress | None,
         stays: Floats | None = None,
     ) -> None:
         self.roadmap, self.poses, self.T_base_home, self.limits = roadmap, poses, T_base_home, limits
         self.seed, self.budget, self.progress = seed, budget, progress
-        self.ordering = ordering_of_views.ORDERINGS[ordering]
+        self.ordering = ordering_of_views.ORDERINGS[ordering] if isinstance(ordering, str) else ordering
         self.views = [k for k in range(len(poses)) if len(roadmap.nodes_of(k))]
         self.unconnected: list[int] = []
         self.baseline, self.lower_bound = 0.0, 0.0
