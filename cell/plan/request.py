@@ -60,7 +60,8 @@ class Request:
     def exchangeable(self) -> bool:
         """Whether a view may be exchanged for others that measure the same: no wish hangs on it itself."""
         plan = self.plan
-        return plan.max_views is None and plan.multiplicity == 1 and self.overlap is None and self.layer is None
+        plain = plan.max_views is None and plan.multiplicity == 1 and plan.cost == "views"
+        return plain and self.overlap is None and self.layer is None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

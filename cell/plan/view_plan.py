@@ -27,8 +27,11 @@ from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from cell.world.world import World
 from planner import tour
 from planner.cover import Cover
+from planner.cover.overlap import OverlapCover
 from planner.coverage import Coverage
 from planner.measurability import Measurability
+from planner.order import Ordering
+from planner.order_overlap import overlapping
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.reach import Reach
 from planner.readonly import readonly
@@ -156,6 +159,7 @@ def select_and_connect(
             world.T_base_object @ candidates.T_object_scanner[groups.views, 0],
             motion_rng,
             progress=progress,
+            ordering=_ordering(request, selected),
             T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
             passages=None if sweeping is None else sweeping.passages(groups.views),
         )
@@ -276,3 +280,10 @@ def _require_not_pinned(lost: Mapping[int, str], request: Request) -> None:
 
 
 _TOLD = 3  # candidates whose reasons are given when none is left
+
+
+def _ordering(request: Request, selected: Selected) -> str | Ordering:
+    """How the views are ordered: by time alone, or so that each overlaps an earlier one as well."""
+    if request.plan.overlap_in_order and isinstance(selected.answer, OverlapCover):
+        return overlapping(selected.answer.joined)
+    return "joint-space"
