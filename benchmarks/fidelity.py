@@ -19,6 +19,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from benchmarks.parts import meshes
 from cell.part import workpiece
@@ -29,6 +30,8 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import Scene, load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.gjk import BOX
+from cell.world.triangle_tree import TriangleTree
 from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner import reach, surface
@@ -38,6 +41,7 @@ _CANDIDATES, _NEAR = 250, 250  # configurations of each kind, per part
 _SIDES = 96
 _UNDECIDED = 1e-5  # m
 _REPEATS = 3
+_TREE_POSES = 400
 
 Floats = NDArray[np.float64]
 
@@ -56,6 +60,52 @@ def run() -> list[dict[str, Any]]:
         total["us each"] = round(float(np.mean([row["us each"] for row in of])), 1)
         total["reach s"] = round(sum(row["reach s"] for row in of), 2)
         rows.append(total)
+    return rows + _tree_rows()
+
+
+def _tree_rows() -> list[dict[str, Any]]:
+    """Distance of the housing from a mug's triangles: the own tree beside python-fcl's, times and difference."""
+    part = workpiece.load("mug")
+    mesh = part.reference
+    tree = TriangleTree(mesh)
+    model = fcl.CollisionObject(_bvh(mesh.vertices, mesh.faces))
+    half = np.array([0.08, 0.04, 0.03])
+    box = fcl.CollisionObject(fcl.Box(*(2 * half)))
+    rng = np.random.default_rng(0)
+    away = rng.normal(size=(_TREE_POSES, 3))
+    positions = part.centre + away / np.linalg.norm(away, axis=1)[:, None] * rng.uniform(0.06, 0.25, (_TREE_POSES, 1))
+    turns = [np.ascontiguousarray(Rotation.random(rng=rng).as_matrix()) for _ in positions]
+    zero, upright = np.zeros(3), np.eye(3).ravel()
+    posed = list(zip(positions, turns, strict=True))
+
+    def own(reach: float, any_nearer: bool) -> Floats:
+        return np.array([
+            tree.distance(BOX, half, p, R.ravel(), zero, upright, reach, any_nearer=any_nearer) for p, R in posed
+        ])  # fmt: skip
+
+    def theirs() -> Floats:
+        found = []
+        for p, R in posed:
+            box.setTransform(fcl.Transform(R, p))
+            found.append(0.0 if fcl.collide(box, model) else fcl.distance(box, model))
+        return np.array(found)
+
+    own(1.0, False)
+    rows, truth = [], None
+    for name, ask in (
+        ("python-fcl, distance", theirs),
+        ("own tree, distance", lambda: own(1.0, False)),
+        ("own tree, nearer than 10 mm?", lambda: own(0.01, True)),
+    ):
+        started = time.process_time()
+        found = ask()
+        seconds = time.process_time() - started
+        truth = found if truth is None else truth
+        whole = name.endswith("distance")
+        row = {"part": "mug", "collision": name, "configurations": len(posed)}
+        row["us each"] = round(1e6 * seconds / len(posed), 1)
+        row["largest difference um"] = round(1e6 * float(np.abs(found - truth).max()), 2) if whole else ""
+        rows.append(row)
     return rows
 
 
@@ -159,12 +209,10 @@ def _configurations(world: World, part: Workpiece, T_object_scanner: Floats, sta
 def _judged(world: World, part: Workpiece, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """The configurations that fcl decides, and whether they keep the clearance from the true triangles."""
     mesh = part.reference
-    model = fcl.BVHModel()
-    model.beginModel(len(mesh.vertices), len(mesh.faces))
-    model.addSubModel(np.array(mesh.vertices), np.array(mesh.faces))
-    model.endModel()
     T = world.T_base_object
-    placed = fcl.CollisionObject(model, fcl.Transform(np.ascontiguousarray(T[:3, :3]), T[:3, 3].copy()))
+    placed = fcl.CollisionObject(
+        _bvh(mesh.vertices, mesh.faces), fcl.Transform(np.ascontiguousarray(T[:3, :3]), T[:3, 3].copy())
+    )
     tree = cKDTree(mesh.vertices @ T[:3, :3].T + T[:3, 3])
     corners = mesh.vertices[mesh.faces]
     longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
@@ -194,6 +242,14 @@ def _judged(world: World, part: Workpiece, q: Floats) -> tuple[Floats, NDArray[n
     return q[decided], np.array(truth, dtype=bool)
 
 
+def _bvh(vertices: Floats, faces: NDArray[np.integer]) -> fcl.BVHModel:
+    model = fcl.BVHModel()
+    model.beginModel(len(vertices), len(faces))
+    model.addSubModel(np.array(vertices), np.array(faces))
+    model.endModel()
+    return model
+
+
 def _moves(world: World, geom: int) -> bool:
     """Whether a shape is guarded against the part."""
     part = {g for g, entity in enumerate(world.entities) if entity == "part"}
@@ -208,11 +264,7 @@ def _fcl_shapes(world: World, geom: int) -> list[fcl.CollisionObject]:
     found = []
     for radius in (size[0] / np.cos(np.pi / _SIDES), size[0]):
         prism = trimesh.creation.cylinder(radius, 2 * size[1], sections=_SIDES)
-        model = fcl.BVHModel()
-        model.beginModel(len(prism.vertices), len(prism.faces))
-        model.addSubModel(np.array(prism.vertices), np.array(prism.faces))
-        model.endModel()
-        found.append(fcl.CollisionObject(model))
+        found.append(fcl.CollisionObject(_bvh(prism.vertices, prism.faces)))
     return found
 
 

@@ -4,15 +4,22 @@ fcl measures boxes against triangles to 1e-6 m or better. Its cylinders are up t
 by a search over every triangle.
 """
 
+import itertools
 from collections.abc import Callable
 
 import fcl
+import mujoco
 import numpy as np
 import pytest
 import trimesh
 
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.scene import Scene
 from cell.world import gjk
+from cell.world.collision import MujocoCollisionChecker
 from cell.world.triangle_tree import TriangleTree
+from cell.world.world import compile as compile_world
+from planner.path import connect
 from planner.surface import TriangleMesh
 
 REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)
@@ -177,3 +184,42 @@ def test_a_placed_part_is_as_far_as_its_placed_triangles() -> None:
         where = position + T[:3, 3]
         placed = one.distance(gjk.BOX, half, where, R.ravel(), T[:3, 3].copy(), T[:3, :3].copy().ravel(), 1.0)
         assert placed == pytest.approx(other.distance(gjk.BOX, half, where, R.ravel(), ZERO, UPRIGHT, 1.0), abs=3e-8)
+
+
+def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
+    """From home to a pose under the rim, as planned on triangles: fcl on the same triangles, at 300 configurations."""
+    outline = [(0.0, 0.0), (0.24, 0.0), (0.24, 0.36), (0.228, 0.36), (0.228, 0.012), (0.0, 0.012)]
+    bucket = trimesh.creation.revolve(np.array(outline), sections=64)
+    scene = Scene.model_validate({"placement": {"position_mm": [1100, 0, -100]}, "post": {"enabled": False}})
+    world = compile_world(scene, bucket.vertices, part_faces=np.array(bucket.faces), baseline_mm=75.0)
+    assert world.collision == "exact"
+    checker = MujocoCollisionChecker(world)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.diag([1.0, -1.0, -1.0]), [1.1, 0.0, -0.1 + 0.18 - 0.12]
+    q = Kr16Kinematics.from_model(world.model).inverse((T @ np.linalg.inv(world.T_flange_scanner))[None])[0]
+    q = q[np.isfinite(q).all(axis=1) & (q >= world.limits.lower).all(axis=1) & (q <= world.limits.upper).all(axis=1)]
+    goal = q[checker.free(q)][0]
+    found = connect(world.home, goal, checker, world.limits, np.random.default_rng(0), measure=False)
+    assert found.via is not None
+    placed = _model(bucket)
+    placed.setTransform(fcl.Transform(world.T_base_object[:3, :3], world.T_base_object[:3, 3]))
+    data, model = world.data(), world.model
+    bodies = {}
+    for geom in {int(g) for pair in world.pairs for g in pair if world.entities[g].startswith(("link", "h", "b"))}:
+        size = model.geom_size[geom]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+            bodies[geom] = fcl.CollisionObject(fcl.Box(*(2 * size)))
+        else:
+            bodies[geom] = _model(trimesh.creation.cylinder(size[0] / np.cos(np.pi / 48), 2 * size[1], sections=48))
+    least = np.inf
+    for a, b in itertools.pairwise(found.via):
+        for configuration in np.linspace(a, b, 300 // (len(found.via) - 1)):
+            data.qpos[:] = configuration
+            mujoco.mj_kinematics(model, data)
+            for geom, body in bodies.items():
+                R, position = data.geom_xmat[geom].reshape(3, 3).copy(), data.geom_xpos[geom].copy()
+                body.setTransform(fcl.Transform(R, position))
+                assert not fcl.collide(body, placed)
+                if model.geom_rbound[geom] < 0.3:
+                    least = min(least, fcl.distance(body, placed))
+    assert 0.55 * world.clearance - 1e-4 <= least < 0.2
