@@ -20,6 +20,7 @@ def check(
     units: Annotated[str | None, typer.Option(help="Unit of the mesh file.")] = None,
     place: Annotated[str | None, typer.Option(metavar="X,Y,Z[,A,B,C]", help="As in cell plan.")] = None,
     collision: Annotated[str | None, typer.Option(help="As in cell plan: hull, decomposed or exact.")] = None,
+    preset: options.Preset = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
@@ -27,13 +28,13 @@ def check(
     from cell.scene.scene import load_scene
     from cell.world.check import check_scene
 
-    tables: dict[str, dict[str, Any]] = {"part": {}, "placement": {}}
+    tables: dict[str, dict[str, Any]] = {"part": {}, "placement": {}, "plan": {**options.preset(preset)}}
     if part is not None:
         tables["part"] = options.part(part, units)
     if place is not None:
         tables["placement"] = options.placement(place)
     if collision is not None:
-        tables["plan"] = {"collision": collision}
+        tables["plan"]["collision"] = collision
     with options.named_as_options(tables):
         checked = load_scene(scene, tables)
     result = check_scene(checked)

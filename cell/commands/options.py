@@ -5,9 +5,21 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from cell.errors import FileError, SceneError, UsageError
+from cell.scene import presets
+
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"What is settled where neither scene file nor option says anything. {presets.line()}.",
+        show_default=False,
+    ),
+]
 
 _OPTION_OF_KEY = {
     "robot.speed_scaling": "--speed",
@@ -18,6 +30,7 @@ _OPTION_OF_KEY = {
     "placement.abc_deg": "--place",
     "scanner.sensor": "--sensor",
     "scanner.baseline_mm": "--baseline",
+    "plan.preset": "--preset",
     "plan.faces": "--faces",
     "plan.percent_kept": "--percent",
     "plan.candidates": "--candidates",
@@ -168,3 +181,8 @@ def pose_sd(text: str | None) -> dict[str, float]:
                 "instance --pose-sd 0.5mm,0.1deg"
             )
     return found
+
+
+def preset(name: str | None) -> dict[str, str]:
+    """Keys of `[plan]` of `--preset`; the scene refuses a name that it does not know."""
+    return {} if name is None else {"preset": name}

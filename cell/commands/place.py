@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cell.commands.options import Preset
 from cell.commands.study import AsJson, Cluster, Out, Part, Processes, SceneFile, Units, scene_maker
 
 EPILOG = (
@@ -27,6 +28,7 @@ def place(
     seed: Annotated[int | None, typer.Option(help="Seed of the places that are looked at.")] = None,
     units: Units = None,
     scene: SceneFile = None,
+    preset: Preset = None,
     processes: Processes = None,
     cluster: Cluster = None,
     out: Out = None,
@@ -43,7 +45,7 @@ def place(
         span(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))
     )
     where = Range((x0, y0, z0, a0), (x1, y1, z1, a1))
-    checked = scene_maker(part, units, scene)({} if seed is None else {"plan": {"seed": seed}})
+    checked = scene_maker(part, units, scene, preset)({} if seed is None else {"plan": {"seed": seed}})
     folder = study_folder("place", out)
     narrator = Narrator(quiet_stdout=as_json)
     with (

@@ -19,6 +19,7 @@ EPILOG = (
     "Examples:\n\n"
     "cell plan --place 1200,500,0\n\n"
     "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95\n\n"
+    "cell plan --preset fast\n\n"
     "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial\n\n"
     "cell plan --max-views 8 --curve\n\n"
     "cell plan --overlap 20% --coverage 0.98\n\n"
@@ -53,6 +54,7 @@ def plan(
         Path | None,
         typer.Option(help="Scene file (TOML). Default: the built-in scene.", rich_help_panel=_PART),
     ] = None,
+    preset: options.Preset = None,
     faces: Annotated[
         int | None, typer.Option(help="Faces of the planning mesh (one candidate normal each).", rich_help_panel=_VIEWS)
     ] = None,
@@ -226,6 +228,7 @@ def plan(
         "overlap_in_order": overlap_in_order,
         "alpha": alpha,
         "curve": curve,
+        **options.preset(preset),
         **options.overlap(overlap),
         **options.pose_sd(pose_sd),
     }

@@ -3,11 +3,13 @@
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from cell.commands.options import Preset
 
 if TYPE_CHECKING:
     from cell.study.curves import SceneWith
@@ -100,19 +102,26 @@ Units = Annotated[str | None, typer.Option(help="Unit of the mesh file.")]
 Robot = Annotated[bool, typer.Option("--robot", help="Use only views that the robot reaches at the scene's placement.")]
 
 
-def scene_maker(part: str | None, units: str | None, scene: Path | None) -> "SceneWith":
+def scene_maker(part: str | None, units: str | None, scene: Path | None, preset: str | None = None) -> "SceneWith":
     """The scene of the options, with more keys changed by a study.
 
     Raises:
         UsageError: as `cell plan` does for its options.
     """
     from cell.commands import options
-    from cell.scene.scene import load_scene
+    from cell.scene.scene import Scene, load_scene
 
     own = {"part": {} if part is None else options.part(part, units)}
     if part is None and units is not None:
         own["part"]["units"] = units
-    return lambda more: load_scene(scene, {**own, **more})
+    plan = options.preset(preset)
+
+    def scene_with(more: Mapping[str, Mapping[str, Any]]) -> Scene:
+        tables = {**own, **more, "plan": {**plan, **more.get("plan", {})}}
+        with options.named_as_options({"plan": plan}):
+            return load_scene(scene, tables)
+
+    return scene_with
 
 
 @app.command(epilog="Example:\n\ncell study placement mug --x 1000:1600:50 --y 300:900:50")
@@ -124,6 +133,7 @@ def placement(
     yaw: Annotated[str, typer.Option(metavar="DEG[:DEG:DEG]", help="Turns about the vertical (A).")] = "0",
     units: Units = None,
     scene: SceneFile = None,
+    preset: Preset = None,
     processes: Processes = None,
     cluster: Cluster = None,
     out: Out = None,
@@ -134,7 +144,7 @@ def placement(
     from cell.study.ranges import values
 
     grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
-    base = scene_maker(part, units, scene)({})
+    base = scene_maker(part, units, scene, preset)({})
     conducted(lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]), processes, cluster, out, as_json)
 
 
@@ -145,6 +155,7 @@ def standoff(
     robot: Robot = False,
     units: Units = None,
     scene: SceneFile = None,
+    preset: Preset = None,
     processes: Processes = None,
     cluster: Cluster = None,
     out: Out = None,
@@ -155,7 +166,7 @@ def standoff(
     from cell.study.ranges import values as range_of
 
     wanted = range_of("--values", values)
-    make = scene_maker(part, units, scene)
+    make = scene_maker(part, units, scene, preset)
     conducted(lambda: knob_study(make, "standoff", wanted, robot=robot), processes, cluster, out, as_json)
 
 
@@ -178,6 +189,7 @@ def scanner(
     robot: Robot = False,
     units: Units = None,
     scene: SceneFile = None,
+    preset: Preset = None,
     processes: Processes = None,
     cluster: Cluster = None,
     out: Out = None,
@@ -195,7 +207,7 @@ def scanner(
         raise UsageError(
             "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
         )
-    make = scene_maker(part, units, scene)
+    make = scene_maker(part, units, scene, preset)
     if ranges is not None:
         limits = pairs("--range", ranges)
         conducted(lambda: range_study(make, limits, robot=robot), processes, cluster, out, as_json)

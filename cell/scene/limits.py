@@ -95,11 +95,7 @@ def _in_each_other(world: World, T: np.ndarray) -> list[str]:
 
     def gap(one: str, other: str) -> float:
         reach = world.clearance + 1e-3
-        return min(
-            world.distance(data, a, b, reach)
-            for a in ids[one]
-            for b in ids.get(other, [])
-        )
+        return min(world.distance(data, a, b, reach) for a in ids[one] for b in ids.get(other, []))
 
     problems = []
     arm = [name for name in ("housing", "bracket", *reversed(LINKS)) if name in ids]

@@ -11,6 +11,7 @@ import numpy as np
 
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece
+from cell.scene.presets import PRESETS
 from cell.scene.scene import Scene
 from planner.viewpoints import enclosing_radius
 
@@ -139,4 +140,4 @@ def _faces(scene: Scene, built_in: tuple[int, float, float] | None, reference_fa
         return max(4, round(reference_faces * scene.plan.percent_kept / 100))
     if scene.plan.faces is not None:
         return scene.plan.faces
-    return built_in[0] if built_in is not None else _FACES
+    return round(PRESETS[scene.plan.preset].faces_factor * (built_in[0] if built_in is not None else _FACES))

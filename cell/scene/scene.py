@@ -251,6 +251,7 @@ Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discrimina
 class Plan(_Table):
     """How to plan; None takes the part's default."""
 
+    preset: Literal["fast", "balanced", "accurate"] = "balanced"
     candidates: Literal["optimal-scanning-zone", "view-sphere", "targeted"] = "optimal-scanning-zone"
     view_sphere_step_deg: Annotated[
         tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
@@ -331,7 +332,7 @@ class Scene(_Table):
 
 
 def load_scene(path: Path | None, options: Mapping[str, Mapping[str, Any]] | None = None) -> Scene:
-    """Read and check a scene file.
+    """Read and check a scene file; what it leaves open is filled in by its preset (`cell.scene.presets`).
 
     Args:
         path: the TOML file; None is the built-in scene. Paths inside it are relative to its folder.
@@ -341,6 +342,7 @@ def load_scene(path: Path | None, options: Mapping[str, Mapping[str, Any]] | Non
     Raises:
         SceneError: with every problem of the file on a line of its own: the key, what is wrong, what would be valid.
     """
+    from cell.scene.presets import beneath
     from cell.scene.problems import sentences
 
     content: dict[str, Any] = {} if path is None else _parse(path)
@@ -349,6 +351,7 @@ def load_scene(path: Path | None, options: Mapping[str, Mapping[str, Any]] | Non
         replaces = table == "part" and ("name" in keys or "path" in keys)
         if keys and isinstance(below, dict):
             content[table] = dict(keys) if replaces else {**below, **keys}
+    content = beneath(content)
     folder = Path.cwd() if path is None else path.absolute().parent
     try:
         return Scene.model_validate(content, context={"folder": folder})

@@ -1,0 +1,77 @@
+"""Presets: what `--preset fast|balanced|accurate` settles where neither scene file nor option says anything.
+
+A preset is data: keys of the scene that it fills in, and a factor for the part's default number of planning faces.
+`balanced` fills in nothing: it *is* the defaults. The values come from the fronts of `cell study speed`
+(docs/speed_accuracy.md): each is at the knee of its front, or one step beyond; what a front shows to cost nothing
+(triangles in collisions, certified moves) no preset gives up.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+DEFAULT = "balanced"
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """One trade of speed for accuracy.
+
+    Attributes:
+        plan: keys of the scene's `[plan]`.
+        scanner: keys of `[scanner]`, for a scanner with a ray grid that is no sensor of the library.
+        faces_factor: of the part's default number of planning faces.
+        price: measured, against `balanced` in the same run; a clause for people.
+    """
+
+    plan: Mapping[str, Any] = field(default_factory=dict)
+    scanner: Mapping[str, Any] = field(default_factory=dict)
+    faces_factor: float = 1.0
+    price: str = ""
+
+
+PRESETS: dict[str, Preset] = {
+    "fast": Preset(
+        plan={"samples_per_face": 2},
+        scanner={"resolution_deg": [0.5, 0.5]},
+        faces_factor=0.5,
+        price="half the planning faces, half the samples on each, scans at 0.5 deg",
+    ),
+    "balanced": Preset(price="the defaults"),
+    "accurate": Preset(
+        plan={"samples_per_face": 8},
+        scanner={"resolution_deg": [0.125, 0.125]},
+        faces_factor=2.0,
+        price="twice the planning faces, twice the samples on each, scans at 0.125 deg",
+    ),
+}
+
+RAY_GRID = "laser-area"  # the type of scanner whose resolution is the angle between the rays of a grid
+
+
+def beneath(content: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables of a scene with what its preset fills in; every key that is there stays.
+
+    Args:
+        content: tables as they stand in the scene file, the command line's options in them. An unknown preset, or a
+            table that is none, is left to the scene's own checks.
+    """
+    plan, scanner = content.get("plan", {}), content.get("scanner", {})
+    if not isinstance(plan, dict) or not isinstance(scanner, dict):
+        return dict(content)
+    preset = _named(plan.get("preset", DEFAULT))
+    filled = dict(content)
+    if preset.plan:
+        filled["plan"] = {**preset.plan, **plan}
+    if preset.scanner and scanner.get("sensor") is None and scanner.get("type", RAY_GRID) == RAY_GRID:
+        filled["scanner"] = {**preset.scanner, **scanner}
+    return filled
+
+
+def _named(name: Any) -> Preset:
+    return PRESETS.get(name, PRESETS[DEFAULT]) if isinstance(name, str) else PRESETS[DEFAULT]
+
+
+def line() -> str:
+    """All presets with their prices in one line, for `--help`."""
+    return "; ".join(f"{name}: {preset.price}" for name, preset in PRESETS.items())
