@@ -84,8 +84,9 @@ def add_closest(scene: mujoco.MjvScene, closest: Closest) -> None:
     """A rod between the two points, a ball at each, and the distance as a label."""
     start, end = closest.points
     marks.add_segment(scene, start, end, _ROD, NEAR)
-    marks.add_ball(scene, start, _BALL, NEAR)
-    marks.add_ball(scene, end, _BALL, NEAR)
+    radius = max(_ROD, min(_BALL, closest.distance / 4))
+    marks.add_ball(scene, start, radius, NEAR)
+    marks.add_ball(scene, end, radius, NEAR)
     marks.add_label(scene, closest.points.mean(axis=0), "   " + closest.sentence)  # beside the line, not on it
 
 
