@@ -1,0 +1,187 @@
+"""`cell plan` asked for more than the fewest views: what the run folder says, and what is refused."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def ask(
+    part_file: Path, small_plan: tuple[str, ...], run_cell: Run, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., tuple[Path, dict[str, Any]]]:
+    """Plans the small part with more options; the folder and the JSON object."""
+    folder = tmp_path_factory.mktemp("requests")
+
+    def run(name: str, *options: str, code: int = 0) -> tuple[Path, dict[str, Any]]:
+        done = run_cell(
+            "plan", str(part_file), "--units", "mm", *small_plan, *options, "--out", name, "--json", cwd=folder
+        )
+        assert done.returncode == code, done.stderr
+        return folder / name, json.loads(done.stdout)
+
+    return run
+
+
+def matrix(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Dense matrix and areas of a run."""
+    with np.load(folder / "measurability.npz") as arrays:
+        M = csr_array(
+            (np.ones(len(arrays["indices"]), bool), arrays["indices"], arrays["indptr"]), shape=tuple(arrays["shape"])
+        )
+        return M.toarray(), arrays["areas"]
+
+
+def covered(folder: Path) -> tuple[list[int], float]:
+    """Views of a run and the share of its samples that they cover, from its files."""
+    M, areas = matrix(folder)
+    views = [view["id"] for view in json.loads((folder / "plan.json").read_text())["views"]]
+    return views, float(areas[M[:, views].any(axis=1)].sum() / areas.sum())
+
+
+def test_a_plain_plan_says_nothing_of_requests(planned: Path) -> None:
+    """No new key in plan.json, report.json and the page, and no curve."""
+    plan, report = (json.loads((planned / name).read_text()) for name in ("plan.json", "report.json"))
+    assert not {"most_coverage", "overlap", "promise", "multiplicity", "cost", "curve"} & (set(plan) | set(report))
+    assert not {"max_views", "pinned", "alpha", "overlap_share"} & set(report["settings"])
+    assert not (planned / "curve.png").exists()
+
+
+def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
+    ask: Callable[..., tuple[Path, dict[str, Any]]], planned: Path
+) -> None:
+    """Three views, one pinned, two banned: what is said is what the files hold; the curve has the plan, bounded."""
+    plain = [view["id"] for view in json.loads((planned / "plan.json").read_text())["views"]]
+    with np.load(planned / "reach.npz") as arrays:
+        reachable = np.flatnonzero(arrays["verdict"] == 0)
+    pinned, banned = int(np.setdiff1d(reachable, plain)[0]), plain[:2]
+    folder, said = ask(
+        "most", "--max-views", "3", "--curve", "--pin", str(pinned), "--ban", str(banned[0]), "--ban", str(banned[1])
+    )
+    views, share = covered(folder)
+    assert len(views) == 3
+    assert pinned in views
+    assert not set(banned) & set(views)
+    assert said["settings"]["pinned"] == [pinned]
+    assert said["most_coverage"]["covered"] == pytest.approx(share)
+    assert share <= said["most_coverage"]["upper_bound"] + 1e-12
+    curve = json.loads((folder / "curve.json").read_text())
+    M, areas = matrix(folder)
+    for point in curve["points"]:
+        real = areas[M[:, point["views"]].any(axis=1)].sum() / areas.sum()
+        assert (len(point["views"]), point["covered"]) == (point["n_views"], pytest.approx(real))
+        assert point["covered"] <= point["upper_bound"] + 1e-12
+        assert pinned in point["views"]
+        assert not set(banned) & set(point["views"])
+    assert curve["points"][0]["n_views"] == 1
+    assert curve["points"][2]["covered"] >= share - 1e-12
+    assert curve["points"][-1]["covered"] == pytest.approx(curve["coverable"])
+    assert curve["fewest"][-1]["at_least"] <= curve["fewest"][-1]["views"] == curve["points"][-1]["n_views"]
+    assert (folder / "curve.png").stat().st_size > 10_000
+    page = (folder / "report.md").read_text()
+    assert "curve.png" in page
+    assert "no so many candidates cover more than" in page
+
+
+def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
+    part_file: Path, small_plan: tuple[str, ...], run_cell: Run, planned: Path, tmp_path: Path
+) -> None:
+    """The sentence names the candidate and why the arm does not get there; one that does not exist likewise."""
+    with np.load(planned / "reach.npz") as arrays:
+        verdict = arrays["verdict"]
+    lost = int(np.flatnonzero(verdict != 0)[0])
+    for view, words in ((lost, f"plan.pinned names candidate {lost}, which is"), (10**6, "there are candidates 0 to")):
+        pin = ("--pin", str(view), "--out", f"run{view}")
+        done = run_cell("plan", str(part_file), "--units", "mm", *small_plan, *pin, cwd=tmp_path)
+        assert done.returncode == 2, done.stderr
+        assert words in " ".join(done.stderr.split())
+
+
+def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
+    """Each sample has two views, or all candidates that can; 2.5 s of each view are scan and settling."""
+    folder, said = ask("twice", "--k-fold", "2", "--cost", "time")
+    views, _ = covered(folder)
+    M, _ = matrix(folder)
+    with np.load(folder / "reach.npz") as arrays:
+        able = M[:, arrays["verdict"] == 0].sum(axis=1)
+    assert (M[:, views].sum(axis=1) >= np.minimum(able, 2)).mean() > 0.99  # but for what arms shade
+    assert said["multiplicity"]["views_per_sample"] == 2
+    assert 2.5 * len(views) < said["cost"]["seconds"]
+    assert 0 < said["cost"]["bound_seconds"] <= said["cost"]["seconds"] + 1e-9
+
+
+def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
+    """The graph of the files' views is connected, by networkx; the price is what the report says."""
+    import networkx as nx
+
+    folder, said = ask("overlap", "--overlap", "50%", "--overlap-in-order")
+    views, _ = covered(folder)
+    M, areas = matrix(folder)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(views)))
+    for a in range(len(views)):
+        for b in range(a):
+            shared = areas[M[:, views[a]] & M[:, views[b]]].sum()
+            if shared >= 0.5 * min(areas[M[:, views[a]]].sum(), areas[M[:, views[b]]].sum()) * (1 - 1e-9):
+                graph.add_edge(a, b)
+    assert said["overlap"]["connected"]
+    assert nx.is_connected(graph)
+    assert said["overlap"]["extra_views"] == len(views) - said["overlap"]["views_without"] >= 0
+    assert all(set(graph[k]) & set(range(k)) for k in range(1, len(views)))  # views are in visiting order
+    assert said["overlap"]["without_earlier"] == 0
+
+
+def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
+    ask: Callable[..., tuple[Path, dict[str, Any]]],
+) -> None:
+    """200 executions with errors: what is promised is measured as often as promised; nominal coverage is beside it."""
+    _, said = ask("promise", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1")
+    promise = said["promise"]
+    assert (promise["executions"], promise["samples"]) == (200, 10_000)
+    assert promise["robust_on_features"] <= said["coverage"]["planned_on_features"] + 1e-12
+    assert promise["robust_on_features"] == pytest.approx(promise["robust_coverable_on_features"])
+    assert promise["frequency"] >= 0.9
+    assert promise["kept"] > 0.98
+    assert promise["coverage_worst"] <= promise["coverage_mean"] <= said["coverage"]["coverable"] + 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--max-views", "3", "--coverage", "0.9"), "both set how long the plan is"),
+        (("--max-views", "0"), "--max-views is 0; it must be at least 1"),
+        (("--max-views", "1", "--pin", "1,2"), "2 views are pinned"),
+        (("--pin", "4", "--ban", "4"), "both name candidate 4"),
+        (("--pin", "four"), "by their numbers"),
+        (("--overlap", "20"), "20% or --overlap 500mm2"),
+        (("--overlap", "0%"), "--overlap is 0.0; it must be above 0"),
+        (("--overlap", "20%", "--max-views", "3"), "different questions"),
+        (("--overlap-in-order",), "needs an overlap"),
+        (("--overlap", "20%", "--solver", "exact"), "a search of its own"),
+        (("--pose-sd", "0.5,0.1"), "with their units"),
+        (("--pose-sd", "0.5mm", "--alpha", "0"), "--alpha is 0.0; it must be above 0"),
+        (("--pose-sd", "0.5mm", "--fill", "rays"), "need aimed samples"),
+        (("--pose-sd", "0.5mm", "--k-fold", "2"), "different questions"),
+        (("--cost", "money"), "valid are: views, time"),
+    ],
+)
+def test_requests_that_contradict_each_other_are_refused(
+    options: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """One sentence, exit code 2, before anything is calculated."""
+    from cell.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["cell", "plan", *options])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert words in " ".join(capsys.readouterr().err.split())
