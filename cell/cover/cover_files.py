@@ -12,6 +12,7 @@ a file that fits several needs to be told.
 """
 
 import gzip
+import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,9 +87,11 @@ def _numbers(path: Path) -> Ints:
     except (OSError, EOFError, zlib.error) as error:
         raise FileError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     try:
-        return np.array(content.split(), dtype=np.bytes_).astype(np.int64)
-    except (ValueError, OverflowError) as error:
-        raise FileError(f"{path} is not a set-cover file: it may hold nothing but whole numbers ({error})") from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # NumPy only warns where it stops reading
+            return np.fromstring(content, dtype=np.int64, sep=" ")
+    except (ValueError, DeprecationWarning) as error:
+        raise FileError(f"{path} is not a set-cover file: it may hold nothing but whole numbers") from error
 
 
 def _parse(name: str, numbers: Ints) -> CoverFile:

@@ -27,8 +27,12 @@ from planner.readonly import readonly
 ROUNDING = 1e-6
 """Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""
 
-LP_ENTRIES = 400_000
-"""Matrices up to this many ones also get the LP solver's dual; larger ones cost it many seconds."""
+LP_ENTRIES, LP_ENTRIES_WIDE, WIDE = 400_000, 60_000, 4
+"""Matrices up to the first number of ones get the LP solver's dual, those with more than `WIDE` columns for each row up
+to the second; larger ones cost it many seconds, and the subgradient steps come as near."""
+
+LP_PIVOTS = 2
+"""The LP solver is not started where the budget pays for fewer pivots than this for each row: it would end in vain."""
 
 FIRST_STEP, LAST_STEP, SHRINK, PATIENCE, DEFLECTION = 0.1, 1e-3, 0.6, 20, 0.8
 """Constants of the subgradient steps, see there."""
@@ -127,7 +131,7 @@ def _raise(
     problem: CoverProblem, best: Bound, upper: int, budget: Budget, rows_by_columns: Any, columns_by_rows: Any
 ) -> Bound:
     """Improve the multipliers with an LP solver or by subgradient steps."""
-    if problem.n_entries <= LP_ENTRIES:
+    if _suits_lp(problem) and budget.left >= LP_PIVOTS * problem.n_rows * _pivot_work(problem):
         lp, work = _linear_programme(problem, rows_by_columns, columns_by_rows, budget)
         budget.spend(work)
         best = max(best, lp, key=lambda candidate: candidate.dual)
@@ -143,9 +147,18 @@ def _raise(
 def _most_work(problem: CoverProblem) -> int:
     """Charge of a bound, whatever way it takes."""
     size = problem.n_rows + problem.n_columns
-    if problem.n_entries <= LP_ENTRIES:
+    if _suits_lp(problem):
         return 4 * problem.n_entries + MOST_PIVOTS * PIVOT_WORK * size**2
     return 4 * problem.n_entries + MOST_STEPS * (problem.n_entries + STEP_WORK)
+
+
+def _suits_lp(problem: CoverProblem) -> bool:
+    wide = problem.n_columns > WIDE * problem.n_rows
+    return problem.n_entries <= (LP_ENTRIES_WIDE if wide else LP_ENTRIES)
+
+
+def _pivot_work(problem: CoverProblem) -> int:
+    return PIVOT_WORK * (problem.n_rows + problem.n_columns)
 
 
 def _first_multipliers(problem: CoverProblem) -> Floats:
@@ -211,7 +224,7 @@ def _linear_programme(
     from scipy.optimize import linprog
 
     n_rows, n_columns = problem.shape
-    per_pivot = PIVOT_WORK * (n_rows + n_columns)
+    per_pivot = _pivot_work(problem)
     limit = min(max(budget.left // per_pivot, 1), MOST_PIVOTS * (n_rows + n_columns))
     options: Any = {"maxiter": limit}
     if budget.seconds_left is not None:

@@ -158,6 +158,7 @@ def relaxation(M, areas, coverage):
 def test_bound_approaches_the_linear_relaxation_from_below(coverage, lp_entries, monkeypatch):
     """The Lagrangian value is at most the LP optimum, and within 1 % of it (1e-6 where the LP solver proposes u)."""
     monkeypatch.setattr("planner.cover.bound.LP_ENTRIES", lp_entries)
+    monkeypatch.setattr("planner.cover.bound.LP_ENTRIES_WIDE", lp_entries)
     for seed in range(3):
         M, areas = medium(seed)
         M[:, 0] |= ~M.any(axis=1)  # everything coverable
