@@ -29,6 +29,7 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene, load_scene
 from cell.stand_ins import NAMES
+from cell.study.near_part import configurations
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.gjk import BOX
 from cell.world.triangle_tree import TriangleTree
@@ -145,7 +146,10 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
         checker = MujocoCollisionChecker(world)
         checker.distance(world.home[None])
         if judged is None:
-            q = _configurations(world, part, views.T_object_scanner[:, 0], settings.standoffs[0])
+            q = configurations(
+                world, part, views.T_object_scanner[:, 0], settings.standoffs[0], (_CANDIDATES, _NEAR),
+                np.random.default_rng(0),
+            )  # fmt: skip
             judged = _judged(world, part, q)
         q, truth = judged
         checker.free(q)
@@ -174,36 +178,6 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def _configurations(world: World, part: Workpiece, T_object_scanner: Floats, standoff: float) -> Floats:
-    """(N, 6) in limits, and clear of everything but the part."""
-    rng = np.random.default_rng(0)
-    apart = np.eye(4)
-    apart[:3, 3] = 0.0, 0.0, 50.0
-    elsewhere = MujocoCollisionChecker(world, apart)
-    kinematics = Kr16Kinematics.from_model(world.model)
-
-    def solutions(T: Floats, count: int) -> Floats:
-        T_base_flange = world.T_base_object @ T @ np.linalg.inv(world.T_flange_scanner)
-        q = kinematics.inverse(T_base_flange).reshape(-1, 6)
-        q = q[np.isfinite(q).all(axis=1)]
-        q = q[((q >= world.limits.lower) & (q <= world.limits.upper)).all(axis=1)]
-        q = q[rng.permutation(len(q))[: 6 * count]]
-        return q[elsewhere.free(q)][:count]
-
-    faces = rng.integers(len(part.reference.faces), size=4 * _NEAR)
-    normals = surface.face_normals(part.reference)[faces]
-    near = np.tile(np.eye(4), (len(faces), 1, 1))
-    for k, normal in enumerate(normals):
-        tilted = normal + 0.4 * rng.normal(size=3)
-        z = -tilted / np.linalg.norm(tilted)
-        x = np.cross(rng.normal(size=3), z)
-        x /= np.linalg.norm(x)
-        near[k, :3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-        corner = part.reference.vertices[part.reference.faces[faces[k], 0]]
-        near[k, :3, 3] = corner - z * rng.uniform(0.005, max(0.08, standoff))
-    return np.concatenate([solutions(T_object_scanner, _CANDIDATES), solutions(near, _NEAR)])
 
 
 def _judged(world: World, part: Workpiece, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -24,7 +24,8 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
-from planner import cover, coverage, surface
+from cell.study.claims import claim
+from planner import coverage, surface
 from planner.closest import closest_face
 from planner.measurability import Measurability, fill
 from planner.ports import RayCaster
@@ -193,10 +194,7 @@ def _row(
 ) -> dict[str, Any]:
     """Fill, choose a plan, predict, and look."""
     M, seconds = _best(work)
-    areas = M.features.areas
-    plan = cover.solve(M.matrix(), areas, rng=np.random.default_rng(0), solver="greedy", budget=0)
-    predicted = float(areas[M.matrix()[:, plan.views].sum(axis=1) > 0].sum() / areas.sum())
-    visible = coverage.visible(views.T_object_scanner[plan.views], held_out, scanner, [caster]).fraction
+    found = claim(M, views, held_out, scanner, caster)
     return {
         "part": part,
         "fill": method,
@@ -204,10 +202,10 @@ def _row(
         "reference faces": len(reference.faces),
         "rows": M.shape[0],
         "viewpoints": M.shape[1],
-        "views": len(plan.views),
-        "predicted %": 100 * predicted,
-        "visible %": 100 * visible,
-        "error points": 100 * (predicted - visible),
+        "views": found.views,
+        "predicted %": 100 * found.claimed,
+        "visible %": 100 * found.visible,
+        "error points": found.error_points,
     }
 
 

@@ -33,65 +33,14 @@ from cell.run.record import RunRecord, open_run
 from cell.scan import driver as scan_driver
 from cell.scan import execute
 from cell.scan.options import ScanOptions
-from drivers.controller import SETTLE_LIMIT
-from drivers.limits import kr16
-from drivers.profile import Reference, interpolate
+from cell.study.plant_move import Trace, one_move
 from planner.ports import Floats
 
 URL = "sim://?plant=mujoco"
 TIME_STEPS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 BANDWIDTHS_HZ = (3.0, 6.0, 12.0, 24.0, 48.0)
 INTEGRATORS = ("Euler", "implicitfast")
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
-MOVE = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])
 AT_SPEED = 0.1
-
-
-class Trace:
-    """Collects what a plant's observer is told."""
-
-    def __init__(self) -> None:
-        self.references: list[Reference] = []
-        self.steps: list[list[tuple[Floats, Floats]]] = []
-
-    def __call__(self, reference: Reference, times: Floats, axes: Floats) -> None:
-        """As `cell.plant.mujoco_plant.Observer`."""
-        if not self.references or self.references[-1] is not reference:
-            self.references.append(reference)
-            self.steps.append([])
-        self.steps[-1].append((times, axes))
-
-    def errors(self, kinematics: Kr16Kinematics, T_flange_scanner: Floats) -> dict[str, Floats]:
-        """Per step: reference and true position (N, 3) [m], speed (N,) [m/s], path deviation (N,) [m]."""
-        found: dict[str, list[Floats]] = {"reference": [], "true": [], "velocity": [], "off": []}
-
-        def position(q: Floats) -> Floats:
-            return np.asarray((kinematics.forward(q) @ T_flange_scanner)[:, :3, 3])
-
-        for reference, steps in zip(self.references, self.steps, strict=True):
-            times, axes = (np.concatenate(parts) for parts in zip(*steps, strict=True))
-            ahead = position(reference.sample(times + 5e-6)[0]) - position(reference.sample(times - 5e-6)[0])
-            path = position(reference.sample(np.linspace(0.0, reference.duration, 20_000))[0])
-            true = position(axes)
-            found["reference"].append(position(reference.sample(times)[0]))
-            found["true"].append(true)
-            found["velocity"].append(ahead / 1e-5)
-            found["off"].append(_to_polyline(true, path))
-        return {name: np.concatenate(parts) for name, parts in found.items()}
-
-
-def _to_polyline(points: Floats, path: Floats) -> Floats:
-    """(N,) distance of points (N, 3) to a dense path (M, 3): to the segments beside the nearest vertex."""
-    from scipy.spatial import cKDTree
-
-    nearest = cKDTree(path).query(points)[1]
-    best = np.full(len(points), np.inf)
-    for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(path) - 2)):
-        a, b = path[first], path[first + 1]
-        length = np.maximum(((b - a) ** 2).sum(axis=1), 1e-30)
-        s = np.clip(((points - a) * (b - a)).sum(axis=1) / length, 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(points - a - s[:, None] * (b - a), axis=1))
-    return best
 
 
 def run() -> list[dict[str, Any]]:
@@ -170,32 +119,16 @@ def stability() -> list[dict[str, Any]]:
 
 
 def _one_move(settings: Settings) -> dict[str, Any]:
-    limits, kinematics = kr16(), Kr16Kinematics.from_model(load())
-    reference = interpolate(HOME, MOVE, limits.velocity, limits.acceleration)
-    T = np.eye(4)
-    T[2, 3] = 0.12
-    trace = Trace()
-    plant: Any = factory.built_in(settings, trace)["mujoco"](HOME)
-    plant.follow(reference)
-    spent = process_time()
-    plant.advance(reference.duration)
-    spent = process_time() - spent
-    waited = 0.0
-    while not plant.settled and not plant.failure and waited < SETTLE_LIMIT:
-        plant.advance(0.004)
-        waited += 0.004
-    outcome = "failed" if plant.failure else "settled" if plant.settled else "restless"
-    errors = trace.errors(kinematics, T)
-    error = np.linalg.norm(errors["true"] - errors["reference"], axis=1)
+    move = one_move(settings)
     return {
         "what": "stability",
         "integrator": settings.integrator,
         "bandwidth Hz": settings.bandwidth,
         "time step ms": 1e3 * settings.time_step,
-        "outcome": outcome,
-        "error mm": 1e3 * float(error.max()),
-        "settling s": waited if outcome == "settled" else "",
-        "x real time": reference.duration / spent if outcome != "failed" else "",
+        "outcome": move.outcome,
+        "error mm": 1e3 * move.tracking_error(),
+        "settling s": move.waited if move.outcome == "settled" else "",
+        "x real time": move.duration / move.processor_s if move.outcome != "failed" else "",
     }
 
 

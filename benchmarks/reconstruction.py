@@ -19,20 +19,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cell.part.workpiece import Workpiece, load
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.virtual_scan import scan
 from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import Deviation, deviation
 from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import REACH, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
-from cell.scanners.laser_area import LaserArea
+from cell.study.clouds import eight_scans, noisy
 from planner.surface import TriangleMesh
 
 Floats = NDArray[np.float64]
 
-STANDOFF = 0.3
-DIRECTIONS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (1, 1, 1), (-1, -1, -1))
 GRIDS = (1.25, 2.0, 3.0)
 NOISES_UM = (0.0, 30.0, 100.0)
 POSE_ERRORS = ((0.1, 0.02), (0.25, 0.05), (0.5, 0.1), (1.0, 0.2), (2.0, 0.4), (5.0, 1.0), (10.0, 2.0), (20.0, 4.0))
@@ -108,9 +104,9 @@ def _draw_registration(axis: Any, line: list[dict[str, Any]]) -> None:
 
 def _mesh_rows(part: Workpiece, nearest: NearestSurface) -> list[dict[str, Any]]:
     rows = []
-    exact = _scans(part, resolution_deg=0.165)
+    exact = eight_scans(part, resolution_deg=0.165)
     for noise in NOISES_UM:
-        scans = _noisy(exact, noise * 1e-6)
+        scans = noisy(exact, noise * 1e-6)
         spacing = point_spacing(np.concatenate([s.points for s in scans]), np.repeat(range(8), [len(s) for s in scans]))
         common = {"points": sum(len(s) for s in scans), "spacing mm": spacing * 1e3, "noise um": noise}
         for factor in GRIDS:
@@ -158,7 +154,7 @@ def _poisson(scans: list[ScanCloud], cut: float) -> tuple[TriangleMesh, float]:
 
 def _registration_rows(part: Workpiece, nearest: NearestSurface) -> list[dict[str, Any]]:
     rows = []
-    scans = _noisy(_scans(part, resolution_deg=0.5), 30e-6)
+    scans = noisy(eight_scans(part, resolution_deg=0.5), 30e-6)
     for millimetres, degrees in POSE_ERRORS:
         rng = np.random.default_rng(1)
         disturbed = [_disturbed(s, rng.normal(0, millimetres * 1e-3, 3), rng.normal(0, degrees, 3)) for s in scans]
@@ -183,33 +179,6 @@ def _registration_rows(part: Workpiece, nearest: NearestSurface) -> list[dict[st
             }
         )
     return rows
-
-
-def _scans(part: Workpiece, resolution_deg: float) -> list[ScanCloud]:
-    """Exact virtual scans from 300 mm beyond the part's middle, along `DIRECTIONS`."""
-    caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
-    scanner = LaserArea(resolution_deg=(resolution_deg, resolution_deg))
-    clouds = []
-    for direction in DIRECTIONS:
-        out = np.array(direction, dtype=float) / np.linalg.norm(direction)
-        across = np.cross([0.0, 0.0, 1.0], -out) if abs(out[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-        across /= np.linalg.norm(across)
-        T = np.eye(4)
-        T[:3, :3] = np.stack([across, np.cross(-out, across), -out], axis=1)
-        T[:3, 3] = part.centre + STANDOFF * out
-        clouds.append(ScanCloud(scan(scanner, T, caster, part.reference).points, T[:3, 3]))
-    return clouds
-
-
-def _noisy(scans: list[ScanCloud], sigma: float) -> list[ScanCloud]:
-    """The scans with normal noise along their rays [m]."""
-    rng = np.random.default_rng(0)
-    noisy = []
-    for cloud in scans:
-        rays = cloud.points - cloud.sensor
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        noisy.append(ScanCloud(cloud.points + rng.normal(0, 1, (len(rays), 1)) * sigma * rays, cloud.sensor))
-    return noisy
 
 
 def _disturbed(cloud: ScanCloud, shift: Floats, turn_deg: Floats) -> ScanCloud:

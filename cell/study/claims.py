@@ -1,0 +1,54 @@
+"""What a measurability matrix claims for its plan, and what samples that it has not seen say of that plan.
+
+The error of a fill: the greedy plan of a matrix, the share of area that the matrix says the plan measures, and visible
+coverage by its definition (planner/coverage.py).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner import cover, coverage
+from planner.measurability import Measurability
+from planner.ports import RayCaster, Scanner
+from planner.surface import SurfaceSamples
+from planner.viewpoints import Viewpoints
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A plan as its matrix sees it, and as it is.
+
+    Attributes:
+        views: of the greedy plan.
+        claimed: share of the area of the matrix's rows that the plan measures.
+        visible: share of the surface that it measures, on held-out samples.
+    """
+
+    views: int
+    claimed: float
+    visible: float
+
+    @property
+    def error_points(self) -> float:
+        """Claimed minus visible [percentage points]."""
+        return 100 * (self.claimed - self.visible)
+
+
+def claim(
+    M: Measurability, candidates: Viewpoints, held_out: SurfaceSamples, scanner: Scanner, caster: RayCaster
+) -> Claim:
+    """Choose the greedy plan of a matrix and look.
+
+    Args:
+        M: the matrix.
+        candidates: its columns.
+        held_out: samples that the matrix has not seen.
+        scanner: the sensor's law.
+        caster: casts on the part.
+    """
+    areas = M.features.areas
+    plan = cover.solve(M.matrix(), areas, rng=np.random.default_rng(0), solver="greedy", budget=0)
+    claimed = float(areas[M.matrix()[:, plan.views].sum(axis=1) > 0].sum() / areas.sum())
+    poses = candidates.T_object_scanner[plan.views]
+    return Claim(len(plan.views), claimed, coverage.visible(poses, held_out, scanner, [caster]).fraction)

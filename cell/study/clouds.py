@@ -1,0 +1,51 @@
+"""Eight virtual scans around a part, and noise on them: what reconstruction and registration are measured with."""
+
+import numpy as np
+
+from cell.part.workpiece import Workpiece
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.virtual_scan import scan
+from cell.reconstruction.cloud import ScanCloud
+from cell.scanners.laser_area import LaserArea
+
+STANDOFF = 0.3
+"""Of the scanner from the part's middle [m]."""
+
+DIRECTIONS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (1, 1, 1), (-1, -1, -1))
+
+
+def eight_scans(part: Workpiece, resolution_deg: float) -> list[ScanCloud]:
+    """Exact scans from `STANDOFF` beyond the part's middle, along `DIRECTIONS`.
+
+    Args:
+        part: what is scanned.
+        resolution_deg: angle between rays [deg].
+    """
+    caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
+    scanner = LaserArea(resolution_deg=(resolution_deg, resolution_deg))
+    clouds = []
+    for direction in DIRECTIONS:
+        out = np.array(direction, dtype=float) / np.linalg.norm(direction)
+        across = np.cross([0.0, 0.0, 1.0], -out) if abs(out[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        T = np.eye(4)
+        T[:3, :3] = np.stack([across, np.cross(-out, across), -out], axis=1)
+        T[:3, 3] = part.centre + STANDOFF * out
+        clouds.append(ScanCloud(scan(scanner, T, caster, part.reference).points, T[:3, 3]))
+    return clouds
+
+
+def noisy(scans: list[ScanCloud], sigma: float) -> list[ScanCloud]:
+    """The scans with normal noise along their rays, always the same draw.
+
+    Args:
+        scans: exact ones.
+        sigma: standard deviation [m].
+    """
+    rng = np.random.default_rng(0)
+    disturbed = []
+    for cloud in scans:
+        rays = cloud.points - cloud.sensor
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        disturbed.append(ScanCloud(cloud.points + rng.normal(0, 1, (len(rays), 1)) * sigma * rays, cloud.sensor))
+    return disturbed

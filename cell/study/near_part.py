@@ -1,0 +1,60 @@
+"""Configurations of the arm beside a part, at which nothing but the part can be in the way.
+
+Joint solutions of candidate viewpoints (what reach asks about) and of random scanner poses close to the surface, tilted
+and turned: what tells hull, pieces and triangles apart lies there. Base frame, metres, radians.
+"""
+
+import numpy as np
+
+from cell.part.workpiece import Workpiece
+from cell.robot.kinematics import Kr16Kinematics
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from planner import surface
+from planner.ports import Floats
+
+_APART_M = 50.0  # where the part is put so that only the rest of the cell counts
+_TILT = 0.4  # of the viewing axis against the normal, one sigma and component
+_NEAREST, _LEAST_FARTHEST = 0.005, 0.08  # source to surface [m]
+_SOLUTIONS = 6  # tried for each configuration wanted
+
+
+def configurations(
+    world: World, part: Workpiece, T_object_scanner: Floats, standoff: float, counts: tuple[int, int],
+    rng: np.random.Generator,
+) -> Floats:  # fmt: skip
+    """(N, 6) configurations [rad], in limits and clear of everything but the part.
+
+    Args:
+        world: the compiled cell.
+        part: what stands in it.
+        T_object_scanner: (V, 4, 4) candidate poses [m].
+        standoff: of the candidates [m]; random poses are up to this far from the surface.
+        counts: how many of candidates, how many of random poses, at most.
+        rng: draws faces, tilts and distances, and the order of the solutions.
+    """
+    apart = np.eye(4)
+    apart[:3, 3] = 0.0, 0.0, _APART_M
+    elsewhere = MujocoCollisionChecker(world, apart)
+    kinematics = Kr16Kinematics.from_model(world.model)
+
+    def solutions(T: Floats, count: int) -> Floats:
+        T_base_flange = world.T_base_object @ T @ np.linalg.inv(world.T_flange_scanner)
+        q = kinematics.inverse(T_base_flange).reshape(-1, 6)
+        q = q[np.isfinite(q).all(axis=1)]
+        q = q[((q >= world.limits.lower) & (q <= world.limits.upper)).all(axis=1)]
+        q = q[rng.permutation(len(q))[: _SOLUTIONS * count]]
+        return np.asarray(q[elsewhere.free(q)][:count])
+
+    faces = rng.integers(len(part.reference.faces), size=4 * counts[1])
+    normals = surface.face_normals(part.reference)[faces]
+    near = np.tile(np.eye(4), (len(faces), 1, 1))
+    for k, normal in enumerate(normals):
+        tilted = normal + _TILT * rng.normal(size=3)
+        z = -tilted / np.linalg.norm(tilted)
+        x = np.cross(rng.normal(size=3), z)
+        x /= np.linalg.norm(x)
+        near[k, :3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+        corner = part.reference.vertices[part.reference.faces[faces[k], 0]]
+        near[k, :3, 3] = corner - z * rng.uniform(_NEAREST, max(_LEAST_FARTHEST, standoff))
+    return np.concatenate([solutions(T_object_scanner, counts[0]), solutions(near, counts[1])])

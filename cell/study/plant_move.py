@@ -1,0 +1,131 @@
+"""One hard move of the dynamic arm, and what is seen of it at every step of the simulation.
+
+Three legs with every axis, at full speed and acceleration and without a limit of jerk, so that accelerations jump: the
+move on which time steps, integrators and gains are compared. Metres, radians, seconds.
+"""
+
+from dataclasses import dataclass
+from time import process_time
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cell.plant import factory
+from cell.plant.servo import Settings
+from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.model import load
+from drivers.controller import SETTLE_LIMIT
+from drivers.limits import kr16
+from drivers.profile import Reference, interpolate
+from planner.ports import Floats
+
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+MOVE = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])
+MOUNT = 0.12
+"""From the flange to the point that is watched [m]."""
+
+_POLL = 0.004  # how often a controller asks whether the arm stands [s]
+
+
+class Trace:
+    """Collects what a plant's observer is told."""
+
+    def __init__(self) -> None:
+        self.references: list[Reference] = []
+        self.steps: list[list[tuple[Floats, Floats]]] = []
+
+    def __call__(self, reference: Reference, times: Floats, axes: Floats) -> None:
+        """As `cell.plant.mujoco_plant.Observer`."""
+        if not self.references or self.references[-1] is not reference:
+            self.references.append(reference)
+            self.steps.append([])
+        self.steps[-1].append((times, axes))
+
+    def axes(self) -> tuple[Floats, Floats]:
+        """Times (N,) since the first reference's begin and axes (N, 6) of the first reference."""
+        times, axes = (np.concatenate(parts) for parts in zip(*self.steps[0], strict=True))
+        return times, axes
+
+    def errors(self, kinematics: Kr16Kinematics, T_flange_scanner: Floats) -> dict[str, Floats]:
+        """Per step: reference and true position (N, 3) [m], speed (N,) [m/s], path deviation (N,) [m]."""
+        found: dict[str, list[Floats]] = {"reference": [], "true": [], "velocity": [], "off": []}
+
+        def position(q: Floats) -> Floats:
+            return np.asarray((kinematics.forward(q) @ T_flange_scanner)[:, :3, 3])
+
+        for reference, steps in zip(self.references, self.steps, strict=True):
+            times, axes = (np.concatenate(parts) for parts in zip(*steps, strict=True))
+            ahead = position(reference.sample(times + 5e-6)[0]) - position(reference.sample(times - 5e-6)[0])
+            path = position(reference.sample(np.linspace(0.0, reference.duration, 20_000))[0])
+            true = position(axes)
+            found["reference"].append(position(reference.sample(times)[0]))
+            found["true"].append(true)
+            found["velocity"].append(ahead / 1e-5)
+            found["off"].append(_to_polyline(true, path))
+        return {name: np.concatenate(parts) for name, parts in found.items()}
+
+
+def _to_polyline(points: Floats, path: Floats) -> Floats:
+    """(N,) distance of points (N, 3) to a dense path (M, 3): to the segments beside the nearest vertex."""
+    nearest = cKDTree(path).query(points)[1]
+    best = np.full(len(points), np.inf)
+    for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(path) - 2)):
+        a, b = path[first], path[first + 1]
+        length = np.maximum(((b - a) ** 2).sum(axis=1), 1e-30)
+        s = np.clip(((points - a) * (b - a)).sum(axis=1) / length, 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(points - a - s[:, None] * (b - a), axis=1))
+    return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OneMove:
+    """The move as it was simulated.
+
+    Attributes:
+        outcome: settled; restless (not at rest within the time that the controller gives); failed.
+        trace: every step.
+        duration: of the reference [s].
+        processor_s: what the simulation of it took.
+        waited: until the arm stood after the reference's end [s].
+    """
+
+    outcome: str
+    trace: Trace
+    duration: float
+    processor_s: float
+    waited: float
+
+    def tracking_error(self) -> float:
+        """Largest distance of the point on the flange from its reference at the same time [m]."""
+        errors = self.trace.errors(Kr16Kinematics.from_model(load()), _mount())
+        return float(np.linalg.norm(errors["true"] - errors["reference"], axis=1).max())
+
+    def positions(self) -> tuple[Floats, Floats]:
+        """Times (N,) [s] and positions (N, 3) [m] of the point on the flange, at each step."""
+        times, axes = self.trace.axes()
+        return times, np.asarray((Kr16Kinematics.from_model(load()).forward(axes) @ _mount())[:, :3, 3])
+
+
+def one_move(settings: Settings) -> OneMove:
+    """Drive it with a plant of these settings."""
+    limits = kr16()
+    reference = interpolate(HOME, MOVE, limits.velocity, limits.acceleration)
+    trace = Trace()
+    plant: Any = factory.built_in(settings, trace)["mujoco"](HOME)
+    plant.follow(reference)
+    spent = process_time()
+    plant.advance(reference.duration)
+    spent = process_time() - spent
+    waited = 0.0
+    while not plant.settled and not plant.failure and waited < SETTLE_LIMIT:
+        plant.advance(_POLL)
+        waited += _POLL
+    outcome = "failed" if plant.failure else "settled" if plant.settled else "restless"
+    return OneMove(outcome, trace, reference.duration, spent, waited)
+
+
+def _mount() -> Floats:
+    T = np.eye(4)
+    T[2, 3] = MOUNT
+    return T
