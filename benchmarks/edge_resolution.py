@@ -100,10 +100,15 @@ def chart(rows: list[dict[str, Any]], folder: Any) -> None:
         points = [row for row in rows if row["way"] == way]
         share = [100 * row["contacts missed"] / row["in contact"] for row in points]
         axes.plot([row["ms a move"] for row in points], share, "o-", color=colour, label=f"{way} looked for")
-        for row, y in zip(points, share, strict=True):
-            axes.annotate(
-                f"{row['step deg']:g}°", (row["ms a move"], y), xytext=(4, 4), textcoords="offset points", fontsize=7
-            )
+        if way.endswith("contact"):  # the other line's steps lie below the same marks
+            for row, y in zip(points, share, strict=True):
+                axes.annotate(
+                    f"{row['step deg']:g}°",
+                    (row["ms a move"], y),
+                    xytext=(4, 6),
+                    textcoords="offset points",
+                    fontsize=8,
+                )
     point = next(row for row in rows if row["way"] == "certified")
     axes.plot(
         point["ms a move"], 100 * point["contacts missed"] / point["in contact"], "s", color="C0", ms=8,
