@@ -27,12 +27,12 @@ import numpy as np
 from drivers import register_map as registers
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
-from drivers.commands import Answer, Command, Move, Result, Stop
+from drivers.commands import Answer, Command, Move, Stop
 from drivers.contract import Capabilities, Fault, Mode, RobotState
 from drivers.errors import DriverUrlError, LinkLostError, ProtocolError
 from drivers.registry import Context
 from drivers.reopening import ReopeningLink
-from drivers.serial_link import port_path
+from drivers.serial_link import port_path, require_taken
 from drivers.setpoints import SetPoints
 from drivers.url import DriverUrl
 from drivers.wire import Patience, pieces, speed_from_wire
@@ -84,11 +84,13 @@ class ModbusLink(ReopeningLink):
             stages, commit = pieces(command, registers.POINTS_PER_BLOCK)
             for stage in stages:
                 block = {"command": registers.STAGE, "offset": stage.offset}
-                self._again(partial(self._command, sequence, block, stage.points))
+                require_taken(self._again(partial(self._command, sequence, block, stage.points)))
             block = {
                 "command": registers.MOVE, "speed": commit.speed, "count": commit.count, "points_crc": commit.crc
             }  # fmt: skip
-            return self._command(sequence, block, commit.tail)
+            answer = self._command(sequence, block, commit.tail)
+            require_taken(answer)
+            return answer
         return self._command(sequence, {"command": registers.STOP if isinstance(command, Stop) else registers.RESET})
 
     def state(self) -> RobotState:
@@ -121,8 +123,6 @@ class ModbusLink(ReopeningLink):
             raise ProtocolError(
                 f"the controller answers command {answered}, not {sequence}; another client talks to it"
             )
-        if result == Result.INCOMPLETE:
-            raise ProtocolError(Result.INCOMPLETE.sentence)
         return Answer(sequence, result)
 
     def _write(self, block: Mapping[str, int], points: SetPoints | None = None) -> None:

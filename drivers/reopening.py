@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.contract import Capabilities, RobotState
-from drivers.errors import LinkError, LinkLostError, NotConnectedError, ProtocolError
+from drivers.errors import AnswerTimeoutError, LinkError, LinkLostError, NotConnectedError, ProtocolError
 from drivers.wire import Patience, Pulse
 
 T = TypeVar("T")
@@ -90,7 +90,7 @@ class ReopeningLink(ABC):
                 asked += 1
                 if asked >= self._patience.tries and self._clock.now() - began >= self._patience.watchdog:
                     raise
-                if isinstance(error, LinkLostError):
+                if not isinstance(error, AnswerTimeoutError):  # that one has waited already
                     self._clock.wait(self._patience.poll)
 
     def _require_open(self) -> None:

@@ -109,11 +109,11 @@ class SerialLink(ReopeningLink):
         if isinstance(command, Move):
             stages, request = pieces(command, POINTS_PER_FRAME)
             for stage in stages:
-                _require_taken(self._again(partial(self._ask, sequence, stage, partial(answer_of, kind="POINTS"))))
+                require_taken(self._again(partial(self._ask, sequence, stage, partial(answer_of, kind="POINTS"))))
         else:
             request = command
         answer = self._ask(sequence, request, partial(answer_of, kind=kind_of(request)))
-        _require_taken(answer)
+        require_taken(answer)
         return answer
 
     def state(self) -> RobotState:
@@ -162,7 +162,7 @@ class SerialLink(ReopeningLink):
         raise AnswerTimeoutError(f"{self._port.name} brought no answer to {kind} {waited}{others}")
 
 
-def _require_taken(answer: Answer) -> None:
+def require_taken(answer: Answer) -> None:
     """What was not understood as it was meant has executed nothing; the client looks into the state."""
     if answer.result == Result.INCOMPLETE:
         raise ProtocolError(Result.INCOMPLETE.sentence)

@@ -6,6 +6,7 @@ telegram, the end of a restart, the release of the emergency stop) waits in a qu
 
 import heapq
 import itertools
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol
@@ -62,7 +63,7 @@ class Server:
         self._rest: dict[int, tuple[float, bytes]] = {}
         self._later: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
-        self._mute_until = 0.0
+        self._mute_until = -math.inf
         self._down = False
         self._moves = station.endpoint.moves
         if injector:

@@ -110,10 +110,10 @@ class Emulated:
         assert url, "the emulator did not start"
         return url
 
-    def entries(self, event: str) -> list[dict[str, Any]]:
-        """What the journal says of one kind of event, in order."""
+    def entries(self, *events: str) -> list[dict[str, Any]]:
+        """What the journal says of some kinds of events, of all where none is given, in order."""
         found = [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()]
-        return [entry for entry in found if entry["event"] == event]
+        return [entry for entry in found if not events or entry["event"] in events]
 
     def end(self) -> int:
         """End it as Ctrl-C does."""

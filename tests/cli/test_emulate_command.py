@@ -1,0 +1,75 @@
+"""`cell emulate` and the drivers' URLs: what cannot be gets one sentence; libraries are imported when chosen."""
+
+import subprocess
+import sys
+
+import pytest
+
+from drivers.errors import DriverUrlError
+from drivers.registry import open_driver
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "code"),
+    [
+        (("smoke",), "one of serial, modbus, modbus-rtu", 2),
+        (("serial", "--port", "5020"), "--port is for cell emulate modbus", 2),
+        (("modbus", "--link", "x"), "--link is for pseudo-terminals", 2),
+        (("modbus", "--faults", "dorp=0.1"), "no fault is called 'dorp'; did you mean 'drop'", 2),
+        (("modbus", "--faults", "drop=2"), "a number from 0 to 1", 2),
+        (("modbus", "--faults", "drop@3"), "has a time", 2),
+        (("modbus", "--faults", "drop=0.1:3"), "takes none", 2),
+        (("modbus", "--start", "1,2,3"), "six numbers", 2),
+        (("modbus", "--start", "0,90,90,0,90,0"), "outside the controller's limits", 5),
+        (("modbus", "--time-scale", "0"), "above 0", 2),
+        (("serial", "--baud", "12345"), "does not exist", 5),
+        (("modbus", "--plant", "rubber"), "must be one of: ideal, mujoco", 2),
+    ],
+)
+def test_what_cannot_be_emulated_gets_one_sentence(
+    arguments: tuple[str, ...], words: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And its exit code."""
+    from cell.cli import main
+
+    with pytest.raises(SystemExit) as end:
+        main(["emulate", *arguments, "--seconds", "0"])
+    captured = capsys.readouterr().err
+    assert words in captured.replace("\n", " ")
+    assert end.value.code == code
+
+
+def test_nothing_of_the_libraries_is_imported_before_it_is_chosen() -> None:
+    """In a fresh process: `sim://` takes neither pyserial nor pymodbus, `serial://` takes no pymodbus."""
+    code = (
+        "import sys; from drivers.registry import open_driver; open_driver('sim://')\n"
+        "assert not {'serial', 'pymodbus'} & set(sys.modules)\n"
+        "open_driver('serial:///dev/ttyUSB0')\n"
+        "assert 'serial' in sys.modules and 'pymodbus' not in sys.modules\n"
+        "import drivers.serve, drivers.modbus_station, drivers.modbus_link\n"
+        "assert 'pymodbus' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("serial://?baud=9600", "names no port"),
+        ("serial://host/dev/x", "names no port"),
+        ("serial:///dev/x?baud=fast", "baud=fast"),
+        ("serial:///dev/x?unit=1", "no option 'unit'"),
+        ("serial:///dev/x?watchdog_ms=50", "watchdog_ms=50"),
+        ("serial:///dev/x?timeout_ms=500", "at least 3 times the timeout"),
+        ("modbus://", "must name a host"),
+        ("modbus://host/path", "no path"),
+        ("modbus://host?unit=300", "1 to 247"),
+        ("modbus://host?baud=9600", "no option 'baud'"),
+        ("modbus+rtu://?unit=1", "names no port"),
+        ("modbus+rtu:///dev/x?poll_ms=900", "twice the poll"),
+    ],
+)
+def test_a_wrong_url_of_a_wire_gets_one_sentence(url: str, words: str) -> None:
+    """Before anything is opened."""
+    with pytest.raises(DriverUrlError, match=words):
+        open_driver(url)

@@ -1,0 +1,220 @@
+"""Executions that end in the middle and go on: every view is scanned exactly once, to the bit, whatever killed them.
+
+The full form, 50 kills of client and emulator each, is `python -m benchmarks kills`.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+_FAST = ("--time-scale", "20")
+
+
+def _scans(execution: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((execution / "scans").glob("*.npz"))}
+
+
+def _events(execution: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (execution / "events.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture
+def run_folder(planned: Path, tmp_path: Path) -> Path:
+    """A finished plan of its own, without executions."""
+    folder = tmp_path / "run"
+    shutil.copytree(planned, folder, ignore=shutil.ignore_patterns("executions"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def undisturbed(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The scans of an execution that nothing happens to."""
+    folder = tmp_path_factory.mktemp("undisturbed") / "run"
+    shutil.copytree(planned, folder, ignore=shutil.ignore_patterns("executions"))
+    done = run_cell("scan", str(folder), "--resolution", "2", cwd=folder.parent)
+    assert done.returncode == 0, done.stderr
+    scans = _scans(folder / "executions" / "0001")
+    assert len(scans) >= 3
+    return scans
+
+
+def _begin(run: Path, *arguments: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "cell", "scan", str(run), "--resolution", "2", *arguments],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def _wait_for_scans(run: Path, count: int, process: "subprocess.Popen[str]") -> None:
+    deadline = time.monotonic() + 120
+    while len(list((run / "executions").glob("0001/scans/*.npz"))) < count:
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("protocol", ["serial", "modbus"])
+def test_a_killed_client_goes_on_and_scans_every_view_once(
+    protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+) -> None:
+    """Kill -9 after the first scan: the controller stops by itself; the resumed scans are those of a quiet day."""
+    emulated = emulate(protocol, *_FAST)
+    process = _begin(run_folder, "--driver", emulated.url, "--confirm-motion", "--speed", "100")
+    _wait_for_scans(run_folder, 1, process)
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    left = len(_scans(run_folder / "executions" / "0001"))
+    assert 1 <= left < len(undisturbed)
+    again = ("scan", str(run_folder), "--resume", "latest", "--confirm-motion", "--speed", "100")
+    done = run_cell(*again, "--reset", cwd=run_folder.parent)
+    assert done.returncode == 0, done.stderr
+    assert f"{left} views are scanned already" in done.stderr
+    execution = run_folder / "executions" / "0001"
+    assert _scans(execution) == undisturbed
+    assert [event["stop"] for event in _events(execution) if event["event"] == "scan"] == sorted(
+        {event["stop"] for event in _events(execution) if event["event"] == "scan"}
+    )
+    manifest = json.loads((execution / "manifest.json").read_text())
+    assert manifest["status"] == "finished"
+    assert len(manifest["resumed"]) == 1
+    done = run_cell(*again, cwd=run_folder.parent)
+    assert done.returncode == 2
+    assert "nothing to resume" in done.stderr
+
+
+def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
+    run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+) -> None:
+    """Kill -9 of the emulator in the middle: exit code 5; after its restart the arm stands where it stood."""
+    emulated = emulate("modbus", *_FAST)
+    process = _begin(run_folder, "--driver", emulated.url, "--confirm-motion", "--speed", "100")
+    _wait_for_scans(run_folder, 1, process)
+    os.kill(emulated.process.pid, signal.SIGKILL)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 5, said
+    restarted = emulate("modbus", *_FAST, beside=emulated)
+    done = run_cell(
+        "scan", str(run_folder), "--resume", "0001", "--driver", restarted.url, "--confirm-motion", "--speed", "100",
+        "--reset", cwd=run_folder.parent,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert _scans(run_folder / "executions" / "0001") == undisturbed
+
+
+def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
+    run_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
+) -> None:
+    """After a failure the simulated arm stands at home again; the way to the first missing view is planned anew."""
+    done = run_cell("scan", str(run_folder), "--resolution", "2", cwd=run_folder.parent)
+    assert done.returncode == 0, done.stderr
+    execution = run_folder / "executions" / "0001"
+    manifest = json.loads((execution / "manifest.json").read_text())
+    missing = [name for name in sorted(undisturbed) if name != "0001.npz"]
+    for name in missing:
+        (execution / "scans" / name).unlink()
+    (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
+    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
+    assert done.returncode == 0, done.stderr
+    assert "a new way to view 2 was planned" in done.stderr
+    assert _scans(execution) == undisturbed
+
+
+def test_a_damaged_scan_is_taken_again_and_the_others_are_not(
+    run_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
+) -> None:
+    """The arm drives through the views that are confirmed without scanning them."""
+    run_cell("scan", str(run_folder), "--resolution", "2", cwd=run_folder.parent)
+    execution = run_folder / "executions" / "0001"
+    (execution / "scans" / "0002.npz").write_bytes(b"torn")
+    manifest = json.loads((execution / "manifest.json").read_text())
+    (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
+    before = len(_events(execution))
+    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
+    assert done.returncode == 0, done.stderr
+    assert "0002.npz" in done.stderr
+    assert [event["stop"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
+    assert _scans(execution) == undisturbed
+
+
+@pytest.mark.parametrize("protocol", ["serial", "modbus", "modbus-rtu"])
+def test_every_wire_gives_the_same_scans_to_the_bit(
+    protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+) -> None:
+    """Set-points are integers on every wire, so the reported poses are the same numbers."""
+    emulated = emulate(protocol, "--time-scale", "1000")
+    done = run_cell(
+        "scan", str(run_folder), "--resolution", "2", "--driver", emulated.url, "--confirm-motion", "--speed", "100",
+        cwd=run_folder.parent,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert _scans(run_folder / "executions" / "0001") == undisturbed
+    moved = [entry for entry in emulated.entries("move")]
+    assert len(moved) >= len(undisturbed)
+
+
+def test_what_moves_steel_is_refused_without_a_word_and_leaves_nothing(
+    run_folder: Path, emulate: Callable[..., Any], run_cell: Run
+) -> None:
+    """No terminal and no --confirm-motion: exit code 2, no execution, no move."""
+    emulated = emulate("modbus", *_FAST)
+    done = run_cell("scan", str(run_folder), "--driver", emulated.url, cwd=run_folder.parent)
+    assert done.returncode == 2, done.stderr
+    assert "--confirm-motion" in done.stderr
+    assert not (run_folder / "executions").exists()
+    assert emulated.entries("move") == []
+
+
+def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
+    run_folder: Path, emulate: Callable[..., Any], run_cell: Run
+) -> None:
+    """No path between them was checked."""
+    emulated = emulate("modbus", *_FAST, "--start", "5,-90,90,0,90,0")
+    done = run_cell("scan", str(run_folder), "--driver", emulated.url, "--confirm-motion", cwd=run_folder.parent)
+    assert done.returncode == 5, done.stderr
+    assert "the plan begins at" in done.stderr
+    assert emulated.entries("move") == []
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ({"status": "finished"}, 2, "nothing to resume"),
+        ({"status": "failed", "plan": "another"}, 6, "not of the plan"),
+        ({"status": "failed", "options": None}, 6, "manifest.json"),
+    ],
+    ids=["finished", "other plan", "damaged"],
+)
+def test_what_cannot_be_resumed_says_why(
+    change: dict[str, Any], code: int, words: str, run_folder: Path, run_cell: Run
+) -> None:
+    """One sentence and the exit code; the execution is left as it is."""
+    execution = run_folder / "executions" / "0001"
+    (execution / "scans").mkdir(parents=True)
+    plan = json.loads((run_folder / "manifest.json").read_text())["artefacts"]["plan.json"]
+    manifest = {"schema": "scan-cell/run/1", "status": "failed", "plan": plan, "seed": 3, "options": {}, **change}
+    (execution / "manifest.json").write_text(json.dumps(manifest))
+    kept = (execution / "manifest.json").read_bytes()
+    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
+    assert done.returncode == code, done.stderr
+    assert words in done.stderr
+    assert (execution / "manifest.json").read_bytes() == kept
+
+
+def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_cell: Run) -> None:
+    """An execution goes on as it was begun."""
+    done = run_cell("scan", str(run_folder), "--resume", "latest", "--resolution", "1", cwd=run_folder.parent)
+    assert done.returncode == 2
+    assert "--resume goes on" in done.stderr
+    assert np.array_equal(list((run_folder).glob("executions")), [])
