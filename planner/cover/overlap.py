@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from planner.cover import demand_search
 from planner.cover.answer import told
@@ -23,7 +23,7 @@ from planner.cover.budget import Budget
 from planner.cover.demand_search import Graph, connected, parts_of
 from planner.cover.demands import DemandProblem
 from planner.cover.prepared import Prepared, prepare
-from planner.cover.problem import Ints
+from planner.cover.problem import Floats, Ints
 from planner.cover.selection import Cover, solve
 from planner.errors import PlannerError
 from planner.readonly import readonly
@@ -34,6 +34,7 @@ OVERLAP_WORK = 1_000_000_000
 UNCONNECTED_SHARE = 0.4
 """Of the budget, for the cover without the constraint: it is the start and the bound."""
 
+_BLOCK = 512  # columns whose shared areas are looked at at a time
 _ROUNDING = 1e-9  # share of an overlap that rounding may have taken from it
 
 
@@ -84,9 +85,9 @@ class OverlapCover:
     status: OverlapStatus
     unconnected_views: int
     part: Ints
-    part_area: np.ndarray[Any, np.dtype[np.float64]]
-    shared_area: np.ndarray[Any, np.dtype[np.float64]]
-    joined: np.ndarray[Any, np.dtype[np.bool_]]
+    part_area: Floats
+    shared_area: Floats
+    joined: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
         n = len(self.cover.views)
@@ -122,8 +123,8 @@ class OverlapCover:
         )
 
 
-def joined_columns(M: Any, areas: ArrayLike, overlap: Overlap) -> tuple[Graph, Any]:
-    """Which columns of a matrix are joined, and the area that each two share.
+def joined_columns(M: Any, areas: ArrayLike, overlap: Overlap) -> Graph:
+    """Which columns of a matrix are joined.
 
     Args:
         M: (S, V) matrix, True where a column measures a row.
@@ -131,20 +132,36 @@ def joined_columns(M: Any, areas: ArrayLike, overlap: Overlap) -> tuple[Graph, A
         overlap: when two count as joined.
 
     Returns:
-        (V, V) 1 where joined, 0 on the diagonal; and the (V, V) dense shared areas [m^2].
+        (V, V) 1 where joined, 0 on the diagonal.
     """
-    weights = np.asarray(areas, dtype=np.float64)
-    matrix = sp.csr_array(M, dtype=bool).astype(np.float64)
-    shared = np.asarray((matrix.T @ (sp.diags_array(weights) @ matrix)).todense())
-    own = np.diag(shared)
-    if overlap.area is not None:
-        least: Any = overlap.area
-    else:
-        assert overlap.share is not None, "Overlap holds one of the two"
-        least = overlap.share * np.minimum(own[:, None], own[None, :])
-    adjacent = ((shared >= least * (1 - _ROUNDING)) & (shared > 0)).astype(np.uint8)
+    matrix, weighted, own = _weighted(M, areas)
+    n = matrix.shape[1]
+    adjacent = np.zeros((n, n), dtype=np.uint8)
+    for first in range(0, n, _BLOCK):  # shared areas of all pairs at once would be 8 bytes each
+        some = slice(first, first + _BLOCK)
+        shared = (matrix[:, some].T @ weighted).toarray()
+        if overlap.area is not None:
+            least: Any = overlap.area
+        else:
+            assert overlap.share is not None, "Overlap holds one of the two"
+            least = overlap.share * np.minimum(own[some, None], own[None, :])
+        adjacent[some] = (shared >= least * (1 - _ROUNDING)) & (shared > 0)
     np.fill_diagonal(adjacent, 0)
-    return adjacent, shared
+    return adjacent
+
+
+def shared_areas(M: Any, areas: ArrayLike) -> Floats:
+    """(V, V) area that each two columns share [m^2]; the diagonal is their own. Arguments as in `joined_columns`."""
+    matrix, weighted, _ = _weighted(M, areas)
+    return np.asarray((matrix.T @ weighted).toarray())
+
+
+def _weighted(M: Any, areas: ArrayLike) -> tuple[Any, Any, Floats]:
+    """The matrix, the matrix times areas, and the area of each column."""
+    weights = np.asarray(areas, dtype=np.float64)
+    matrix: Any = sp.csc_array(M, dtype=bool).astype(np.float64)
+    weighted: Any = sp.csc_array(sp.diags_array(weights) @ matrix)
+    return matrix, weighted, np.asarray(matrix.T @ weights)
 
 
 def overlap_cover(
@@ -191,7 +208,7 @@ def overlap_cover(
     work.spent = free.work
     ready = prepare(M, areas, allowed, pinned, banned, coverage=coverage)
     problem = DemandProblem.of_cover(ready.found.problem)
-    adjacent, _ = joined_columns(ready.found.problem.matrix(), ready.found.areas[ready.found.rows], overlap)
+    adjacent = joined_columns(ready.found.problem.matrix(), ready.found.areas[ready.found.rows], overlap)
     start = np.flatnonzero(np.isin(ready.found.columns, free.views))
     if problem.trivial and not len(start):
         chosen = start
@@ -264,7 +281,7 @@ def _result(ready: Prepared, cover: Cover, overlap: Overlap, unconnected: int) -
     for k, view in enumerate(cover.views.tolist()):
         if view in place:
             measured[problem.rows_of([place[view]]), k] = True
-    joined, shared = joined_columns(measured, areas, overlap)
+    joined = joined_columns(measured, areas, overlap)
     labels = parts_of(joined, np.arange(n))
     by_part = [float(areas[measured[:, labels == k].any(axis=1)].sum()) for k in range(int(labels.max(initial=-1)) + 1)]
     order = sorted(range(len(by_part)), key=lambda k: (-by_part[k], k))
@@ -280,6 +297,6 @@ def _result(ready: Prepared, cover: Cover, overlap: Overlap, unconnected: int) -
         unconnected_views=unconnected,
         part=rank[labels] if n else labels,
         part_area=np.array([by_part[k] for k in order]),
-        shared_area=shared,
+        shared_area=shared_areas(measured, areas),
         joined=joined.astype(bool),
     )

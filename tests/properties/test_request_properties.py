@@ -57,7 +57,7 @@ def test_what_is_called_connected_is(problem, share, coverage, seed):
         assert (covered == coverable).all()
     else:
         assert areas[covered].sum() >= coverage * areas[coverable].sum() * (1 - 1e-9)
-    adjacent, _ = joined_columns(M, areas, Overlap(share=share))
+    adjacent = joined_columns(M, areas, Overlap(share=share))
     graph = nx.from_numpy_array(adjacent[np.ix_(views, views)])
     parts = nx.number_connected_components(graph)
     assert parts == len(found.part_area) == len(set(found.part.tolist()))
