@@ -25,6 +25,9 @@ from planner.cover.problem import CoverProblem, Floats, Ints, gather, set_hash
 SUBSET_WORK = 400_000_000
 """Largest number of 64-bit words that one pass of subset tests may compare (about half a second)."""
 
+SET_WORK = 8000
+"""What the NumPy calls for one set cost beyond the words they compare, in words."""
+
 LARGE, WORTHWHILE = 200_000, 0.02
 """A matrix with more ones than this gets another round only when the last one removed at least this share of them."""
 
@@ -208,7 +211,7 @@ def _packed(start: Ints, members: Ints, n_members: int, comparisons: Ints) -> ND
     """The sets as (N, words) bit masks; None where that many comparisons of two sets would exceed `SUBSET_WORK`."""
     n_sets = len(start) - 1
     words = (n_members + 63) // 64
-    if int(comparisons.sum()) * words > SUBSET_WORK:
+    if int(comparisons.sum()) * words + n_sets * SET_WORK > SUBSET_WORK:
         return None
     packed = np.zeros((n_sets, words * 8), dtype=np.uint8)
     block = max(1, 4_000_000 // (words * 64))  # bounds the unpacked block at 4 MB
