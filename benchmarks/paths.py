@@ -1,7 +1,7 @@
 """Collision-free paths on seeded scenes: where RRT-Connect finds one, beside ompl over the same certified edges.
 
 In each scene two pairs of reachable set-points are drawn between which the straight move is blocked: any two, and two
-out of the twelve that are nearest to something. `planner.path.connect` searches with its default budget, then, where
+out of the twelve (or more) that are nearest to something. `planner.path.connect` searches with its default budget, then, where
 that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and sampling, edges certified by `planner.edge` as ours)
 searches for `_SECONDS` where ours failed, and on every fifth scene for comparison. ompl is no dependency of the
 project: `pip install ompl`.
@@ -111,14 +111,16 @@ def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
     """Two set-points of different views between which the straight move is blocked."""
     rng, q = np.random.default_rng(cell.number), cell.reach.q
     view = np.repeat(np.arange(len(cell.reach)), np.diff(cell.reach.offsets))
+    order = rng.choice(len(q), min(len(q), _DRAWN), replace=False)
     if case == "near something":
-        drawn = rng.choice(len(q), min(len(q), _DRAWN), replace=False)
-        nearest = drawn[np.argsort(cell.checker.distance(q[drawn])[0])][:_NEAREST]
-        q, view = q[nearest], view[nearest]
-    for _ in range(_PAIRS):
-        i, j = rng.integers(0, len(q), 2)
-        if view[i] != view[j] and not certify(q[i], q[j], cell.checker, ends_free=True)[0]:
-            return q[i], q[j]
+        order = order[np.argsort(cell.checker.distance(q[order])[0])]
+    few = len(order) if case == "any" else _NEAREST
+    while few <= 2 * len(order):  # more of them where all moves between the nearest are free
+        for _ in range(_PAIRS):
+            i, j = order[rng.integers(0, min(few, len(order)), 2)]
+            if view[i] != view[j] and not certify(q[i], q[j], cell.checker, ends_free=True)[0]:
+                return q[i], q[j]
+        few *= 2
     raise RuntimeError(f"scene {cell.number} has no blocked move among {_PAIRS}")
 
 
