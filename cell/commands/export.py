@@ -47,6 +47,9 @@ def export(
     trigger_output: Annotated[
         int, typer.Option(metavar="N", help="$OUT that starts a scan.", rich_help_panel=_KRL)
     ] = 1,
+    gate_output: Annotated[
+        int, typer.Option(metavar="N", help="$OUT that is on while a sweep is driven.", rich_help_panel=_KRL)
+    ] = 2,
     done_input: Annotated[
         int, typer.Option(metavar="M", help="$IN by which the scanner says that it is done.", rich_help_panel=_KRL)
     ] = 1,
@@ -73,6 +76,7 @@ def export(
         raise UsageError(f"--format {kind} is not known; it must be one of {', '.join(Format)}")
     signals = {
         "trigger_output": trigger_output,
+        "gate_output": gate_output,
         "done_input": done_input,
         "timer": timer,
         "settle": settle,

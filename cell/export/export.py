@@ -70,8 +70,8 @@ def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
     """
     loaded = program.load(run_folder, wanted.name)
     options = KrlOptions(
-        _percent(wanted.speed_percent, loaded.speed),
-        _percent(wanted.acceleration_percent, loaded.acceleration),
+        _percent(wanted.speed_percent, loaded.told.speed),
+        _percent(wanted.acceleration_percent, loaded.told.acceleration),
         **wanted.signals,
     )
     contents = _contents(loaded, options, wanted.kind)
@@ -79,7 +79,7 @@ def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
     files = _write(folder, contents, replace=wanted.out is None)
     summary = {
         "format": wanted.kind.value,
-        "name": loaded.name,
+        "name": loaded.told.name,
         "files": [str(path) for path in files],
         "via_points": len(loaded.q),
         "views": loaded.views,
@@ -92,10 +92,13 @@ def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
 def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, bytes]:
     """Content by file name."""
     if kind is Format.KRL:
-        return {f"{loaded.name}.src": krl.source(loaded, options), f"{loaded.name}.dat": krl.data(loaded, options)}
+        return {
+            f"{loaded.told.name}.src": krl.source(loaded, options),
+            f"{loaded.told.name}.dat": krl.data(loaded, options),
+        }
     if kind is Format.CSV:
-        return {f"{loaded.name}.csv": tables.csv(loaded)}
-    return {f"{loaded.name}.json": tables.as_json(loaded)}
+        return {f"{loaded.told.name}.csv": tables.csv(loaded)}
+    return {f"{loaded.told.name}.json": tables.as_json(loaded)}
 
 
 def _percent(given: int | None, fraction: float) -> int:

@@ -10,8 +10,11 @@ interpreter from running ahead of the arm. A stop:
                                              so a timer counts up from -time-out; its flag is TRUE above 0
     $OUT[trigger]=FALSE
 
-After a time-out the program halts; Start makes the same scan again. The scanner takes its answer back when the
-trigger falls; an answer that still stands from the view before is waited for before the trigger rises.
+A sweep is one LIN between trigger and answer, from rest to rest; `$OUT[gate]` is TRUE while it is driven.
+
+After a time-out the program halts; Start makes the same scan again, a sweep after a LIN back to its beginning. The
+scanner takes its answer back when the trigger falls; an answer that still stands from the view before is waited for
+before the trigger rises.
 
 Numbers: joint angles exact to 1e-4 deg, lengths to 1e-3 mm, angles of frames to 1e-4 deg (a REAL of KRL has 7
 digits). Lines end with CR LF; characters are ASCII.
@@ -23,13 +26,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.errors import UsageError
-from cell.export.program import Kind, Program, angles_deg
+from cell.export.program import Kind, Program, Sweep, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
 from planner.ports import Floats
 from planner.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
 
 _EXTERNAL = ",E1 0,E2 0,E3 0,E4 0,E5 0,E6 0"
 _AT_HOME_DEG = 0.1  # so far from home the program refuses to start
+_LEAST_SPEED = 0.001  # of a line whose TCP only turns [m/s]
+_LEAST_RATE_DEG, _FREE_RATE_DEG = 0.05, 200.0  # a line that turns less does not turn; what KUKA sets itself [deg/s]
 _HIGHEST_SIGNAL, _HIGHEST_TIMER = 4096, 32  # of $IN and $OUT, and of $TIMER, on a KR C4
 
 
@@ -41,27 +46,26 @@ class KrlOptions:
         speed_percent: of the axis speeds, 1 to 100.
         acceleration_percent: of the axis accelerations, 1 to 100.
         trigger_output: number of $OUT that tells the scanner to scan.
+        gate_output: number of $OUT that is on while a sweep is driven.
         done_input: number of $IN by which the scanner says that it has.
         timer: number of $TIMER that measures the time-out.
         settle: standstill before a scan [s].
         timeout: longest wait for the scanner [s].
-        lin_speed: TCP speed along a sweep [m/s].
-        lin_acceleration: TCP acceleration along a sweep [m/s^2].
     """
 
     speed_percent: int
     acceleration_percent: int
     trigger_output: int = 1
+    gate_output: int = 2
     done_input: int = 1
     timer: int = 1
     settle: float = 0.2
     timeout: float = 10.0
-    lin_speed: float = 0.05
-    lin_acceleration: float = 0.5
 
     def __post_init__(self) -> None:
         for name, value, most in (
             ("--trigger-output", self.trigger_output, _HIGHEST_SIGNAL),
+            ("--gate-output", self.gate_output, _HIGHEST_SIGNAL),
             ("--done-input", self.done_input, _HIGHEST_SIGNAL),
             ("--timer", self.timer, _HIGHEST_TIMER),
             ("--speed", self.speed_percent, 100),
@@ -72,6 +76,10 @@ class KrlOptions:
         for name, seconds, least in (("--settle", self.settle, 0.0), ("--timeout", self.timeout, 0.1)):
             if not least <= seconds <= 3600:
                 raise UsageError(f"{name} {seconds:g} is not possible; it must be from {least:g} to 3600 s")
+        if self.gate_output == self.trigger_output:
+            raise UsageError(
+                f"--trigger-output and --gate-output are both {self.gate_output}; a sweep needs two outputs of its own"
+            )
 
 
 def source(program: Program, options: KrlOptions) -> bytes:
@@ -89,7 +97,7 @@ def _file(lines: Iterator[str]) -> bytes:
 
 
 def _source(program: Program, options: KrlOptions) -> Iterator[str]:
-    yield from ("&ACCESS RVP", "&REL 1", f"DEF {program.name}( )")
+    yield from ("&ACCESS RVP", "&REL 1", f"DEF {program.told.name}( )")
     yield from _comments(program)
     yield from _BEGIN
     yield f"BAS(#VEL_PTP,{options.speed_percent})"
@@ -98,11 +106,14 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
     yield "; axis angles, which no base moves"
     yield "$BASE={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}"
     yield "$TOOL=SC_TOOL"
-    yield f"$VEL.CP={options.lin_speed:.4f}"
-    yield f"$ACC.CP={options.lin_acceleration:.4f}"
+    if program.sweeps:
+        yield "; along a line the orientation turns evenly from its beginning to its end; the base stands still"
+        yield from ("$ORI_TYPE=#VAR", "$IPO_MODE=#BASE")
     yield "; nothing runs ahead of the arm, and every motion ends in an exact stop"
     yield "$ADVANCE=0"
     yield "$OUT[SC_TRIGGER]=FALSE"
+    if program.sweeps:
+        yield "$OUT[SC_GATE]=FALSE"
     yield ""
     yield "; the way to home was not checked: the program goes on only from there"
     yield "WHILE NOT SC_AT_HOME()"
@@ -110,6 +121,7 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
     yield "ENDWHILE"
     yield f"PTP {e6axis(program.q[0])} ; home: block coincidence"
     leg = -1
+    begins = {sweep.begin: sweep for sweep in program.sweeps}
     for row in range(1, len(program.q)):
         if program.leg[row] != leg:
             leg = int(program.leg[row])
@@ -117,10 +129,11 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
             to = f"to view {ahead.max()}" if ahead.max(initial=0) else "home"
             yield from ("", f"; leg {leg + 1}: {to}")
         if program.kinds[row] is Kind.LIN:
-            yield f"LIN {e6pos(program.T_base_tcp[row])}"
-        else:
-            yield f"PTP {e6axis(program.q[row])}"
-        if program.stop[row]:
+            continue
+        yield f"PTP {e6axis(program.q[row])}"
+        if row in begins:
+            yield from _sweep(program, begins[row])
+        elif program.stop[row]:
             yield f"SC_SCAN({program.stop[row]}) ; candidate {program.candidate[row]}"
     yield from ("", "END", "")
     yield from _SCAN
@@ -132,13 +145,46 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
     yield from ("RETURN TRUE", "ENDFCT")
 
 
+def _sweep(program: Program, sweep: Sweep) -> Iterator[str]:
+    """One line between trigger and answer; back and again while the scanner does not answer."""
+    own = slice(sweep.begin, sweep.end + 1)
+    number, candidate = int(program.stop[own].max()), int(program.candidate[own].max())
+    poses = int((program.pose[own] >= 0).sum())
+    yield f"; sweep of candidate {candidate}: {poses} poses at {sweep.speed * 1000:.2f} mm/s"
+    yield f"$VEL.CP={max(sweep.speed, _LEAST_SPEED):.5f}"
+    yield f"$ACC.CP={max(sweep.acceleration, _LEAST_SPEED):.5f}"
+    for swing in (1, 2):
+        yield f"$VEL.ORI{swing}={_rate(sweep.rate):.4f}"
+        yield f"$ACC.ORI{swing}={_rate(sweep.angular_acceleration):.4f}"
+    yield "SC_SCANNED=FALSE"
+    yield "WHILE NOT SC_SCANNED"
+    yield f"  SC_BEGIN({number})"
+    yield "  $OUT[SC_GATE]=TRUE"
+    yield f"  LIN {e6pos(program.T_base_tcp[sweep.end])}"
+    yield "  $OUT[SC_GATE]=FALSE"
+    yield "  SC_END( )"
+    yield "  IF NOT SC_SCANNED THEN"
+    yield f"    LIN {e6pos(program.T_base_tcp[sweep.begin])}"
+    yield "  ENDIF"
+    yield "ENDWHILE"
+
+
+def _rate(radians: float) -> float:
+    """Degrees for a limit of the orientation; where a line does not turn, one that does not slow it down."""
+    degrees = float(np.degrees(radians))
+    return degrees if degrees > _LEAST_RATE_DEG else _FREE_RATE_DEG
+
+
 def _data(program: Program, options: KrlOptions) -> Iterator[str]:
-    yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT {program.name} PUBLIC")
+    yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT {program.told.name} PUBLIC")
     yield "; tool: the scanner frame on the flange, as it was planned; put the calibrated tool here only after planning"
     yield "; again with it, since the joint angles in the program depend on it"
     yield f"DECL FRAME SC_TOOL={frame(program.T_flange_tcp)}"
     yield "; number of $OUT that starts a scan, of $IN that says it is done, of the timer for the time-out"
     yield f"DECL INT SC_TRIGGER={options.trigger_output}"
+    if program.sweeps:
+        yield "; number of $OUT that is TRUE while a sweep is driven"
+        yield f"DECL INT SC_GATE={options.gate_output}"
     yield f"DECL INT SC_DONE={options.done_input}"
     yield f"DECL INT SC_TIMER={options.timer}"
     yield "; standstill before a scan [s], longest wait for the scanner [ms]"
@@ -148,17 +194,19 @@ def _data(program: Program, options: KrlOptions) -> Iterator[str]:
     yield f"DECL REAL SC_NEAR={_AT_HOME_DEG:.3f}"
     yield "; view that is scanned, for the one who reads it after a time-out; 0: none yet"
     yield "DECL INT SC_VIEW=0"
+    yield "; whether its scan is done"
+    yield "DECL BOOL SC_SCANNED=FALSE"
     yield "ENDDAT"
 
 
 def _comments(program: Program) -> Iterator[str]:
     """What the program is, and within which limits it moves."""
-    yield f"; {program.views} views of {program.part}, planned by scan-cell; run folder {program.run}"
-    yield f"; sha256 of its plan.json {program.plan_sha256}"
+    yield f"; {program.views} views of {program.told.part}, planned by scan-cell; run folder {program.told.run}"
+    yield f"; sha256 of its plan.json {program.told.plan_sha256}"
     yield "; before it runs: the same robot, tool, base, part and fixtures as in the plan; first in T1 at 10 %"
     yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"
-    if np.isfinite(program.clearance):
-        nearest = f"{program.clearance * 1000:.1f} mm ({program.between})"
+    if np.isfinite(program.told.clearance):
+        nearest = f"{program.told.clearance * 1000:.1f} mm ({program.told.between})"
         yield f"; nearest distance found along the planned motion: {nearest}"
     low, high = to_steps(program.q).min(axis=0), to_steps(program.q).max(axis=0)
     bounds = np.degrees(np.stack([program.limits.lower, program.limits.upper]))
@@ -203,30 +251,44 @@ _BEGIN = (
 
 _SCAN = (
     "DEF SC_SCAN(NUMBER :IN )",
-    "; stand, trigger, wait for the scanner; after a time-out halt, and on Start scan this view again",
+    "; scan a view at rest; after a time-out halt, and on Start scan it again",
     "DECL INT NUMBER",
-    "DECL BOOL SCANNED",
-    "SCANNED=FALSE",
-    "WHILE NOT SCANNED",
-    "  WAIT SEC SC_SETTLE",
-    "  SC_VIEW=NUMBER",
-    "  $TIMER_STOP[SC_TIMER]=TRUE",
-    "  $TIMER[SC_TIMER]=-SC_TIMEOUT",
-    "  $TIMER_STOP[SC_TIMER]=FALSE",
-    "  ; the answer to the view before must be gone",
-    "  WAIT FOR (NOT $IN[SC_DONE]) OR $TIMER_FLAG[SC_TIMER]",
-    "  IF NOT $IN[SC_DONE] THEN",
-    "    $OUT[SC_TRIGGER]=TRUE",
-    "    $TIMER[SC_TIMER]=-SC_TIMEOUT",
-    "    WAIT FOR $IN[SC_DONE] OR $TIMER_FLAG[SC_TIMER]",
-    "    SCANNED=$IN[SC_DONE]",
-    "    $OUT[SC_TRIGGER]=FALSE",
-    "  ENDIF",
-    "  $TIMER_STOP[SC_TIMER]=TRUE",
-    "  IF NOT SCANNED THEN",
-    "    ; time-out: the scanner did not answer, or its answer did not go away; SC_VIEW says at which view",
-    "    HALT",
-    "  ENDIF",
+    "SC_SCANNED=FALSE",
+    "WHILE NOT SC_SCANNED",
+    "  SC_BEGIN(NUMBER)",
+    "  SC_END( )",
     "ENDWHILE",
+    "END",
+    "",
+    "DEF SC_BEGIN(NUMBER :IN )",
+    "; stand, see that the answer to the view before is gone, trigger",
+    "DECL INT NUMBER",
+    "WAIT SEC SC_SETTLE",
+    "SC_VIEW=NUMBER",
+    "SC_CLOCK( )",
+    "WAIT FOR (NOT $IN[SC_DONE]) OR $TIMER_FLAG[SC_TIMER]",
+    "WHILE $IN[SC_DONE]",
+    "  HALT ; the answer to the view before did not go away",
+    "ENDWHILE",
+    "$OUT[SC_TRIGGER]=TRUE",
+    "END",
+    "",
+    "DEF SC_END( )",
+    "; wait for the scanner and take the trigger back; SC_SCANNED says whether it answered in time",
+    "SC_CLOCK( )",
+    "WAIT FOR $IN[SC_DONE] OR $TIMER_FLAG[SC_TIMER]",
+    "SC_SCANNED=$IN[SC_DONE]",
+    "$OUT[SC_TRIGGER]=FALSE",
+    "$TIMER_STOP[SC_TIMER]=TRUE",
+    "IF NOT SC_SCANNED THEN",
+    "  HALT ; time-out: the scanner did not answer; SC_VIEW says at which view",
+    "ENDIF",
+    "END",
+    "",
+    "DEF SC_CLOCK( )",
+    "; begin to measure the time-out: the timer counts up, its flag is TRUE above 0",
+    "$TIMER_STOP[SC_TIMER]=TRUE",
+    "$TIMER[SC_TIMER]=-SC_TIMEOUT",
+    "$TIMER_STOP[SC_TIMER]=FALSE",
     "END",
 )

@@ -26,6 +26,8 @@ from cell.scan.scene import kinematics_of
 from planner.ports import Floats, JointLimits
 from planner.readonly import readonly
 from planner.setpoints import STEPS_PER_DEGREE, to_steps
+from planner.sweep_line import rotation_vectors
+from planner.timing import Motion
 
 LONGEST_NAME = 24
 """Characters of a name in KRL."""
@@ -34,8 +36,9 @@ _RESERVED = """
 and as axis base bool brake case char circ circ_rel const continue decl def default deffct defdat delay do e6axis
 e6pos else end enddat endfct endfor endif endloop endswitch endwhile enum exit ext extfct false for frame global
 goto halt home if import in int interrupt is lin lin_rel load loop not or out path pos pto ptp ptp_rel public real
-repeat resume return sc_at_home sc_done sc_near sc_scan sc_settle sc_timeout sc_timer sc_tool sc_trigger sc_view seq
-signal spl slin sptp spline struc switch then to trigger true until wait when while xor
+repeat resume return sc_at_home sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan sc_scanned sc_settle sc_timeout
+sc_timer sc_tool sc_trigger sc_view seq signal spl slin sptp spline struc switch then to trigger true until wait
+when while xor
 """
 """Words of KRL, and what a program of ours defines itself."""
 
@@ -48,28 +51,15 @@ class Kind(StrEnum):
     LIN = "lin"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Program:
-    """The motion of a run, ready to be written.
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What is said about a program.
 
     Attributes:
         name: of the program.
-        part: name of the part, for comments.
+        part: name of the part.
         run: name of the run folder.
         plan_sha256: of plan.json.
-        kinds: N ways in which the via points are reached; the first is where the motion begins.
-        q: (N, 6) via points [rad], multiples of 1e-4 deg.
-        leg: (N,) leg that ends at or passes the via point, from 0.
-        stop: (N,) number of the view that is scanned at the via point, from 1 in visiting order; 0 for none.
-        candidate: (N,) row of viewpoints.npz of that view; -1 for none.
-        t: (N,) planned time at the via point [s], standstill for scans not counted.
-        T_base_flange: (N, 4, 4) [m].
-        T_base_tcp: (N, 4, 4) [m].
-        T_flange_tcp: (4, 4) the tool [m].
-        T_base_object: (4, 4) placement of the part [m].
-        status: (N,) S of E6POS.
-        turn: (N,) T of E6POS.
-        limits: joint limits that the plan was timed with.
         speed: fraction of the axis speeds that the plan was timed with.
         acceleration: the same of the accelerations.
         clearance: smallest distance found along the motion [m]; NaN where none was measured.
@@ -80,10 +70,62 @@ class Program:
     part: str
     run: str
     plan_sha256: str
+    speed: float
+    acceleration: float
+    clearance: float
+    between: str
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """The line of a sweep, from rest to rest.
+
+    Attributes:
+        begin: via point at which it begins.
+        end: via point at which it ends.
+        speed: of the TCP between its first and its last pose [m/s].
+        rate: of its turn there [rad/s].
+        acceleration: of the TCP before and after [m/s^2].
+        angular_acceleration: of its turn [rad/s^2].
+    """
+
+    begin: int
+    end: int
+    speed: float
+    rate: float
+    acceleration: float
+    angular_acceleration: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Program:
+    """The motion of a run, ready to be written.
+
+    Attributes:
+        told: what is said about it.
+        kinds: N ways in which the via points are reached; the first is where the motion begins.
+        q: (N, 6) via points [rad], multiples of 1e-4 deg.
+        leg: (N,) leg that ends at or passes the via point, from 0.
+        stop: (N,) number of the view that is scanned at the via point, from 1 in visiting order; 0 for none.
+        pose: (N,) pose of that view: 0 of a view at rest, -1 where none is.
+        candidate: (N,) row of viewpoints.npz of that view; -1 for none.
+        t: (N,) planned time at the via point [s], standstill for scans not counted.
+        T_base_flange: (N, 4, 4) [m].
+        T_base_tcp: (N, 4, 4) [m].
+        T_flange_tcp: (4, 4) the tool [m].
+        T_base_object: (4, 4) placement of the part [m].
+        status: (N,) S of E6POS.
+        turn: (N,) T of E6POS.
+        limits: joint limits that the plan was timed with.
+        sweeps: lines that are driven, in driving order; their via points have the kind `lin`, but for the first.
+    """
+
+    told: Told
     kinds: tuple[Kind, ...]
     q: Floats
     leg: NDArray[np.int64]
     stop: NDArray[np.int64]
+    pose: NDArray[np.int64]
     candidate: NDArray[np.int64]
     t: Floats
     T_base_flange: Floats
@@ -93,15 +135,12 @@ class Program:
     status: NDArray[np.int64]
     turn: NDArray[np.int64]
     limits: JointLimits
-    speed: float
-    acceleration: float
-    clearance: float
-    between: str
+    sweeps: tuple[Sweep, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", readonly("q", self.q, (len(self.kinds), 6)))
         n = len(self.q)
-        for name in ("leg", "stop", "candidate", "status", "turn"):
+        for name in ("leg", "stop", "pose", "candidate", "status", "turn"):
             object.__setattr__(self, name, readonly(name, getattr(self, name), (n,), np.int64))
         object.__setattr__(self, "t", readonly("t", self.t, (n,)))
         for name in ("T_base_flange", "T_base_tcp"):
@@ -137,38 +176,63 @@ def load(run_folder: Path, name: str | None) -> Program:
         raise FileError(
             f"{run_folder} holds no motion: its motion.npz visits no view, so there is nothing to export; plan again"
         )
+    if any("sweep" in view for view in run_reader.plan_json(run)["views"]) and not (motion.pose > 0).any():
+        raise FileError(
+            f"the views of {run_folder} are sweeps, and its motion holds only their first poses, as earlier versions "
+            "planned them; plan again"
+        )
     resolved = run_reader.resolved_scene(run)
-    T_flange_tcp = run_reader.transform(run, resolved, "T_flange_scanner")
     with understood(run.folder / "scene.resolved.json"):
         part = str(resolved["part"]["name"])
         speed, acceleration = float(resolved["speed_scaling"]), float(resolved["acceleration_scaling"])
-    kinematics = kinematics_of(run)
-    T_base_flange = kinematics.forward(motion.via_q)
-    at_view = motion.view >= 0
-    status, turn = status_and_turn(motion.via_q, kinematics)
     clearance, between = _nearest(run)
+    folder = run_folder.resolve().name
+    told = Told(
+        name=name if name is not None else _name_of(folder, digest),
+        part=part, run=folder, plan_sha256=digest, speed=speed, acceleration=acceleration, clearance=clearance,
+        between=between,
+    )  # fmt: skip
+    T_flange_tcp = run_reader.transform(run, resolved, "T_flange_scanner")
+    return of_motion(
+        motion, kinematics_of(run), T_flange_tcp, run_reader.transform(run, resolved, "T_base_object"), told
+    )
+
+
+def of_motion(
+    motion: Motion, kinematics: Kr16Kinematics, T_flange_tcp: Floats, T_base_object: Floats, told: Told
+) -> Program:
+    """The program of a motion.
+
+    Args:
+        motion: from home to home.
+        kinematics: of the arm.
+        T_flange_tcp: (4, 4) the tool [m].
+        T_base_object: (4, 4) placement of the part [m].
+        told: what is said about it.
+    """
+    T_base_flange = kinematics.forward(motion.via_q)
+    T_base_tcp = T_base_flange @ T_flange_tcp
+    at_view = np.flatnonzero(motion.view >= 0)
+    stop = np.zeros(len(motion.view), dtype=np.int64)
+    stop[at_view] = np.cumsum(np.diff(motion.view[at_view], prepend=-1) != 0)
+    status, turn = status_and_turn(motion.via_q, kinematics)
     return Program(
-        name=name if name is not None else _name_of(run_folder.resolve().name, digest),
-        part=part,
-        run=run_folder.resolve().name,
-        plan_sha256=digest,
-        kinds=(Kind.START, *[Kind.PTP] * (len(motion.via_q) - 1)),
+        told=told,
+        kinds=(Kind.START, *(Kind.LIN if line >= 0 else Kind.PTP for line in motion.line[1:])),
         q=motion.via_q,
         leg=motion.segment,
-        stop=np.where(at_view, np.cumsum(at_view), 0),
+        stop=stop,
+        pose=motion.pose,
         candidate=motion.view,
         t=motion.via_t,
         T_base_flange=T_base_flange,
-        T_base_tcp=T_base_flange @ T_flange_tcp,
+        T_base_tcp=T_base_tcp,
         T_flange_tcp=T_flange_tcp,
-        T_base_object=run_reader.transform(run, resolved, "T_base_object"),
+        T_base_object=T_base_object,
         status=status,
         turn=turn,
         limits=motion.limits,
-        speed=speed,
-        acceleration=acceleration,
-        clearance=clearance,
-        between=between,
+        sweeps=tuple(_sweep(motion, number, T_base_tcp) for number in range(int(motion.line.max()) + 1)),
     )
 
 
@@ -211,6 +275,25 @@ def status_and_turn(q: Floats, kinematics: Kr16Kinematics) -> tuple[NDArray[np.i
 def angles_deg(q: Floats) -> list[float]:
     """Joint angles in degrees as the multiples of 1e-4 that they are."""
     return [int(step) / STEPS_PER_DEGREE for step in to_steps(q)]
+
+
+def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:
+    """The line of a sweep, its speed told by the times at which its poses are passed.
+
+    The ramps take half a step each, four fifths of it to rise and one to ease (`planner.sweep_line`): a speed of a step
+    in the time d needs the acceleration step / (0.8 d^2).
+    """
+    own = np.flatnonzero(motion.line == number)
+    begin, end = int(own[0]) - 1, int(own[-1])
+    poses = begin + np.flatnonzero(motion.pose[begin : end + 1] >= 0)
+    first, last = int(poses[0]), int(poses[-1])
+    time = float(motion.via_t[last] - motion.via_t[first])
+    if time <= 0.0:
+        return Sweep(begin, end, 0.0, 0.0, 0.0, 0.0)
+    path = float(np.linalg.norm(T_base_tcp[last, :3, 3] - T_base_tcp[first, :3, 3]))
+    turn = float(np.linalg.norm(rotation_vectors(T_base_tcp[[last], :3, :3] @ T_base_tcp[first, :3, :3].T)))
+    each = 0.8 * time / (len(poses) - 1)
+    return Sweep(begin, end, path / time, turn / time, path / time / each, turn / time / each)
 
 
 def _name_of(folder: str, digest: str) -> str:

@@ -20,7 +20,7 @@ _AXES = tuple(f"A{axis}_deg" for axis in range(1, 7))
 _POSE = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
 
 COLUMNS = (
-    "number", "leg", "kind", "view", "candidate", "t_s", *_AXES,
+    "number", "leg", "kind", "view", "pose", "candidate", "t_s", *_AXES,
     *(f"tcp_{name}" for name in _POSE), *(f"flange_{name}" for name in _POSE), "status", "turn",
 )  # fmt: skip
 
@@ -29,7 +29,7 @@ def csv(program: Program) -> bytes:
     """The content of `<name>.csv`: a header and one line per via point."""
     lines = [",".join(COLUMNS)]
     for row in _rows(program):
-        flat = [*row[:6], *row[6], *row[7], *row[8], *row[9:]]
+        flat = [*row[:7], *row[7], *row[8], *row[9], *row[10:]]
         lines.append(",".join("" if value is None else str(value) for value in flat))
     return ("\n".join(lines) + "\n").encode()
 
@@ -37,10 +37,11 @@ def csv(program: Program) -> bytes:
 def as_json(program: Program) -> bytes:
     """The content of `<name>.json`."""
     points = []
-    for number, leg, kind, view, candidate, t, axes, tcp, flange, status, turn in _rows(program):
+    for number, leg, kind, view, pose, candidate, t, axes, tcp, flange, status, turn in _rows(program):
         points.append(
             {
-                "number": number, "leg": leg, "kind": kind, "view": view, "candidate": candidate, "t_s": t,
+                "number": number, "leg": leg, "kind": kind, "view": view, "pose": pose, "candidate": candidate,
+                "t_s": t,
                 "axes_deg": axes, "tcp_xyz_mm_abc_deg": tcp, "flange_xyz_mm_abc_deg": flange,
                 "status": status, "turn": turn,
             }
@@ -48,30 +49,40 @@ def as_json(program: Program) -> bytes:
     content = {
         "schema": SCHEMA,
         "units": "lengths in mm, angles in deg (KUKA A, B, C: R = Rz(A) Ry(B) Rx(C)), times in s, as the names say",
-        "name": program.name,
-        "part": program.part,
-        "run": program.run,
-        "plan_sha256": program.plan_sha256,
-        "speed_fraction": program.speed,
-        "acceleration_fraction": program.acceleration,
+        "name": program.told.name,
+        "part": program.told.part,
+        "run": program.told.run,
+        "plan_sha256": program.told.plan_sha256,
+        "speed_fraction": program.told.speed,
+        "acceleration_fraction": program.told.acceleration,
         "tool_flange_tcp_xyz_mm_abc_deg": _pose(program.T_flange_tcp),
         "part_in_base_xyz_mm_abc_deg": _pose(program.T_base_object),
         "joint_limits_deg": np.degrees(np.stack([program.limits.lower, program.limits.upper], axis=1))
         .round(9)
         .tolist(),
+        "sweeps": [
+            {
+                "from_number": sweep.begin + 1,
+                "to_number": sweep.end + 1,
+                "speed_mm_s": round(sweep.speed * 1000, _DIGITS),
+                "turn_deg_s": round(float(np.degrees(sweep.rate)), _DIGITS),
+            }
+            for sweep in program.sweeps
+        ],
         "via_points": points,
     }
     return (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()
 
 
 def _rows(program: Program) -> list[tuple[Any, ...]]:
-    """number, leg, kind, view, candidate, t, axes, tcp, flange, status, turn of each via point; None where none is."""
+    """What `as_json` names, of each via point, in this order; None where there is none."""
     return [
         (
             row + 1,
             int(program.leg[row]) + 1,
             program.kinds[row].value,
             int(program.stop[row]) or None,
+            None if program.pose[row] < 0 else int(program.pose[row]),
             None if program.candidate[row] < 0 else int(program.candidate[row]),
             round(float(program.t[row]), _DIGITS),
             angles_deg(program.q[row]),

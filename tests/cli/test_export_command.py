@@ -105,6 +105,7 @@ def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
         (("--trigger-output", "0"), "--trigger-output 0 is not possible; it must be a whole number from 1 to 4096"),
         (("--done-input", "4097"), "--done-input 4097 is not possible"),
         (("--timer", "0"), "--timer 0 is not possible"),
+        (("--gate-output", "1"), "--trigger-output and --gate-output are both 1"),
         (("--timeout", "0"), "--timeout 0 is not possible; it must be from 0.1 to 3600 s"),
         (("--timeout", "nan"), "--timeout nan is not possible"),
         (("--settle", "-1"), "--settle -1 is not possible"),
@@ -164,7 +165,7 @@ def test_runs_that_cannot_be_exported(planned: Path, run_cell: Run, tmp_path: Pa
     shutil.copytree(planned, still)
     with np.load(still / "motion.npz") as stored:
         arrays = dict(stored)
-    for name in ("via_q", "segment", "view", "via_t"):
+    for name in ("via_q", "segment", "view", "via_t", "pose", "line"):
         arrays[name] = arrays[name][:1]
     np.savez_compressed(still / "motion.npz", **arrays)
     del manifest["artefacts"]["motion.npz"]

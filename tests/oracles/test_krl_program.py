@@ -36,6 +36,7 @@ class Robot:
     moves: list[tuple[str, dict[str, float]]] = field(default_factory=list)
     events: list[tuple[str, float]] = field(default_factory=list)
     variables: dict[str, Any] = field(default_factory=dict)
+    line: Callable[["Robot", dict[str, float]], list[float]] | None = None  # where the axes stand after a LIN
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
@@ -134,6 +135,9 @@ class Krl:
             robot.wait(1.0)
             if match[1] == "PTP":
                 robot.axes = [goal[f"A{axis}"] for axis in range(1, 7)]
+            else:
+                assert robot.line, "the program drives a line"
+                robot.axes = robot.line(robot, goal)
             robot.moves.append((match[1], goal))
             robot.events.append((match[1], robot.now))
         elif match := re.fullmatch(r"WAIT SEC (.+)", line):
@@ -153,6 +157,8 @@ class Krl:
                 robot.scanner(robot)
             elif match[1] == "TIMER":
                 robot.timers[number] = robot.now - value / 1000
+        elif match := re.fullmatch(r"\$(ORI_TYPE|IPO_MODE)=#\w+", line):
+            robot.variables[match[1]] = match[0].split("#")[1]
         elif match := re.fullmatch(r"(\$?[A-Z_.]+(?:\.\w+)?)=(.+)", line):
             robot.variables[match[1]] = self._value(match[2])
         elif match := re.fullmatch(r"RETURN (.+)", line):
@@ -164,7 +170,7 @@ class Krl:
         elif match := re.fullmatch(r"BAS ?\(#(\w+),(\d+) ?\)", line):
             robot.variables[match[1]] = int(match[2])
         elif match := re.fullmatch(r"(\w+)\((.*)\)", line):
-            self._call(match[1], [self._value(match[2])] if match[2] else [])
+            self._call(match[1], [self._value(match[2])] if match[2].strip() else [])
         else:
             known = (
                 r"(GLOBAL INTERRUPT DECL 3 WHEN \$STOPMESS==TRUE DO IR_STOPM \( \)|INTERRUPT ON 3|DECL (INT|BOOL) \w+)"
@@ -348,5 +354,127 @@ def test_away_from_home_nothing_moves(exported: tuple[bytes, bytes], axis: int, 
 
     robot = Robot(stands, _prompt(7, 8), operator)
     _driven(exported, robot)
+    assert [name for name, _ in robot.events].count("HALT") == 1
+    assert robot.axes == HOME
+
+
+def _sweeping(reverse: bool) -> tuple[bytes, bytes, Any]:
+    """A program of one straight and one turned sweep with a stop between, and its motion."""
+    from cell.export import krl
+    from cell.export.program import Told, of_motion
+    from cell.robot.kinematics import Kr16Kinematics
+    from planner.sweep_motion import DrivenSweep, sweeps_of
+    from planner.sweeps import straight_poses, turned_poses
+    from planner.timing import retime
+
+    kinematics, mount = Kr16Kinematics.load(), np.eye(4)
+    mount[:3, 3] = (0.02, -0.03, 0.12)
+    T = kinematics.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ mount
+    columns = (straight_poses(0.15, 8), turned_poses(0.4, 5))
+    paths = [sweeps_of(T @ column, mount, kinematics, kinematics.limits).paths[int(reverse)] for column in columns]
+    home, between = np.radians([HOME]), paths[0].q[-1:] + np.radians(1.5)
+    via = np.concatenate([home, paths[0].q, between, paths[1].q, home])
+    pose = np.concatenate([[-1], paths[0].pose, [0], paths[1].pose, [-1]])
+    number = np.concatenate([[0], *([k] * n for k, n in ((40, len(paths[0].q)), (41, 1), (42, len(paths[1].q)))), [0]])
+    view = np.where(pose >= 0, number, -1)
+    segment = np.maximum(np.concatenate([number[:-1], [43]]) - 40, 0)
+    rows = {1: paths[0], len(paths[0].q) + 2: paths[1]}
+    motion = retime(
+        via, segment, view, kinematics.limits, pose=pose,
+        lines={row: DrivenSweep(path, mount, kinematics) for row, path in rows.items()},
+    )  # fmt: skip
+    program = of_motion(
+        motion, kinematics, mount, np.eye(4), Told("SWEEPS", "plate", "run", "0" * 64, 1.0, 1.0, float("nan"), "")
+    )
+    options = krl.KrlOptions(50, 100, trigger_output=7, gate_output=9, done_input=8)
+    return krl.source(program, options), krl.data(program, options), (motion, paths, kinematics, mount)
+
+
+def _straight_line(kinematics: Any) -> Callable[[Robot, dict[str, float]], list[float]]:
+    """Axes after a LIN: the nearest solution of the goal's pose, as a controller that follows the line ends."""
+    from cell.robot.frames import pose_from_kuka_abc
+
+    def frame(of: dict[str, float]) -> np.ndarray:
+        return pose_from_kuka_abc([of[axis] / 1000 for axis in "XYZ"], np.radians([of[angle] for angle in "ABC"]))
+
+    def drive(robot: Robot, goal: dict[str, float]) -> list[float]:
+        assert robot.variables["ORI_TYPE"] == "VAR"
+        T = frame(robot.variables["$BASE"]) @ frame(goal) @ np.linalg.inv(frame(robot.variables["$TOOL"]))
+        T[3] = (0, 0, 0, 1)
+        now = np.radians(robot.axes)
+        solutions = kinematics.inverse(T[None])[0]
+        solutions = solutions[~np.isnan(solutions).any(axis=1)]
+        solutions += 2 * np.pi * np.round((now - solutions) / (2 * np.pi))
+        return np.degrees(solutions[np.abs(solutions - now).max(axis=1).argmin()]).tolist()
+
+    return drive
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_sweep_is_one_line_between_trigger_and_answer(reverse: bool) -> None:
+    """From the planned beginning to the planned end within 0.01 mm and 0.001 deg; poses on it; gate; speed."""
+    src, dat, (_, paths, kinematics, mount) = _sweeping(reverse)
+    robot = Robot(list(HOME), _prompt(7, 8), line=_straight_line(kinematics))
+    before: list[list[float]] = []
+    drive = robot.line
+    assert drive is not None
+    robot.line = lambda robot, goal: before.append(list(robot.axes)) or drive(robot, goal)
+    told: list[dict[str, float]] = []
+    prompt = robot.scanner
+    robot.scanner = lambda robot: (told.append(dict(robot.variables)) if robot.outputs.get(9) else None, prompt(robot))
+    _driven((src, dat), robot)
+    assert robot.axes == HOME
+    lines = [goal for kind, goal in robot.moves if kind == "LIN"]
+    assert len(lines) == len(before) == 2
+    for path, goal, start, speed in zip(paths, lines, before, (told[0], told[-1]), strict=True):
+        np.testing.assert_allclose(start, np.degrees(path.q[0]), atol=1e-9)
+        ends = kinematics.forward(np.stack([path.q[0], path.q[-1]])) @ mount
+        assert np.linalg.norm(1e-3 * np.array([goal[axis] for axis in "XYZ"]) - ends[1, :3, 3]) < 1e-5
+        robot.axes = start
+        end = np.radians([drive(robot, goal)])
+        assert np.degrees(np.abs(end - path.q[-1])).max() < 2e-4
+        T = (kinematics.forward(end) @ mount)[0]
+        assert np.degrees(np.linalg.norm(T[:3, :3].T @ ends[1, :3, :3] - np.eye(3))) < 0.001
+        # A line from there to there passes every planned pose.
+        u = path.u[path.pose >= 0]
+        on_line = ends[0, :3, 3] + u[:, None] * (T[:3, 3] - ends[0, :3, 3])
+        planned = kinematics.forward(path.q[path.pose >= 0]) @ mount
+        assert np.linalg.norm(on_line - planned[:, :3, 3], axis=1).max() < 2e-5
+        steady = float(path.profile.cruise)
+        assert speed["$VEL.CP"] == pytest.approx(max(path.line.length / steady, 0.001), rel=1e-3)
+        turning = np.degrees(path.line.angle / steady) if path.line.angle > 0.01 else 200.0
+        assert speed["$VEL.ORI1"] == speed["$VEL.ORI2"] == pytest.approx(turning, rel=1e-3)
+        ramp = float(path.profile.ramp)
+        assert speed["$ACC.CP"] == pytest.approx(max(path.line.length / steady / ramp, 0.001), rel=1e-3)
+    gate = [
+        (name, at) for name, at in robot.events if name in ("LIN", "OUT9=True", "OUT9=False", "OUT7=True", "OUT7=False")
+    ]
+    names = [name for name, _ in gate]
+    assert names.count("OUT7=True") == 3
+    for k, name in enumerate(names):
+        if name == "LIN":
+            assert names[k - 2 : k + 3] == ["OUT7=True", "OUT9=True", "LIN", "OUT9=False", "OUT7=False"]
+    assert robot.variables["SC_VIEW"] == 3
+
+
+def test_a_sweep_without_an_answer_goes_back_and_is_driven_again() -> None:
+    """Time-out after the line: halt, LIN back to its beginning, the same line again, then on."""
+    src, dat, (_, paths, kinematics, _) = _sweeping(False)
+    mute, prompt = [True], _prompt(7, 8)
+
+    def operator(robot: Robot) -> None:
+        mute[0] = False
+
+    robot = Robot(
+        list(HOME), lambda robot: None if mute[0] else prompt(robot), operator, line=_straight_line(kinematics)
+    )
+    _driven((src, dat), robot)
+    lines = [goal for kind, goal in robot.moves if kind == "LIN"]
+    assert len(lines) == 4
+    assert lines[0] == lines[2] != lines[1]
+    begin = kinematics.forward(paths[0].q[:1])[0]
+    tool = robot.variables["$TOOL"]
+    at = begin[:3, :3] @ (np.array([tool[axis] for axis in "XYZ"]) / 1000) + begin[:3, 3]
+    assert np.linalg.norm(np.array([lines[1][axis] for axis in "XYZ"]) / 1000 - at) < 1e-5
     assert [name for name, _ in robot.events].count("HALT") == 1
     assert robot.axes == HOME
