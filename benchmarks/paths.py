@@ -1,10 +1,10 @@
 """Collision-free paths on seeded scenes: where RRT-Connect finds one, beside ompl over the same certified edges.
 
 In each scene two pairs of reachable set-points are drawn between which the straight move is blocked: any two, and two
-out of the twelve (or more) that are nearest to something. `planner.path.connect` searches with its default budget, then, where
-that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and sampling, edges certified by `planner.edge` as ours)
-searches for `_SECONDS` where ours failed, and on every fifth scene for comparison. ompl is no dependency of the
-project: `pip install ompl`.
+out of the twelve (more where that is too few) that are nearest to something. `planner.path.connect` searches with its
+default budget, then, where that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and sampling, edges
+certified by `planner.edge` as ours) searches for `_SECONDS` where ours failed, and on every fifth scene for comparison.
+ompl is no dependency of the project: `pip install ompl`.
 
 SCAN_CELL_SCENES (default 20) is the number of scenes; with SCAN_CELL_PATHS=FILE finished scenes are kept as lines of
 JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes.
@@ -111,8 +111,9 @@ def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
     """Two set-points of different views between which the straight move is blocked."""
     rng, q = np.random.default_rng(cell.number), cell.reach.q
     view = np.repeat(np.arange(len(cell.reach)), np.diff(cell.reach.offsets))
-    order = rng.choice(len(q), min(len(q), _DRAWN), replace=False)
+    order = np.arange(len(q))
     if case == "near something":
+        order = rng.choice(len(q), min(len(q), _DRAWN), replace=False)
         order = order[np.argsort(cell.checker.distance(q[order])[0])]
     few = len(order) if case == "any" else _NEAREST
     while few <= 2 * len(order):  # more of them where all moves between the nearest are free
