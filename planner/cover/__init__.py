@@ -6,6 +6,15 @@ greedy, meta_raps, local_search, exact    solvers; `solvers` names them and adds
 bound         lower bound on the number of views
 budget        work, clock guard, best cover so far
 selection     `solve`: all of it, with a status and a gap
+
+Beside it stand requests that are no cover of this form; each has a module of its own and is imported by its name.
+
+most_coverage    the most area with at most k views; area_bound, area_search, area_kernels
+curve            coverage over the number of views, bounded
+overlap          views whose scans hang together
+robust           views that keep a promise although poses are off
+demands          what the last two search: rows that ask for a sum; demand_search, demand_bound, demand_kernels
+prepared, answer    the way in and out that they share
 """
 
 from planner.cover.budget import DEFAULT_WORK, Budget

@@ -27,7 +27,7 @@ Graph = NDArray[np.uint8]
 
 NO_GRAPH: Graph = np.zeros((0, 0), dtype=np.uint8)
 
-_BLOCK = 512  # steps between two looks at the clock
+_BLOCK, _CHUNK = 512, 20_000_000  # steps, and entries touched, between two looks at the clock
 
 
 def parts_of(adjacent: Graph, columns: Ints) -> Ints:
@@ -168,7 +168,7 @@ def improve(
         while found < 0 and budget.spend(work):
             size, found, work = demand_kernels.search(
                 *sets, problem.demand, problem.units, growth, weights, problem.slack, problem.full, adjacent, pinned,
-                chosen, size, load, gains, stamps, better, rng.random(_BLOCK), state, max(budget.left, 1),
+                chosen, size, load, gains, stamps, better, rng.random(_BLOCK), state, min(max(budget.left, 1), _CHUNK),
             )  # fmt: skip
             tired = not problem.full and int(weights.sum()) > FORGET_ABOVE * int(growth.sum())
             if tired or int(weights.max(initial=0)) > LARGEST_WEIGHT // most or int(state[1]) > 2**50:
