@@ -100,6 +100,10 @@ class Narrator:
 
             yield told
 
+    def ask(self, question: str) -> str:
+        """Put a question to the person at the terminal and return the answer."""
+        return self._errors.input(question, markup=False)
+
     def note(self, sentence: str) -> None:
         """Say something that the user should know although the work goes on."""
         log.warning("%s", sentence)

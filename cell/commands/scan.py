@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from cell.errors import UsageError
 
 _ERRORS = "Errors of the execution"
 _OUTPUT = "Output"
+_STEEL = "Real controllers"
 
 EPILOG = (
     "Examples:\n\n"
@@ -19,6 +21,8 @@ EPILOG = (
     "cell scan sim_runs/trial --pose-error 0.5,0.1 --range-noise 0.02 --seed 4\n\n"
     "cell scan sim_runs/trial --view 3 --resolution 0.5 --realtime\n\n"
     "cell scan sim_runs/trial --report 0001\n\n"
+    "cell scan sim_runs/trial --driver modbus://192.168.0.10:502 --speed 10\n\n"
+    "cell scan sim_runs/trial --resume latest --reset\n\n"
     "Exit codes: 0 done, 2 usage, 3 below the plan's required coverage, 5 driver, 6 files or run folder (also: "
     "a report of an execution that lacks views), 70 bug, 130 Ctrl-C."
 )
@@ -26,7 +30,9 @@ EPILOG = (
 
 def scan(
     run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
-    driver: Annotated[str, typer.Option(metavar="URL", help="Which controller drives.")] = "sim://",
+    driver: Annotated[
+        str | None, typer.Option(metavar="URL", help="Which controller drives. Default: sim://.", show_default=False)
+    ] = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Let the simulated arm take its time. Default: as fast as it goes.")
     ] = False,
@@ -67,6 +73,33 @@ def scan(
     seed: Annotated[
         int | None, typer.Option(help="Seed of noise and pose error. Default: the plan's.", rich_help_panel=_ERRORS)
     ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PERCENT",
+            help="Of the speed that the plan was timed with. Default: 100 in simulation; 10 % of the axis speeds on a "
+            "real controller.",
+            rich_help_panel=_STEEL,
+        ),
+    ] = None,
+    confirm_motion: Annotated[
+        bool,
+        typer.Option(
+            "--confirm-motion", help="Your word that a real arm may move. Else it is asked for.", rich_help_panel=_STEEL
+        ),
+    ] = False,
+    reset: Annotated[
+        bool, typer.Option("--reset", help="Clear a latched fault of the controller first.", rich_help_panel=_STEEL)
+    ] = False,
+    resume: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            help="Go on with this execution (or latest) at the first view that is not confirmed, on a new way where "
+            "the arm stands elsewhere.",
+            rich_help_panel=_STEEL,
+        ),
+    ] = None,
     close_holes: Annotated[
         bool, typer.Option("--close-holes", help="Close the holes of the surface; the faces are marked.")
     ] = False,
@@ -93,12 +126,25 @@ def scan(
         raise UsageError(
             f"--pose-error {pose_error} must be two numbers, mm and deg, for instance --pose-error 0.5,0.1"
         )
+    url = driver or "sim://"
     wanted = ScanOptions(
-        driver, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed, noise
-    )
+        url, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed, noise,
+        confirm_motion, speed, reset,
+    )  # fmt: skip
     narrator = Narrator(quiet_stdout=as_json)
-    if report is None:
-        outcome = scan_command.scan(run, wanted, argv=sys.argv[1:], narrator=narrator)
+    ask = narrator.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
+    if report is not None and resume is not None:
+        raise UsageError("--report makes the report of what is there, --resume scans what is missing; give one of them")
+    if resume is not None:
+        this_time = ScanOptions(driver or "", realtime, confirm_motion=confirm_motion, speed_percent=speed, reset=reset)
+        if replace(wanted, driver=driver or "") != this_time:
+            raise UsageError(
+                "--resume goes on as the execution was begun; beside it give only --driver, --realtime, --speed, "
+                "--confirm-motion and --reset"
+            )
+        outcome = scan_command.resume(run, resume, this_time, argv=sys.argv[1:], narrator=narrator, ask=ask)
+    elif report is None:
+        outcome = scan_command.scan(run, wanted, argv=sys.argv[1:], narrator=narrator, ask=ask)
     elif wanted == ScanOptions():
         outcome = scan_command.report(run, report, narrator)
     else:

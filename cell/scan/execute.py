@@ -126,6 +126,7 @@ def run(
     folder: ExecutionFolder,
     *,
     seed: int,
+    speed: float,
     clock: Clock,
     progress: ProgressCallback | None = None,
 ) -> float:
@@ -138,6 +139,7 @@ def run(
         disturbance: noise and pose error.
         folder: where scans and events go.
         seed: of the disturbance.
+        speed: fraction of the axis speeds at which to drive.
         clock: the controller's, for the times of events.
         progress: told about the legs.
 
@@ -158,12 +160,12 @@ def run(
     try:
         state = driver.state()
         say("connected", controller=driver.capabilities.controller, axes_deg=to_deg(state.axes).tolist())
-        require_drivable(legs, driver, scene.speed)
+        require_drivable(legs, driver, speed)
         for number, leg in enumerate(legs.legs, start=1):
             set_points = leg.set_points
             say("move", leg=number, stop=leg.stop, via_points=len(set_points))
             left = clock.now()
-            state = _drive(driver, set_points, scene.speed)
+            state = _drive(driver, set_points, speed)
             moving += clock.now() - left
             say("standing", leg=number, stop=leg.stop, axes_deg=to_deg(state.axes).tolist())
             if leg.stop:
@@ -276,10 +278,14 @@ def require_drivable(legs: Legs, driver: Driver, speed: float) -> None:
             stands = move.set_points[-1]
 
 
+def stands_at(q: Floats, state: RobotState) -> bool:
+    """Whether the arm stands at joint angles (6,) [rad], to a hundredth of a degree."""
+    return int(np.abs(from_rad(q).astype(np.int64) - state.axes).max()) <= _AT_START
+
+
 def _require_at(start: Floats, state: RobotState) -> None:
-    wanted = from_rad(start)
-    if np.abs(wanted.astype(np.int64) - state.axes).max() > _AT_START:
+    if not stands_at(start, state):
         raise DriverFailureError(
-            f"the arm stands at {text(state.axes)} and the plan begins at {text(wanted)}; nothing was moved, because "
-            "no path between them was checked: bring the arm there first"
+            f"the arm stands at {text(state.axes)} and the plan begins at {text(from_rad(start))}; nothing was moved, "
+            "because no path between them was checked: bring the arm there first"
         )

@@ -92,6 +92,18 @@ class ExecutionFolder(RunFolder):
         entries = {"schema": SCHEMA, **manifest, "seconds": seconds}
         return cls(path, path, entries, "start", dict(manifest.get("artefacts", {})))
 
+    def resume(self, argv: list[str], driver: str) -> None:
+        """Take a stopped execution up again: it runs, in this process, and its manifest says how often it was begun."""
+        again = {
+            "at": datetime.now(UTC).isoformat(timespec="seconds"),
+            "argv": argv,
+            "driver": driver,
+            "after": self.manifest.get("status", ""),
+        }
+        for name in ("exit_code", "finished", "error"):
+            self.manifest.pop(name, None)
+        self.note(status="running", resumed=[*self.manifest.get("resumed", []), again], **process.this_process())
+
     def note(self, **entries: Any) -> None:
         """Put entries into the manifest."""
         self.manifest.update(entries)

@@ -24,6 +24,10 @@ class ScanOptions:
         register: correct poses by registration; None does it where there is a pose error.
         close_holes: close the holes of the surface, marked.
         seed: of noise and pose error; None takes the plan's.
+        confirm_motion: the user's word that an arm of steel may move.
+        speed_percent: of the speed that the plan was timed with; None: all of it in simulation, and 10 % of the axis
+            speeds on hardware.
+        reset: clear a latched fault of the controller before anything moves.
         noise: "model": noise along the ray by the scanner's own sigma, in addition to `range_noise_mm`; or "none".
     """
 
@@ -38,6 +42,9 @@ class ScanOptions:
     close_holes: bool = False
     seed: int | None = None
     noise: str = "none"
+    confirm_motion: bool = False
+    speed_percent: float | None = None
+    reset: bool = False
 
     def __post_init__(self) -> None:
         for name, value in (
@@ -51,6 +58,8 @@ class ScanOptions:
             raise UsageError(f"--noise {self.noise} is unknown; it must be none or model")
         if self.resolution_deg is not None and not 0 < self.resolution_deg < np.inf:
             raise UsageError(f"--resolution {self.resolution_deg:g} must be above 0, in degrees")
+        if self.speed_percent is not None and not 0 < self.speed_percent <= 100:
+            raise UsageError(f"--speed {self.speed_percent:g} must be above 0 and at most 100, in percent")
         if self.seed is not None and self.seed < 0:
             raise UsageError(f"--seed {self.seed} must be 0 or more")
 

@@ -6,7 +6,7 @@ an execution that was stopped, is made by the same lines.
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,16 +22,20 @@ from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import reconstruct
 from cell.run import process
 from cell.run import reader as run_reader
-from cell.run.record import RunRecord, open_run
+from cell.run.record import RunRecord, open_run, understood
 from cell.scan import driver as scan_driver
-from cell.scan import execute, execution_report
+from cell.scan import execute, execution_report, safety
 from cell.scan import scene as scan_scene
+from cell.scan.execute import Legs
 from cell.scan.execution_folder import EXECUTING, ExecutionFolder
 from cell.scan.execution_reader import RecordedExecution, read_execution
 from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
 from cell.scan.execution_summary import execution_summary
 from cell.scan.options import ScanOptions
+from cell.scan.resume import Rest, rest_of
 from cell.scan.scene import ScanScene
+from drivers.clock import Clock
+from drivers.contract import Driver
 from drivers.errors import DriverError
 from planner.timing import Motion
 
@@ -70,7 +74,14 @@ class _Work:
             yield progress
 
 
-def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrator: Narrator) -> ScanOutcome:
+def scan(
+    run_folder: Path,
+    options: ScanOptions,
+    *,
+    argv: Sequence[str],
+    narrator: Narrator,
+    ask: safety.Ask | None = None,
+) -> ScanOutcome:
     """Execute the plan of a run folder and report.
 
     Args:
@@ -78,6 +89,7 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
         options: what was asked for.
         argv: for the manifest.
         narrator: is told what goes on.
+        ask: puts a question to a person; None where nobody is there.
 
     Raises:
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
@@ -97,22 +109,133 @@ def scan(run_folder: Path, options: ScanOptions, *, argv: Sequence[str], narrato
     with ExitStack() as connected:
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
-            execute.require_drivable(legs, driver, scene.speed)
+            speed = _allowed_speed(driver, options, scene, ask)
+            safety.ready(driver, reset=options.reset, stop_first=False)
+            execute.require_drivable(legs, driver, speed)
         folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
-        connected.enter_context(folder.kept_on_failure())
-        connected.enter_context(_drivers_errors_as_ours())
-        work = _Work(run, folder, narrator)
         if options.view is not None:
             _write_motion(folder, legs.motion(motion))
-        with work.step(EXECUTING) as progress, driver:
-            folder.note(controller=driver.capabilities.controller)
-            seconds = execute.run(
-                legs, driver, scene, options.disturbance, folder, seed=seed, clock=clock, progress=progress
-            )
-            folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
-        summary = _results(work, scene, motion, read_execution(run, folder.path.name))
-        code = _exit_code(summary, scene)
-        return ScanOutcome(folder.finish(code), code, summary)
+        return _executed(connected, _Work(run, folder, narrator), legs, driver, clock, scene, motion, options, speed)
+
+
+def resume(
+    run_folder: Path,
+    execution: str,
+    options: ScanOptions | None,
+    *,
+    argv: Sequence[str],
+    narrator: Narrator,
+    ask: safety.Ask | None = None,
+) -> ScanOutcome:
+    """Go on with an execution that was stopped, at the first view that is not confirmed.
+
+    Args:
+        run_folder: of a finished plan.
+        execution: its id, or "latest".
+        options: driver, confirmation, speed and reset of this time; everything else is as the execution was begun with.
+        argv: for the manifest.
+        narrator: is told what goes on.
+        ask: puts a question to a person; None where nobody is there.
+
+    Raises:
+        CellError: with one sentence and the exit code; the execution keeps what it has.
+    """
+    run = _finished(run_folder)
+    recorded = read_execution(run, execution)
+    begun = resumable(run, recorded)
+    now = options or ScanOptions()
+    settled = replace(
+        begun, driver=now.driver or begun.driver, realtime=now.realtime, confirm_motion=now.confirm_motion,
+        speed_percent=now.speed_percent, reset=now.reset,
+    )  # fmt: skip
+    motion = run_reader.motion(run)
+    scene = scan_scene.load(run, begun.resolution_deg)
+    seed = int(recorded.manifest["seed"])
+    scans, left_out = usable(recorded, run_reader.views(run))
+    for sentence in left_out:
+        narrator.note(f"{sentence}; that view is scanned again")
+    driver, clock = scan_driver.prepare(settled, motion, scene.speed, factory.of_run(run))
+    with ExitStack() as connected:
+        with _drivers_errors_as_ours():
+            connected.enter_context(driver)
+            speed = _allowed_speed(driver, settled, scene, ask)
+            state = safety.ready(driver, reset=settled.reset, stop_first=True)
+            done = {scan.stop for scan in scans}
+            rest = rest_of(execute.legs_of(motion, begun.view), done, state, run, motion, seed)
+            execute.require_drivable(rest.legs, driver, speed)
+        folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
+        folder.resume(list(argv), settled.driver)
+        for sentence in _told(rest, len(done)):
+            narrator.note(sentence)
+        return _executed(
+            connected, _Work(run, folder, narrator), rest.legs, driver, clock, scene, motion, settled, speed
+        )
+
+
+def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
+    """The options that an execution was begun with, if it can be gone on with.
+
+    Raises:
+        FileError: if it runs, or its manifest is damaged, or it is of another plan.
+        UsageError: if it is finished.
+    """
+    name, manifest = recorded.folder.name, recorded.manifest
+    if manifest.get("status") == "finished":
+        raise UsageError(f"execution {name} is finished; there is nothing to resume")
+    if process.lives(manifest):
+        raise FileError(f"execution {name} is still running (process {manifest['pid']}); stop it with Ctrl-C first")
+    if manifest.get("plan") != run.manifest.get("artefacts", {}).get("plan.json", ""):
+        raise FileError(f"execution {name} is not of the plan that is in {run.folder} now; scan anew")
+    with understood(recorded.folder / "manifest.json"):
+        options, _ = dict(manifest["options"]), int(manifest["seed"])
+        known = {field.name for field in fields(ScanOptions)}
+        return ScanOptions(**{key: value for key, value in options.items() if key in known})
+
+
+def _told(rest: Rest, done: int) -> Iterator[str]:
+    """What a resumed execution is going to do."""
+    yield f"{done} views are scanned already; {len(rest.stops)} are left"
+    if rest.way is not None:
+        goal = f"view {rest.stops[0]}" if rest.stops else "home"
+        yield (
+            f"the arm does not stand where the plan goes on; a new way to {goal} was planned: {len(rest.way.via) - 1} "  # type: ignore[arg-type]
+            f"moves, nearest {1000 * rest.way.clearance:.1f} mm ({rest.way.between})"
+        )
+
+
+def _allowed_speed(driver: Driver, options: ScanOptions, scene: ScanScene, ask: safety.Ask | None) -> float:
+    """The speed to drive at, once a person has agreed to it where steel moves."""
+    speed = safety.speed_fraction(options.speed_percent, scene.speed, hardware=driver.capabilities.hardware)
+    safety.require_confirmed(driver, speed, confirmed=options.confirm_motion, ask=ask)
+    return speed
+
+
+def _executed(
+    connected: ExitStack,
+    work: _Work,
+    legs: Legs,
+    driver: Driver,
+    clock: Clock,
+    scene: ScanScene,
+    motion: Motion,
+    options: ScanOptions,
+    speed: float,
+) -> ScanOutcome:
+    """Drive and scan the legs, then report what the execution has."""
+    folder = work.folder
+    connected.enter_context(folder.kept_on_failure())
+    connected.enter_context(_drivers_errors_as_ours())
+    moved = folder.manifest.get("moving_s") or 0.0
+    with work.step(EXECUTING) as progress, driver:
+        folder.note(controller=driver.capabilities.controller, speed_fraction=round(speed, 6))
+        seconds = execute.run(
+            legs, driver, scene, options.disturbance, folder, seed=int(folder.manifest["seed"]), speed=speed,
+            clock=clock, progress=progress,
+        )  # fmt: skip
+        folder.note(moving_s=round(moved + seconds, 6), simulated_time=driver.capabilities.simulated_time)
+    summary = _results(work, scene, motion, read_execution(work.run, folder.path.name))
+    code = _exit_code(summary, scene)
+    return ScanOutcome(folder.finish(code), code, summary)
 
 
 def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:

@@ -99,7 +99,7 @@ class Recorded:
 def _run(driver, motion, folder, stop=None, disturbance=None, seed=5):
     legs = execute.legs_of(motion, stop)
     execute.run(
-        legs, driver, _scene(), disturbance or Disturbance(), folder, seed=seed, clock=SimulatedClock()
+        legs, driver, _scene(), disturbance or Disturbance(), folder, seed=seed, speed=0.5, clock=SimulatedClock()
     )  # fmt: skip
 
 
@@ -229,7 +229,7 @@ def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFold
     away = motion.via_q[:1] + np.array([1.5, 0, 0, 0, 0, 0])
     legs = execute.Legs(motion.via_q[0], (execute.Leg(away, 1, 70),), 1.0)
     execute.run(
-        legs, Recorded(), _scene(), Disturbance(range_noise=1e-4), folder, seed=0, clock=SimulatedClock()
+        legs, Recorded(), _scene(), Disturbance(range_noise=1e-4), folder, seed=0, speed=0.5, clock=SimulatedClock()
     )  # fmt: skip
     scan = read_scan(folder.path / "scans" / "0001.npz")
     assert scan.points.shape == (0, 3)
@@ -274,7 +274,7 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
         scene = _scene()
         object.__setattr__(scene, "speed", 1.0)
         seconds = execute.run(
-            execute.legs_of(motion), driver, scene, Disturbance(), folder, seed=0, clock=clock
+            execute.legs_of(motion), driver, scene, Disturbance(), folder, seed=0, speed=1.0, clock=clock
         )  # fmt: skip
     assert seconds == pytest.approx(motion.duration, abs=1e-6 * len(motion.via_q))
     assert _events(folder)[-1]["t_s"] == pytest.approx(motion.duration, abs=1e-4)

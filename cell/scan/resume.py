@@ -1,0 +1,91 @@
+"""Going on with an execution that was stopped: what is left of it, and the way from where the arm stands now.
+
+A view is confirmed by its scan on disk, whole and unchanged; the rest is driven as planned, from the first view that
+is not confirmed. Where the arm does not stand at the end of the leg before it, a new collision-free way to that view
+is planned in the cell that the plan was checked in.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cell.errors import DriverFailureError
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord
+from cell.run.world import world_of
+from cell.scan.execute import Leg, Legs, stands_at
+from cell.world.collision import MujocoCollisionChecker
+from drivers.contract import RobotState
+from drivers.setpoints import text
+from planner import path
+from planner.path import PathResult
+from planner.timing import Motion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """What is left to be driven.
+
+    Attributes:
+        legs: from where the arm stands, home at the end.
+        way: the newly planned way to the first of them; None where the arm stands where the plan goes on.
+        stops: numbers of the views that are still to be scanned.
+    """
+
+    legs: Legs
+    way: PathResult | None
+    stops: tuple[int, ...]
+
+
+def rest_of(legs: Legs, done: Collection[int], state: RobotState, run: RunRecord, motion: Motion, seed: int) -> Rest:
+    """What is left of an execution.
+
+    Args:
+        legs: all that was to be driven.
+        done: numbers of the views whose scans are confirmed.
+        state: of the controller; the arm stands.
+        run: the run folder, for its cell.
+        motion: of the plan, for its limits.
+        seed: of the search for a way.
+
+    Raises:
+        DriverFailureError: if no way is found from where the arm stands.
+    """
+    # A view that sweeps has several legs; it is begun anew from the first.
+    first = next(
+        (index for index, leg in enumerate(legs.legs) if leg.stop and leg.stop not in done),
+        next((index for index, leg in enumerate(legs.legs) if not leg.stop), len(legs.legs)),
+    )
+    # Views behind it that are confirmed (its own scan was damaged) are driven through and not scanned again.
+    left = tuple(replace(leg, stop=0, view=-1, pose=0) if leg.stop in done else leg for leg in legs.legs[first:])
+    stops = tuple(dict.fromkeys(leg.stop for leg in left if leg.stop))
+    if not left:
+        return Rest(Legs(state.q, (), 0.0), None, ())
+    before = legs.legs[first - 1].via[-1] if first else legs.start
+    way: PathResult | None = None
+    if not stands_at(before, state):
+        leg = left[0]
+        if stands_at(leg.via[-1], state):  # it arrived, and the scan was not kept
+            left = (replace(leg, via=leg.via[-1:]), *left[1:])
+        else:
+            way = _way(leg, state, run, motion, seed)
+            assert way.via is not None
+            left = (replace(leg, via=way.via[1:]), *left[1:])
+    return Rest(Legs(state.q, left, legs.planned_seconds), way, stops)
+
+
+def _way(leg: Leg, state: RobotState, run: RunRecord, motion: Motion, seed: int) -> PathResult:
+    """A certified way from where the arm stands to the end of a leg."""
+    world = world_of(run, run_reader.resolved_scene(run), run_reader.mesh(run, "reference.ply"))
+    checker = MujocoCollisionChecker(world)
+    goal = f"view {leg.stop}" if leg.stop else "home"
+    here = np.clip(state.q, motion.limits.lower, motion.limits.upper)
+    found = path.connect(here, leg.via[-1], checker, motion.limits, np.random.default_rng([seed, leg.stop]))
+    if found.via is None:
+        between = f" ({found.between})" if found.between else ""
+        raise DriverFailureError(
+            f"no way from where the arm stands, {text(state.axes)}, to {goal}: {found.status.sentence}{between}; "
+            "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
+        )
+    return found

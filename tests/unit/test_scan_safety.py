@@ -1,0 +1,97 @@
+"""What has to hold before steel moves: somebody's word, a slow start, no latched fault."""
+
+import numpy as np
+import pytest
+
+from cell.errors import DriverFailureError, UsageError
+from cell.scan import safety
+from cell.scan.options import ScanOptions
+from drivers.contract import Capabilities, Mode, RobotState
+from drivers.limits import kr16
+from drivers.setpoints import from_rad
+
+
+class _Controller:
+    """A controller of steel in a given state; it remembers what was asked of it."""
+
+    def __init__(self, mode: Mode = Mode.IDLE, *, standing: bool = True, hardware: bool = True) -> None:
+        limits = kr16()
+        self.capabilities = Capabilities(
+            "KR C4", limits.lower, limits.upper, limits.max_step, 1.0, None, hardware, False
+        )  # fmt: skip
+        self.mode, self.standing, self.asked = mode, standing, ""
+
+    def state(self) -> RobotState:
+        latched = "heartbeat lost" if self.mode is Mode.FAULT else ""
+        return RobotState(self.mode, from_rad(np.zeros(6)), self.standing, fault_sentence=latched)
+
+    def stop(self) -> RobotState:
+        self.asked += "stop "
+        self.standing = True
+        return self.state()
+
+    def reset(self) -> RobotState:
+        self.asked += "reset "
+        self.mode = Mode.IDLE
+        return self.state()
+
+
+def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
+    """Never faster than the plan by default; --speed is of the plan's speed; simulation keeps the plan's."""
+    assert safety.speed_fraction(None, 1.0, hardware=True) == 0.1
+    assert safety.speed_fraction(None, 0.05, hardware=True) == 0.05
+    assert safety.speed_fraction(None, 0.7, hardware=False) == 0.7
+    assert safety.speed_fraction(50, 0.5, hardware=True) == 0.25
+
+
+@pytest.mark.parametrize("percent", [0.0, -1.0, 100.1, float("nan")])
+def test_a_speed_that_is_no_percentage_is_refused(percent: float) -> None:
+    """Above 0, at most 100."""
+    with pytest.raises(UsageError, match="--speed"):
+        ScanOptions(speed_percent=percent)
+
+
+def test_steel_does_not_move_without_somebody_s_word() -> None:
+    """Nobody at a terminal: the sentence names the option. Any answer but yes: nothing moves."""
+    with pytest.raises(UsageError, match="--confirm-motion"):
+        safety.require_confirmed(_Controller(), 0.1, confirmed=False, ask=None)
+    for answer in ("", "y", "no", "yes please"):
+        with pytest.raises(UsageError, match="nothing was moved"):
+            safety.require_confirmed(_Controller(), 0.1, confirmed=False, ask=lambda question, said=answer: said)
+
+
+def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
+    """The question says what moves and how fast."""
+    questions: list[str] = []
+
+    def yes(question: str) -> str:
+        questions.append(question)
+        return " Yes\n"
+
+    safety.require_confirmed(_Controller(), 0.1, confirmed=False, ask=yes)
+    safety.require_confirmed(_Controller(), 0.1, confirmed=True, ask=None)
+    safety.require_confirmed(_Controller(hardware=False), 1.0, confirmed=False, ask=None)
+    assert len(questions) == 1
+    assert "KR C4" in questions[0]
+    assert "10 %" in questions[0]
+
+
+@pytest.mark.parametrize("mode", [Mode.FAULT, Mode.EMERGENCY_STOP])
+def test_a_latched_fault_is_cleared_only_on_demand(mode: Mode) -> None:
+    """Without --reset the sentence says what is latched and what to give."""
+    latched = _Controller(mode)
+    with pytest.raises(DriverFailureError, match="--reset"):
+        safety.ready(latched, reset=False, stop_first=True)
+    assert latched.asked == ""
+    assert safety.ready(latched, reset=True, stop_first=False).mode is Mode.IDLE
+    assert latched.asked == "reset "
+
+
+def test_an_arm_that_moves_is_stopped_only_where_an_execution_is_resumed() -> None:
+    """A new execution does not take an arm away from another client."""
+    with pytest.raises(DriverFailureError, match="another client"):
+        safety.ready(_Controller(Mode.MOVING, standing=False), reset=False, stop_first=False)
+    moving = _Controller(Mode.MOVING, standing=False)
+    moving.mode = Mode.IDLE
+    assert safety.ready(moving, reset=False, stop_first=True).standing
+    assert moving.asked == "stop "
