@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -281,7 +280,7 @@ def soak_backend(backend: str, moves: int, faults: str, seed: int) -> tuple[Soak
                 url += ("&" if "?" in url else "?") + PATIENCE
                 soak = drive(open_driver(url), moves, np.random.default_rng(seed))
             finally:
-                process.send_signal(signal.SIGINT)
+                process.terminate()
                 process.wait(30)
         return soak, [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
 

@@ -12,7 +12,6 @@ gives at best.
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -101,7 +100,7 @@ def run() -> list[dict[str, Any]]:
 
                     command_median, command_p99 = _timed(reset, rounds)
             finally:
-                process.send_signal(signal.SIGINT)
+                process.terminate()
                 process.wait(20)
         n_bytes, bits = _bytes(backend)
         rows.append(

@@ -7,6 +7,7 @@ As with the frames there is one way to write each value, and what is no such val
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,7 @@ POINTS_PER_FRAME: Final = 12
 """Via points of one frame: 12 of the longest fit beside the other arguments."""
 
 _INTEGER = re.compile(r"0|-?[1-9][0-9]*")
+_COUNT = re.compile(r"0|-?[1-9][0-9]{0,9}")
 _CRC = re.compile(r"[0-9A-F]{8}")
 
 
@@ -239,7 +241,14 @@ def _crc(words: Iterator[str]) -> int:
 
 def _points(words: Iterator[str], least: int) -> SetPoints:
     n = _integer(words, least, POINTS_PER_FRAME)
-    return np.array([_integer32(words) for _ in range(n * AXES)], dtype=np.int32).reshape(n, AXES)
+    taken = list(islice(words, n * AXES))
+    if len(taken) != n * AXES or not all(map(_COUNT.fullmatch, taken)):
+        raise ValueError("points")
+    counts = np.array(taken, dtype=np.int64).reshape(n, AXES)
+    points = counts.astype(np.int32)
+    if (points != counts).any():
+        raise ValueError("points")
+    return points
 
 
 def _text(words: Iterator[str]) -> str:

@@ -3,7 +3,6 @@
 import json
 import os
 import select
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -116,8 +115,8 @@ class Emulated:
         return [entry for entry in found if not events or entry["event"] in events]
 
     def end(self) -> int:
-        """End it as Ctrl-C does."""
-        self.process.send_signal(signal.SIGINT)
+        """End it in order, as Ctrl-C does; but a process of a background job may ignore that."""
+        self.process.terminate()
         return self.process.wait(20)
 
 
@@ -130,7 +129,8 @@ def emulate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., 
         folder = beside.log.parent if beside else tmp_path_factory.mktemp("emulated")
         log, state = folder / "moves.jsonl", folder / "arm.json"
         process = subprocess.Popen(
-            [sys.executable, "-m", "cell", "emulate", *arguments, "--log", str(log), "--state", str(state)],
+            [sys.executable, "-m", "cell", "emulate", *arguments, "--log", str(log), "--state", str(state),
+             "--seconds", "900"],  # a killed test session leaves nothing behind for ever
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
         started.append(Emulated(process, log, state))
