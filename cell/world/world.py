@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+_APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
+
 # "housing with link_2", never the other way round: the more mobile of the two comes first.
 _RANK = ("housing", "bracket", *reversed(robot.LINKS))
 
@@ -156,13 +158,15 @@ class World:
             return measured
         body = b if part_first else a
         part = int(self.model.geom_bodyid[a if part_first else b])
-        measured = self.part_tree.distance(
+        exact = self.part_tree.distance(
             cell_shapes.KIND[int(self.model.geom_type[body])], self.model.geom_size[body], data.geom_xpos[body],
-            data.geom_xmat[body], data.xpos[part], data.xmat[part], reach, any_nearer=any_nearer, points=points,
+            data.geom_xmat[body], data.xpos[part], data.xmat[part], max(reach, _APART),
+            any_nearer=any_nearer, points=points,
         )  # fmt: skip
         if points is not None and part_first:
             points[:] = points[::-1].copy()
-        return measured
+        # A surface has no depth: that of the hull stands for it.
+        return min(exact, reach) if exact > 0 else min(exact, measured)
 
     def pair_name(self, geom_a: int, geom_b: int) -> str:
         """What a reader calls a pair of geoms: "housing with part"."""

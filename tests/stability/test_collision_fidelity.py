@@ -11,6 +11,7 @@ import trimesh
 from cell.errors import SceneError
 from cell.replay.marks import touches
 from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.limits import impossible
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
@@ -22,7 +23,7 @@ PLACE_MM = (1100.0, 0.0, -100.0)
 
 def _world(mesh: trimesh.Trimesh, collision: str, **tables: object) -> World:
     scene = Scene.model_validate(
-        {"plan": {"collision": collision}, "placement": {"position_mm": PLACE_MM}, "post": {"enabled": False}, **tables}
+        {"plan": {"collision": collision}, "placement": {"position_mm": PLACE_MM}, "post": {"enabled": False}} | tables
     )
     return compile_world(
         scene, mesh.vertices, part_faces=np.array(mesh.faces), baseline_mm=75.0, refuse=False, use_cache=False
@@ -169,6 +170,16 @@ def test_nasty_parts_compile_and_are_found_in_every_fidelity(name: str) -> None:
         assert distance[0] <= 0
         assert "housing with part" in at_housing.contacts(world.home)
         assert names[0].endswith("part")
+
+
+@pytest.mark.parametrize("collision", FIDELITIES)
+def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it_is_not(collision: str) -> None:
+    """A surface has no depth: what is cut by 5 mm is told from what stands flush."""
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    for depth_mm, refused in ((5.0, True), (0.0, False), (-5.0, False)):
+        place = {"position_mm": [-450.0, 450.0, 50.0 - depth_mm]}
+        problems = impossible(_world(box, collision, placement=place, robot={"pedestal_size_mm": [1200.0, 1200.0]}))
+        assert any("the part stands inside the pedestal" in said for said in problems) == refused
 
 
 def test_vertices_alone_are_taken_as_their_hull() -> None:
