@@ -27,6 +27,7 @@ REGISTRY = {
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked legs against float64 brute force; the matrix at 10,000 x 10,000; what Embree's share is",
     "cover": "view selection: seconds, views, lower bound, gap per solver",
+    "coverage_requests": "curve, overlap and promises: processor seconds beside the gap that is left",
     "timing": "time of joint moves: pairs per second beside the error against ruckig",
     "singularities": "beside the singularities: joint speed for 100 mm/s at the tool, residual of the IK",
     "edge_resolution": "what a fixed step along a move misses, beside certification: time, misses, false refusals",
