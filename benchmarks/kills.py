@@ -1,0 +1,142 @@
+"""kill -9 of the client and of the emulated controller at random moments, then `--resume`: what is lost, what is doubled.
+
+A plan of a small part is executed over Modbus. Each trial kills one of the two processes at a random moment between
+the first move and the last, restarts what died, resumes until the execution is finished, and compares its scans with
+those of an undisturbed execution, byte by byte. `KILLS` in the environment changes the 50 trials of each kind.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_PLAN = ("plan", "petanque", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--seed", "3")
+_SCAN = ("--resolution", "4", "--confirm-motion", "--speed", "100")
+_TIME_SCALE = "2"
+_PATIENCE_S = 120.0
+
+
+def run() -> list[dict[str, Any]]:
+    """One row per kind of process that is killed."""
+    count = int(os.environ.get("KILLS", "50"))
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder)
+        _cell(base, *_PLAN, "--out", "plan")
+        shutil.copytree(base / "plan", base / "calm")
+        start = time.monotonic()
+        with _Emulator(base / "calm_arm") as emulator:
+            _cell(base, "scan", "calm", "--driver", emulator.url, *_SCAN)
+        calm = time.monotonic() - start
+        wanted = _scans(base / "calm")
+        return [_row(base, victim, count, wanted, calm) for victim in ("client", "controller")]
+
+
+def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], calm: float) -> dict[str, Any]:
+    rng = np.random.default_rng(7)
+    same, twice, resumed, after = 0, 0, 0, []
+    for trial in range(count):
+        name = f"{victim}{trial}"
+        shutil.copytree(base / "plan", base / name)
+        scans, times = _disturbed(base, name, victim, rng, calm)
+        after.append(scans)
+        resumed += times
+        same += _scans(base / name) == wanted
+        events = [json.loads(line) for line in (base / name / "executions/0001/events.jsonl").read_text().splitlines()]
+        taken = [event["stop"] for event in events if event["event"] == "scan"]
+        twice += len(taken) - len(set(taken))
+        shutil.rmtree(base / name)
+    return {
+        "killed": victim,
+        "trials": count,
+        "scans equal to the calm ones": same,
+        "scans recorded twice": twice,
+        "resumed": resumed,
+        "scans there when killed": f"{min(after)} to {max(after)} of {len(wanted)}",
+    }
+
+
+def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, calm: float) -> tuple[int, int]:
+    """Execute, kill, resume; returns the scans that were there at the kill, and how often it was resumed."""
+    arm = base / f"{name}_arm"
+    emulator = _Emulator(arm)
+    try:
+        client = _start(base, "scan", name, "--driver", emulator.url, *_SCAN)
+        deadline = time.monotonic() + _PATIENCE_S
+        while not (base / name / "executions/0001/events.jsonl").exists() and client.poll() is None:
+            if time.monotonic() > deadline:
+                raise RuntimeError("the execution did not begin")
+            time.sleep(0.005)
+        time.sleep(float(rng.uniform(0.0, 0.6 * calm)))
+        os.kill((client if victim == "client" else emulator.process).pid, signal.SIGKILL)
+        client.wait(_PATIENCE_S)
+        there = len(_scans(base / name))
+        if victim == "controller":
+            emulator.close()
+            emulator = _Emulator(arm)
+        times = 0
+        while json.loads((base / name / "executions/0001/manifest.json").read_text())["status"] != "finished":
+            done = subprocess.run(
+                [*_COMMAND, "scan", name, "--resume", "latest", "--reset", "--driver", emulator.url,
+                 "--confirm-motion", "--speed", "100"],
+                cwd=base, capture_output=True, text=True, timeout=_PATIENCE_S, check=False,
+            )  # fmt: skip
+            times += 1
+            if done.returncode and times >= 3:
+                raise RuntimeError(f"{name} could not be resumed: {done.stderr}")
+        return there, times
+    finally:
+        emulator.close()
+
+
+_COMMAND = (sys.executable, "-m", "cell")
+
+
+class _Emulator:
+    """`cell emulate modbus`, its arm kept in a file."""
+
+    def __init__(self, arm: Path) -> None:
+        self.process = subprocess.Popen(
+            [*_COMMAND, "emulate", "modbus", "--time-scale", _TIME_SCALE, "--state", str(arm)],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+
+    def close(self) -> None:
+        """End it, however it is."""
+        self.process.kill()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+    def __enter__(self) -> _Emulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _start(base: Path, *arguments: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [*_COMMAND, *arguments], cwd=base, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )  # fmt: skip
+
+
+def _cell(base: Path, *arguments: str) -> None:
+    done = subprocess.run([*_COMMAND, *arguments], cwd=base, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"cell {' '.join(arguments)}: {done.stderr}")
+
+
+def _scans(run: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((run / "executions/0001/scans").glob("*.npz"))}
