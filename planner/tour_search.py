@@ -75,29 +75,41 @@ class TourSearch:
         self.unconnected: list[int] = []
         self.baseline, self.lower_bound = 0.0, 0.0
         self.rounds = 0
+        self.best: list[int] = []
+        self.best_time = float("inf")
         self.stays = np.zeros(len(roadmap.q)) if stays is None else stays  # time between arriving and leaving, by node
 
     def run(self) -> list[int]:
-        """Nodes of the tour in visiting order, home at both ends; every edge of it is real."""
-        nodes, full, settled_cost = self.order(self.budget.orders, []), True, float("inf")
+        """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
+        wanted = list(self.views)
+        nodes, full = self.order(self.budget.orders, []), True
         while self.rounds < self.budget.rounds:
             if self.make_real(nodes):
-                cost = sum(path_time(self.path(a, b), self.limits) for a, b in self.edges(nodes))
-                cost += float(self.stays[nodes].sum())
-                if full or cost >= settled_cost * (1 - 1e-9):
-                    return nodes
+                if not self.keep(nodes) or full:
+                    break
                 # Quick orderings brought all edges to light; a full one may find a faster tour over them.
-                settled_cost, full = cost, True
+                full = True
                 nodes = self.order(self.budget.orders, nodes)
             else:
                 full = False
                 nodes = self.order(self.budget.orders // 10, nodes)
-        while not self.make_real(nodes):
-            self.drop_unconnected()
-            nodes = [node for node in nodes if node == 0 or self.usable(node)]
-        kept = {self.view_of(node) for node in nodes[1:-1]}
-        self.unconnected += [k for k in self.views if k not in kept]
-        return nodes
+        else:
+            while not self.make_real(nodes):
+                self.drop_unconnected()
+                nodes = [node for node in nodes if node == 0 or self.usable(node)]
+            self.keep(nodes)
+        kept = {self.view_of(node) for node in self.best[1:-1]}
+        self.unconnected = [k for k in wanted if k not in kept]
+        return self.best
+
+    def keep(self, nodes: list[int]) -> bool:
+        """Keep a tour of real edges if it visits more views than the best so far, or as many in less time."""
+        time = sum(path_time(self.path(a, b), self.limits) for a, b in self.edges(nodes))
+        time += float(self.stays[nodes].sum())
+        better = (-len(nodes), time) < (-len(self.best), self.best_time * (1 - 1e-9))
+        if better:
+            self.best, self.best_time = nodes, time
+        return better
 
     def make_real(self, nodes: list[int]) -> bool:
         """Look at the tour's edges; where all straight moves were looked at before, search the blocked ones.
