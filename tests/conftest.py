@@ -111,7 +111,8 @@ class Emulated:
 
     def entries(self, *events: str) -> list[dict[str, Any]]:
         """What the journal says of some kinds of events, of all where none is given, in order."""
-        found = [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()]
+        whole = self.log.read_text(encoding="utf-8").rpartition("\n")[0]
+        found = [json.loads(line) for line in whole.splitlines()]
         return [entry for entry in found if not events or entry["event"] in events]
 
     def end(self) -> int:

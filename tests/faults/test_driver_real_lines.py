@@ -3,6 +3,7 @@
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,12 +34,20 @@ def test_a_controller_that_is_killed_and_comes_back(protocol: str, emulate: Call
     first = emulate(protocol, "--link", str(link))
     driver = open_driver(first.url + "&" + PATIENT)
     with driver:
-        killer = threading.Timer(0.6, first.process.kill)
+
+        def kill_while_moving() -> None:
+            while not first.entries("move"):
+                time.sleep(0.02)
+            time.sleep(0.3)
+            first.process.kill()
+
+        killer = threading.Thread(target=kill_while_moving)
         killer.start()
         with pytest.raises(StateUnknownError):
             driver.move(turned(150.0), 0.2)
         killer.join()
         first.process.wait(20)
+        link.unlink()  # as a plug that is pulled; the pseudo-terminal's number may be another process's by now
         with pytest.raises(LinkError):
             driver.state()
         (entry,) = first.entries("move")
