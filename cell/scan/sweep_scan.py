@@ -21,7 +21,9 @@ from planner.ports import Floats
 from planner.sweep_line import rotation_vectors, rotations
 
 LINE_STEP, LINE_ANGLE = 0.001, float(np.radians(0.25))
-"""Lines are at most so far apart [m] and turned against each other by at most so much [rad]."""
+"""Lines are at most so far apart [m] and turned against each other by at most so much [rad], up to `_ROUNDING`."""
+
+_ROUNDING = 0.01  # share of a line: set-points are rounded, and every view of a plan should have as many lines
 
 
 def lines_between(T: Floats) -> int:
@@ -30,7 +32,7 @@ def lines_between(T: Floats) -> int:
         return 1
     step = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).max()
     turn = np.linalg.norm(rotation_vectors(T[1:, :3, :3] @ np.swapaxes(T[:-1, :3, :3], 1, 2)), axis=1).max()
-    return max(1, int(np.ceil(max(step / LINE_STEP, turn / LINE_ANGLE) - 1e-9)))
+    return max(1, int(np.ceil(max(step / LINE_STEP, turn / LINE_ANGLE) - _ROUNDING)))
 
 
 def line_poses(T: Floats, each: int) -> Floats:

@@ -1,0 +1,174 @@
+"""Executing sweeps: a leg for each pose, lines between the poses, one scan for each view, whole or not at all."""
+
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.rays.embree import EmbreeRayCaster
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run.folder import SCHEMA
+from cell.run.record import RunRecord
+from cell.scan import execute
+from cell.scan.execution_folder import ExecutionFolder
+from cell.scan.execution_reader import read_scan
+from cell.scan.pose_error import Disturbance
+from cell.scan.scene import ScanScene
+from cell.scan.sweep_scan import line_poses, lines_between
+from cell.scanners.laser_line import LaserLine
+from drivers.clock import SimulatedClock
+from drivers.contract import Capabilities, Mode, RobotState
+from drivers.errors import FaultError
+from drivers.limits import kr16
+from drivers.setpoints import from_rad
+from planner.ports import Floats
+from planner.surface import TriangleMesh
+from planner.sweep_motion import DrivenSweep, SweepPath, sweeps_of
+from planner.sweeps import straight_poses, turned_poses
+from planner.timing import Motion, retime
+
+KINEMATICS = Kr16Kinematics.load()
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+SCANNER = LaserLine(sweep_mm=80.0, sweep_steps=4, line_points=50)
+
+
+@pytest.fixture(scope="module")
+def path() -> SweepPath:
+    """A sweep of four poses around home."""
+    T = KINEMATICS.forward(HOME[None])[0]
+    return sweeps_of(T @ SCANNER.T_view_scanner, np.eye(4), KINEMATICS, KINEMATICS.limits).paths[0]
+
+
+@pytest.fixture(scope="module")
+def scene() -> ScanScene:
+    """A ball of 60 mm in the middle of the scanner's range below home."""
+    import trimesh
+
+    T_base_object = np.eye(4)
+    T_base_object[:3, 3] = (KINEMATICS.forward(HOME[None])[0] @ np.array([0, 0, 0.3, 1]))[:3]
+    ball = trimesh.creation.icosphere(3, 0.06)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
+    return ScanScene(
+        "ball", mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), EmbreeRayCaster(away.vertices, away.faces),
+        SCANNER, SCANNER.parameters(), KINEMATICS, T_base_object, np.eye(4), 1.0, 0.0,
+    )  # fmt: skip
+
+
+def _motion(path: SweepPath) -> Motion:
+    """Home, the sweep as view 70, backwards as view 71, home."""
+    back = path.reversed()
+    via = np.concatenate([HOME[None], path.q, back.q, HOME[None]])
+    pose = np.concatenate([[-1], path.pose, back.pose, [-1]])
+    leg = np.concatenate([[0], np.zeros(len(path.q)), np.ones(len(path.q)), [2]]).astype(np.int64)
+    view = np.where(pose >= 0, 70 + leg, -1)
+    lines = {k: DrivenSweep(p, np.eye(4), KINEMATICS) for k, p in ((1, path), (1 + len(path.q), back))}
+    return retime(via, leg, view, KINEMATICS.limits, pose=pose, lines=lines)
+
+
+class _Driver:
+    """At once where it is told; fails at a move."""
+
+    def __init__(self, fails_at: int = -1) -> None:
+        self.axes, self.moves, self.fails_at = from_rad(HOME), 0, fails_at
+        limits = kr16()
+        self.capabilities = Capabilities(
+            "recorder", limits.lower, limits.upper, limits.max_step, 1.0, None, False, True
+        )  # fmt: skip
+
+    def state(self) -> RobotState:
+        return RobotState(Mode.IDLE, self.axes, True)
+
+    def move(self, set_points: np.ndarray, speed: float) -> RobotState:
+        if self.moves == self.fails_at:
+            raise FaultError("the arm does not follow its set-points", 4002)
+        self.moves += 1
+        self.axes = set_points[-1]
+        return RobotState(Mode.IN_POSITION, self.axes, True)
+
+
+def _folder(tmp_path: Path) -> ExecutionFolder:
+    run = RunRecord(tmp_path, {"schema": SCHEMA, "artefacts": {}})
+    return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
+
+
+def test_legs_end_at_each_pose_and_drive_every_vertex_once(path: SweepPath) -> None:
+    """Two views of four poses, the second backwards: eight scanning legs and the way home."""
+    motion = _motion(path)
+    legs = execute.legs_of(motion)
+    assert [(leg.stop, leg.view, leg.pose) for leg in legs.legs] == [
+        *((1, 70, pose) for pose in range(4)), *((2, 71, pose) for pose in (3, 2, 1, 0)), (0, -1, 0),
+    ]  # fmt: skip
+    np.testing.assert_array_equal(np.concatenate([HOME[None], *(leg.via for leg in legs.legs)]), motion.via_q)
+
+
+@pytest.mark.parametrize("stop", [1, 2])
+def test_one_view_alone_is_driven_along_checked_paths_only(path: SweepPath, stop: int) -> None:
+    """There, through its poses, and back: every move is one of the plan's, one way or the other."""
+    motion = _motion(path)
+    legs = execute.legs_of(motion, stop)
+    assert [leg.stop for leg in legs.legs] == [stop] * 4 + [0]
+    assert sorted(leg.pose for leg in legs.legs[:4]) == [0, 1, 2, 3]
+    driven = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
+    np.testing.assert_array_equal(driven[[0, -1]], motion.via_q[[0, 0]])
+    known = {(a.tobytes(), b.tobytes()) for a, b in pairwise(motion.via_q)}
+    for a, b in pairwise(driven):
+        assert (a.tobytes(), b.tobytes()) in known or (b.tobytes(), a.tobytes()) in known
+    own = legs.motion(motion)
+    assert own.view[own.stops].tolist() == [70 if stop == 1 else 71]
+    assert legs.planned_seconds > 0
+
+
+def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
+    path: SweepPath, scene: ScanScene, tmp_path: Path
+) -> None:
+    """Poses in the column's order, points on the ball, forwards and backwards the same lines."""
+    folder = _folder(tmp_path)
+    execute.run(
+        execute.legs_of(_motion(path)), _Driver(), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
+        clock=SimulatedClock(),
+    )  # fmt: skip
+    first, second = (read_scan(folder.path / "scans" / f"{stop:04d}.npz") for stop in (1, 2))
+    np.testing.assert_array_equal(first.stored["sweep_q_reported"], second.stored["sweep_q_reported"])
+    np.testing.assert_allclose(first.stored["sweep_q_commanded"], path.measured_q, atol=1e-12)
+    np.testing.assert_array_equal(first.q_reported, first.stored["sweep_q_reported"][2])
+    assert first.stored["grid_shape"].tolist() == [4 * 20 * 50, 1]  # lines of 50 points, 1 mm apart
+    assert len(first.points) > 500
+    assert np.abs(np.linalg.norm(first.points, axis=1) - 0.06).max() < 0.001
+    ours = first.points[np.lexsort(np.round(first.points, 6).T)]
+    theirs = second.points[np.lexsort(np.round(second.points, 6).T)]
+    np.testing.assert_allclose(ours, theirs, atol=2e-6)
+
+
+def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: ScanScene, tmp_path: Path) -> None:
+    """The driver fails on the way to the third pose of the second view: the first is on disk, the second is not."""
+    folder = _folder(tmp_path)
+    with pytest.raises(FaultError):
+        execute.run(
+            execute.legs_of(_motion(path)), _Driver(6), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
+            clock=SimulatedClock(),
+        )  # fmt: skip
+    assert [file.name for file in (folder.path / "scans").iterdir()] == ["0001.npz"]
+
+
+@pytest.mark.parametrize("column", [straight_poses(0.15, 8), turned_poses(0.4, 5), straight_poses(0.02, 2)])
+def test_lines_stand_between_the_poses_and_half_a_step_beyond(column: Floats) -> None:
+    """As close as wanted, equally far apart, symmetric; a cell's middle lines mean its pose."""
+    each = lines_between(column)
+    lines = line_poses(column, each)
+    assert len(lines) == each * len(column)
+    steps = np.linalg.norm(np.diff(lines[:, :3, 3], axis=0), axis=1)
+    assert steps.max() <= 0.001 + 1e-12
+    assert np.ptp(steps) < 1e-12
+    for k in range(len(column)):
+        cell = lines[k * each : (k + 1) * each]
+        np.testing.assert_allclose(cell[:, :3, 3].mean(axis=0), column[k, :3, 3], atol=1e-12)
+        between = cell[0, :3, :3].T @ column[k, :3, :3]
+        np.testing.assert_allclose(between, column[k, :3, :3].T @ cell[-1, :3, :3], atol=1e-12)
+
+
+def test_a_single_pose_is_one_line() -> None:
+    """A view at rest is scanned as ever."""
+    assert lines_between(np.eye(4)[None]) == 1
