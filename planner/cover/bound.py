@@ -31,7 +31,7 @@ LP_ENTRIES, LP_ENTRIES_WIDE, WIDE = 400_000, 60_000, 4
 """Matrices up to the first number of ones get the LP solver's dual, those with more than `WIDE` columns for each row up
 to the second; larger ones cost it many seconds, and the subgradient steps come as near."""
 
-LP_PIVOTS = 2
+LP_PIVOTS = 3
 """The LP solver is not started where the budget pays for fewer pivots than this for each row: it would end in vain."""
 
 FIRST_STEP, LAST_STEP, SHRINK, PATIENCE, DEFLECTION = 0.1, 1e-3, 0.6, 20, 0.8
