@@ -3,8 +3,10 @@
 problem       check the input, canonical order, areas as whole numbers
 reductions    exact simplifications, and the way back
 greedy, meta_raps, local_search, exact    solvers; `solvers` names them and adds `auto`
-bound         lower bound on the number of views
+local_search_kernels    the compiled loops of the local search, imported when it runs
+bound         lower bound on the cost
 budget        work, clock guard, best cover so far
+interrupts    Ctrl-C during HiGHS
 selection     `solve`: all of it, with a status and a gap
 
 Beside it stand requests that are no cover of this form; each has a module of its own and is imported by its name.
