@@ -42,6 +42,15 @@ class SweepSpeed:
     linear_acceleration: float = 0.5
     angular_acceleration: float = 1.0
 
+    def scaled(self, speed: float, acceleration: float = 1.0) -> "SweepSpeed":
+        """Fractions of the speeds and of the accelerations: an override slows lines down like every other move."""
+        return SweepSpeed(
+            self.linear * speed,
+            self.angular * speed,
+            self.linear_acceleration * acceleration,
+            self.angular_acceleration * acceleration,
+        )
+
 
 DEFAULT_SPEED = SweepSpeed()
 

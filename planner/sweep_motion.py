@@ -486,7 +486,7 @@ def _derivatives(line: SweepLine, q: Floats, arm: _Arm) -> tuple[Floats, Floats,
 def _vertices(line: SweepLine, branch: int, arm: _Arm) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Set-points whose joint-linear segments stay within the tube about the line, their u, and which pose each is."""
     fine = 1
-    while True:
+    while fine <= _FINEST:
         u = np.linspace(0.0, 1.0, 2 * line.poses * fine + 1)
         q = _follow(line, branch, arm, u)
         rounded = from_steps(to_steps(q))
@@ -494,12 +494,15 @@ def _vertices(line: SweepLine, branch: int, arm: _Arm) -> tuple[Floats, Floats, 
         T = line.at(0.5 * (u[:-1] + u[1:]))
         off = np.linalg.norm(middle[:, :3, 3] - T[:, :3, 3], axis=1).max()
         turned = rotation_vectors(middle[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
-        if (off <= TUBE and np.linalg.norm(turned, axis=1).max() <= TUBE_ANGLE) or fine >= _FINEST:
-            break
+        if off <= TUBE and np.linalg.norm(turned, axis=1).max() <= TUBE_ANGLE:
+            pose = np.full(len(u), -1)
+            pose[fine :: 2 * fine] = np.arange(line.poses)
+            return q, u, pose
         fine *= 2
-    pose = np.full(len(u), -1)
-    pose[fine :: 2 * fine] = np.arange(line.poses)
-    return q, u, pose
+    raise PlannerError(
+        f"set-points of 1e-4 deg cannot follow a sweep within {TUBE * 1e6:g} micrometres: at the end of this arm they "
+        f"are {off * 1e6:.0f} off"
+    )
 
 
 def _turns(low: Floats, high: Floats, limits: JointLimits) -> list[Floats] | str:

@@ -118,23 +118,6 @@ def swept(viewpoints: Viewpoints, T_view_scanner: ArrayLike) -> Viewpoints:
     return Viewpoints(viewpoints.T_object_scanner @ poses, viewpoints.face, viewpoints.standoff, viewpoints.roll)
 
 
-def begun_at(T_object_first: ArrayLike, T_object_scanner: ArrayLike) -> Floats:
-    """Sweeps moved to other first poses: what a robot that stands at a first pose goes on to do.
-
-    Args:
-        T_object_first: (n, 4, 4) first poses [m].
-        T_object_scanner: (n, K, 4, 4) the sweeps as they were planned [m].
-
-    Returns:
-        (n, K, 4, 4) T_object_scanner [m]; its first poses are those that are given.
-    """
-    planned = readonly("T_object_scanner", T_object_scanner, (None, None, 4, 4))
-    first = readonly("T_object_first", T_object_first, (len(planned), 4, 4))
-    moved: Floats = (first @ np.linalg.inv(planned[:, 0]))[:, None] @ planned
-    moved[:, 0] = first
-    return moved
-
-
 def _middles(count: int) -> Floats:
     """(K,) middles of K equal cells of [-0.5, 0.5]."""
     return (np.arange(count) + 0.5) / count - 0.5

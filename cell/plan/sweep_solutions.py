@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cell.plan.view_exchange import Groups
 from cell.world.world import World
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
+from planner.sweep_line import DEFAULT_SPEED
 from planner.sweep_motion import DrivenSweep, SweepPath, Sweeps, passages_of, sweeps_of
 from planner.timing import TimedLine
 from planner.tour import Passage, Tour
@@ -41,6 +42,10 @@ class SweepSolutions:
     ) -> None:
         self._candidates, self._world, self._kinematics = candidates, world, kinematics
         self._checker, self._limits = checker, limits
+        full = world.limits
+        self._speed = DEFAULT_SPEED.scaled(
+            _fraction(limits.velocity, full.velocity), _fraction(limits.acceleration, full.acceleration)
+        )
         self._found: dict[int, Sweeps] = {}
 
     def paths(self, view: int) -> tuple[SweepPath, ...]:
@@ -93,6 +98,12 @@ class SweepSolutions:
         if view not in self._found:
             column = self._world.T_base_object @ self._candidates.T_object_scanner[view]
             self._found[view] = sweeps_of(
-                column, self._world.T_flange_scanner, self._kinematics, self._limits, checker=self._checker
+                column, self._world.T_flange_scanner, self._kinematics, self._limits, self._speed, self._checker
             )
         return self._found[view]
+
+
+def _fraction(limit: Floats, full: Floats) -> float:
+    """The fraction to which limits were scaled; those that are not finite say nothing."""
+    known = np.isfinite(limit) & np.isfinite(full)
+    return float((limit[known] / full[known]).min(initial=1.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.sweeps import begun_at, straight_poses, straight_sweep, swept, turned_poses, turned_sweep
+from planner.sweeps import straight_poses, straight_sweep, swept, turned_poses, turned_sweep
 from planner.viewpoints import Viewpoints, view_sphere
 
 
@@ -43,15 +43,6 @@ def test_a_turned_sweep_turns_about_the_line_through_the_source(count: int) -> N
     np.testing.assert_allclose(T, _views().T_object_scanner @ poses, atol=1e-15)
 
 
-def test_a_sweep_that_begins_elsewhere_keeps_its_inner_motion() -> None:
-    """The first poses are those given, to the last bit; each next pose relative to the first is as planned."""
-    planned = turned_sweep(_views(), 0.6, 5).T_object_scanner
-    moved_first = planned[:, 0] @ np.linalg.inv(planned[3, 0]) @ planned[5, 0]
-    moved = begun_at(moved_first, planned)
-    assert (moved[:, 0] == moved_first).all()
-    np.testing.assert_allclose(np.linalg.inv(moved[:, :1]) @ moved, np.linalg.inv(planned[:, :1]) @ planned, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -64,7 +55,6 @@ def test_a_sweep_that_begins_elsewhere_keeps_its_inner_motion() -> None:
         (lambda: turned_poses(0.5, -1), "at least one"),
         (lambda: swept(straight_sweep(_views(), 0.1, 2), straight_poses(0.1, 2)), "2 poses each"),
         (lambda: swept(_views(), np.empty((0, 4, 4))), "no pose"),
-        (lambda: begun_at(np.eye(4)[None], np.tile(np.eye(4), (2, 3, 1, 1))), "T_object_first has shape"),
     ],
 )
 def test_impossible_sweeps_are_refused(make, words: str) -> None:
