@@ -49,9 +49,13 @@ def main(argv: list[str] | None = None) -> int:
     sys.exit(code)
 
 
+class Killed(KeyboardInterrupt):
+    """A polite kill; unlike Ctrl-C it never means "go on with the best so far"."""
+
+
 def _stop(signum: int, frame: FrameType | None) -> None:
     """A polite kill ends a run as Ctrl-C does: the folder keeps its status."""
-    raise KeyboardInterrupt
+    raise Killed
 
 
 if __name__ == "__main__":

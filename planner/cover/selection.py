@@ -200,8 +200,8 @@ def _search(problem: CoverProblem, solver: str, rng: np.random.Generator, search
         with search.portion(BOUND_SHARE):
             search.dual = bound(problem, problem.cost(chosen), search)
         chosen = SOLVERS[solver](problem, rng, search)
-    except KeyboardInterrupt:
-        if search.best is None:
+    except KeyboardInterrupt as stop:
+        if search.best is None or type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a wish for a result
             raise
         search.interrupted = True
         chosen = search.best

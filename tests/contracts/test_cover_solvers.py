@@ -216,6 +216,21 @@ def test_ctrl_c_returns_the_best_cover_so_far(solver, monkeypatch):
     assert 1 <= result.lower_bound < len(result.views)
 
 
+def test_a_kill_is_not_taken_for_a_wish_for_the_best_so_far(monkeypatch):
+    """Only Ctrl-C itself ends a search with its result; what is derived from it goes on to the caller."""
+
+    class Killed(KeyboardInterrupt):
+        pass
+
+    def killed(problem, rng, budget):
+        raise Killed
+
+    monkeypatch.setitem(SOLVERS, "local-search", killed)
+    M, areas = instance(4, 150, 100, 0.05)
+    with pytest.raises(Killed):
+        run(M, areas, "local-search")
+
+
 @pytest.mark.parametrize("solver", ["meta-raps", "local-search", "exact", "auto"])
 def test_an_interrupted_search_leaves_its_best_cover(solver):
     """Ctrl-C in a solver reaches the caller, and the budget still holds a cover."""
