@@ -1,4 +1,4 @@
-"""kill -9 of the client and of the emulated controller at random moments, then `--resume`: what is lost, what is doubled.
+"""kill -9 of the client and of the emulated controller at random moments, then `--resume`: what is lost or doubled.
 
 A plan of a small part is executed over Modbus. Each trial kills one of the two processes at a random moment between
 the first move and the last, restarts what died, resumes until the execution is finished, and compares its scans with
