@@ -16,7 +16,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -39,16 +39,17 @@ _ECHO = (
 )
 
 
-def _timed(act: Callable[[], object], rounds: int) -> tuple[float, float]:
-    """Median and 99th percentile [ms]."""
+def _timed(act: Callable[[], object], rounds: int) -> tuple[float, float, float]:
+    """Median and 99th percentile [ms], and the processor's time of this process alone for one [ms]."""
     for _ in range(20):
         act()
-    spent = []
+    spent, busy = [], process_time()
     for _ in range(rounds):
         began = perf_counter()
         act()
         spent.append(1000.0 * (perf_counter() - began))
-    return float(np.median(spent)), float(np.percentile(spent, 99))
+    busy = 1000.0 * (process_time() - busy) / rounds
+    return float(np.median(spent)), float(np.percentile(spent, 99)), busy
 
 
 def _bytes(backend: str) -> tuple[int, int]:
@@ -72,11 +73,16 @@ def _bare_line(rounds: int) -> dict[str, Any]:
                 peer.sendall(b"x")
                 peer.recv(64)
 
-            median, p99 = _timed(echo, rounds)
+            median, p99, busy = _timed(echo, rounds)
             peer.close()
         finally:
             process.wait(10)
-    return {"wire": "bare loopback socket", "state median [ms]": median, "state p99 [ms]": p99}
+    return {
+        "wire": "bare loopback socket",
+        "state median [ms]": median,
+        "state p99 [ms]": p99,
+        "cpu of the client [ms]": busy,
+    }
 
 
 def run() -> list[dict[str, Any]]:
@@ -91,14 +97,14 @@ def run() -> list[dict[str, Any]]:
                 driver = open_driver(process.stdout.readline().strip())
                 assert isinstance(driver, ControllerClient)
                 with driver:
-                    state, state_p99 = _timed(driver.state, rounds)
+                    state, state_p99, busy = _timed(driver.state, rounds)
                     link, sequence = driver._link, [driver.state().ack_sequence]
 
                     def reset(link: Any = link, sequence: list[int] = sequence) -> None:
                         sequence[0] = next_sequence(sequence[0])
                         link.send(sequence[0], Reset())
 
-                    command_median, command_p99 = _timed(reset, rounds)
+                    command_median, command_p99, _ = _timed(reset, rounds)
             finally:
                 process.terminate()
                 process.wait(20)
@@ -108,6 +114,7 @@ def run() -> list[dict[str, Any]]:
                 "wire": backend,
                 "state median [ms]": state,
                 "state p99 [ms]": state_p99,
+                "cpu of the client [ms]": busy,
                 "command median [ms]": command_median,
                 "command p99 [ms]": command_p99,
                 "figure, median [ms]": figure,
