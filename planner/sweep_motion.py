@@ -15,12 +15,15 @@ y = |q'| this gives, at a distance r from a sample,
     |q'|   <= Q1 = y_k / (1 - H y_k r / s)
     |q''|  <= Q2 = H Q1^2 / s
     |q'''| <= Q3 = (3 H Q1 Q2 + H2 Q1^3) / s
+    |q''''| <= Q4 = (3 H Q1 Q3 + 3 B2 Q2 + B3 Q1) / s     B2 = H2 Q1^2 + H Q2 >= |J''|
+                                                          B3 = H3 Q1^3 + 3 H2 Q1 Q2 + H Q3 >= |J'''|, H3 = sqrt(2592)
 
-so |q'_j| <= |q'_j,k| + r Q2 and |q''_j| <= |q''_j,k| + r Q3: from these follows the time that the axes' limits on
-speed, acceleration and jerk need, and the line is driven no faster. Where s > 0 the branch goes on continuously and
-without a singularity. The sample that follows lies on it, and on no other branch, where its distance from the one
-before is at most rho = 2 r Q1 and H rho <= sigma_k / 2: J then changes by less than half of what it would need to lose
-a direction, and no pose is taken twice within rho. Intervals that are not proven are halved, a number of times.
+so |q'_j| <= |q'_j,k| + r Q2 and |q''_j| <= |q''_j,k| + r Q3; the third derivative differs by no more than 2 r Q4 from
+its mean between two samples, which is a difference of q''. From these follows the time that the axes' limits on speed,
+acceleration and jerk need, and the line is driven no faster. Where s > 0 the branch goes on continuously and without a
+singularity. The sample that follows lies on it, and on no other branch, where its distance from the one before is at
+most rho = 2 r Q1 and H rho <= sigma_k / 2: J then changes by less than half of what it would need to lose a direction,
+and no pose is taken twice within rho. Intervals that are not proven are halved, a number of times.
 
 The driven set-points are vertices on the line, at most `TUBE` from it between them; all measuring poses are among them.
 Base frame, metres, radians, seconds.
@@ -53,7 +56,7 @@ SLOWEST = 4.0
 """A sweep may be driven so many times slower than is wanted where the axes need it; then it is refused."""
 
 _FIRST, _HALVINGS, _MOST = 32, 7, 3000  # intervals at first, rounds of halving, samples at most
-_H, _H2 = float(np.sqrt(51.0)), float(np.sqrt(432.0))
+_H, _H2, _H3 = float(np.sqrt(51.0)), float(np.sqrt(432.0)), float(np.sqrt(2592.0))
 _SLACK = 1.1  # R over the largest distance at a sample; what the distance may grow in between is checked
 _LEAST_SIGMA = 1e-4  # below this the arm stands in a singularity, to within what a set-point resolves
 _FINEST = 64  # segments in half a cell at most
@@ -383,19 +386,21 @@ def _prove(line: SweepLine, branch: int, arm: _Arm, limits: JointLimits, cruise:
         first, second, sigma, xi, weak = _derivatives(line, q, arm)
         if sigma.min() < _LEAST_SIGMA:
             return Refused(branch, SweepRefusal.SINGULAR, _axes(np.abs(weak[int(sigma.argmin())]) > 0.4))
-        at_samples = _time_needed(line, np.abs(first), np.abs(second), _bounds(sigma, first, xi, 0.0)[2], limits)
+        r = 0.5 * np.diff(u)
+        mean = np.abs(np.diff(second, axis=0)) / (2.0 * r)[:, None]  # of the third derivative, between the samples
+        at_samples = _time_needed(line, np.abs(first[1:]), np.abs(second[1:]), mean, limits)
         if at_samples.max() > SLOWEST * cruise:
             return _too_fast(branch, first[int(at_samples.max(axis=1).argmax())], limits)
-        r = 0.5 * np.diff(u)
         good, need, reach = np.ones(len(r), dtype=bool), np.zeros(len(r)), np.zeros((len(r), 6))
         steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
         for end in (slice(None, -1), slice(1, None)):
-            y1, y2, y3, followed = _bounds(sigma[end], first[end], xi, r)
+            y1, y2, y3, y4, followed = _bounds(sigma[end], first[end], xi, r)
             rho = 2.0 * r * y1
             good &= followed & (steps <= rho + 1e-12) & (_H * rho <= 0.5 * sigma[end])
             good &= np.sqrt(6.0) * _SLACK * y1 * r <= _SLACK - 1.0  # no axis' lever outgrows R
             speeds, curves = np.abs(first[end]) + (r * y2)[:, None], np.abs(second[end]) + (r * y3)[:, None]
-            need = np.maximum(need, _time_needed(line, speeds, curves, y3, limits).max(axis=1))
+            jolts = np.minimum(y3[:, None], mean + (2.0 * r * y4)[:, None])
+            need = np.maximum(need, _time_needed(line, speeds, curves, jolts, limits).max(axis=1))
             reach = np.maximum(reach, r[:, None] * speeds)
         # An interval is halved while it is not proven, or while its bounds alone would slow the sweep down.
         slowest = SLOWEST * cruise
@@ -422,9 +427,9 @@ def _too_fast(branch: int, first: Floats, limits: JointLimits) -> Refused:
 
 
 def _bounds(
-    sigma: Floats, first: Floats, xi: float, r: Floats | float
-) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
-    """Q1, Q2, Q3 (n,) within r of samples, and whether they hold: whether no singularity can lie so near."""
+    sigma: Floats, first: Floats, xi: float, r: Floats
+) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]]:
+    """Q1 to Q4 (n,) within r of samples, and whether they hold: whether no singularity can lie so near."""
     y = np.linalg.norm(first, axis=1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         s = np.sqrt(sigma**2 - 2.0 * _H * xi * r)
@@ -433,7 +438,10 @@ def _bounds(
         s = np.maximum(s, sigma - _H * y1 * r)
         y2 = _H * y1**2 / s
         y3 = (3.0 * _H * y1 * y2 + _H2 * y1**3) / s
-    return np.where(holds, y1, np.inf), np.where(holds, y2, np.inf), np.where(holds, y3, np.inf), holds
+        b2, b3 = _H2 * y1**2 + _H * y2, _H3 * y1**3 + 3.0 * _H2 * y1 * y2 + _H * y3
+        y4 = (3.0 * _H * y1 * y3 + 3.0 * b2 * y2 + b3 * y1) / s
+    y1, y2, y3, y4 = (np.where(holds, y, np.inf) for y in (y1, y2, y3, y4))
+    return y1, y2, y3, y4, holds
 
 
 def _time_needed(line: SweepLine, speeds: Floats, curves: Floats, jolts: Floats, limits: JointLimits) -> Floats:
@@ -445,13 +453,13 @@ def _time_needed(line: SweepLine, speeds: Floats, curves: Floats, jolts: Floats,
         line: gives g and h.
         speeds: (n, 6) bounds of the first derivative by u [rad].
         curves: (n, 6) of the second.
-        jolts: (n,) of the third.
+        jolts: (n, 6) of the third.
         limits: of the axes.
     """
     rising, easing = line.ramp_shares
     g, h = 1.0 / rising, 1.0 / (rising * easing)
     time: Floats = np.maximum(speeds / limits.velocity, np.sqrt((curves + speeds * g) / limits.acceleration))
-    return np.maximum(time, np.cbrt((jolts[:, None] + 3.0 * curves * g + speeds * h) / limits.jerk))
+    return np.maximum(time, np.cbrt((jolts + 3.0 * curves * g + speeds * h) / limits.jerk))
 
 
 def _follow(line: SweepLine, branch: int, arm: _Arm, u: Floats) -> Floats:

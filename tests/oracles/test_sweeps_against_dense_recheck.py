@@ -41,7 +41,7 @@ def test_a_sweep_keeps_its_line_its_speed_its_branch_and_every_limit(name: str) 
     """2000 samples of each: on the line within a micrometre; constant speed from first to last pose; limits held."""
     column = COLUMNS[name]
     slowest = 0.0
-    for path in _paths(column, np.random.default_rng(sorted(COLUMNS).index(name)), 8):
+    for path in _paths(column, np.random.default_rng(sorted(COLUMNS).index(name)), 4):
         t = np.linspace(0.0, path.duration, 2001)
         q, qd, qdd = timed(path, MOUNT, KINEMATICS, t)
         T = KINEMATICS.forward(q) @ MOUNT
@@ -91,7 +91,7 @@ def test_a_sweep_keeps_its_line_its_speed_its_branch_and_every_limit(name: str) 
 def test_the_vertices_are_set_points_within_the_tube_and_hold_every_pose(name: str) -> None:
     """Multiples of 1e-4 deg; joint-linear between them the frame stays within the tube; poses to some micrometres."""
     column = COLUMNS[name]
-    for path in _paths(column, np.random.default_rng(7), 6):
+    for path in _paths(column, np.random.default_rng(7), 3):
         steps = np.degrees(path.q) * 1e4
         np.testing.assert_allclose(steps, np.round(steps), atol=1e-5)
         share = np.linspace(0, 1, 9)[:, None, None]
