@@ -1,0 +1,130 @@
+"""The list of faults, and what each does to a telegram; the lines on which emulated controllers listen."""
+
+import os
+import socket
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import DriverError, LinkError
+from drivers.lines import LOOPBACK, PtyLine, TcpLine
+from drivers.wire_faults import NAMES, WIRE_FAULTS, Appointment, Chance, Injector, parse
+
+TELEGRAM = bytes(range(40))
+
+
+def injector(text: str, seed: int = 0) -> Injector:
+    """Of a list."""
+    return Injector(parse(text), np.random.default_rng(seed))
+
+
+def test_a_list_of_faults_is_read() -> None:
+    """Probabilities, durations, defaults, times; sorted by time; an empty list is no fault."""
+    faults = parse("drop=0.01, delay=0.02:0.3,half-open=1,estop@12.5,reboot@3:1.5")
+    assert faults.chances == {"drop": Chance(0.01, 0.0), "delay": Chance(0.02, 0.3), "half-open": Chance(1.0, 1.5)}
+    assert faults.appointments == (Appointment(3.0, "reboot", 1.5), Appointment(12.5, "estop", NAMES["estop"]))
+    assert parse("").chances == {}
+
+
+@pytest.mark.parametrize(
+    "text", ["drop", "drop=", "drop=x", "drop=nan", "drop=-0.1", "drop=1.1", "fire=0.1", "delay=0.1:-1", "delay@3",
+             "drop=0.1,drop=0.2", "estop@-1", "estop@inf", "truncate=0.1:2", "delay=0.1:inf"],
+)  # fmt: skip
+def test_a_list_that_cannot_be_is_refused_with_what_could(text: str) -> None:
+    """One sentence."""
+    with pytest.raises(DriverError, match=r"fault") as error:
+        parse(text)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", WIRE_FAULTS)
+def test_what_a_certain_fault_does_to_a_telegram(name: str) -> None:
+    """Nothing, later, twice, after the next, changed, or shorter; and without faults: itself, at once."""
+    assert injector("").through("request", TELEGRAM) == [(0.0, TELEGRAM)]
+    wire = injector(f"{name}=1")
+    first = wire.through("request", TELEGRAM)
+    if name == "drop":
+        assert first == []
+    elif name == "delay":
+        assert first == [(0.3, TELEGRAM)]
+    elif name == "duplicate":
+        assert first == [(0.0, TELEGRAM), (0.02, TELEGRAM)]
+    elif name == "reorder":
+        assert first == []
+        assert wire.holds("request")
+        assert not wire.holds("answer")
+        assert wire.through("request", b"next") == [(0.0, b"next"), (0.0, TELEGRAM)]
+    elif name == "corrupt":
+        ((_, changed),) = first
+        assert len(changed) == len(TELEGRAM)
+        assert changed != TELEGRAM
+    else:
+        assert all(TELEGRAM.startswith(cut) and len(cut) < len(TELEGRAM) for _, cut in first)
+
+
+def test_a_held_telegram_comes_late_where_none_follows() -> None:
+    """Once."""
+    wire = injector("reorder=1")
+    wire.through("answer", TELEGRAM)
+    assert wire.late("answer") == TELEGRAM
+    assert wire.late("answer") is None
+
+
+def test_the_same_seed_spoils_the_same_telegrams() -> None:
+    """And another seed others."""
+    text = ",".join(f"{name}=0.2" for name in WIRE_FAULTS)
+    runs = [[injector_.through("request", TELEGRAM) for _ in range(200)]
+            for injector_ in (injector(text, 1), injector(text, 1), injector(text, 2))]  # fmt: skip
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+def test_a_fault_happens_as_often_as_it_says() -> None:
+    """Within five standard deviations over 20,000 telegrams."""
+    wire = injector("drop=0.05")
+    lost = Counter(not wire.through("request", TELEGRAM) for _ in range(20_000))[True]
+    assert abs(lost - 1000) < 5 * np.sqrt(20_000 * 0.05 * 0.95)
+
+
+def test_an_emulated_controller_listens_on_the_loopback_interface_alone() -> None:
+    """A taken port is one sentence."""
+    line = TcpLine()
+    try:
+        assert LOOPBACK == "127.0.0.1"
+        assert line._listener.getsockname() == ("127.0.0.1", line.port)
+        with pytest.raises(LinkError, match="cannot be taken"):
+            TcpLine(line.port)
+        with socket.create_connection((LOOPBACK, line.port), timeout=5) as peer:
+            received: list[tuple[int, bytes]] = []
+            peer.sendall(b"question")
+            for _ in range(100):
+                received += line.receive(0.05)
+                if received:
+                    break
+            ((number, data),) = received
+            assert data == b"question"
+            line.send(number, b"answer")
+            assert peer.recv(64) == b"answer"
+            line.drop()
+            assert peer.recv(64) == b""
+            line.send(number, b"to nobody")
+    finally:
+        line.close()
+
+
+def test_a_pseudo_terminal_has_a_link_that_goes_with_it(tmp_path: Path) -> None:
+    """A stale link is replaced, another file is not; what nobody reads is lost and does not block."""
+    link = tmp_path / "arm"
+    link.symlink_to("/nowhere")
+    line = PtyLine(link)
+    assert os.readlink(link).startswith("/dev/")  # noqa: PTH115 # the target itself, not resolved
+    for _ in range(50):
+        line.send(0, b"x" * 1000)
+    line.close()
+    assert not link.is_symlink()
+    link.write_text("a file")
+    with pytest.raises(LinkError, match="exists and is no link"):
+        PtyLine(link)
+    assert link.read_text() == "a file"
