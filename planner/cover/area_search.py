@@ -13,6 +13,8 @@ TENURES = 61
 """Drawn tenures; a prime, so that they do not fall into step with cycles of swaps."""
 
 _CHUNK = 20_000_000  # work between two looks at the clock
+_STEPS, _STEPS_BETWEEN = 20_000, 20  # swaps at the number of columns that is wanted, and at those on the way
+_PAST = 3  # columns beyond the number wanted; coming back from there finds what growing alone does not
 
 
 class AreaSearch:
@@ -87,3 +89,33 @@ class AreaSearch:
                 step, min(steps, step + 50), min(_CHUNK, max(budget.left, 1)),
             )  # fmt: skip
         self.set(best)
+
+
+def search_most(
+    problem: CoverProblem, size: int, rng: np.random.Generator, work: Budget, enough: int | None = None
+) -> tuple[Ints, int]:
+    """Columns with much area: grown one by one and improved in between, past the number wanted and back, then searched.
+
+    Args:
+        problem: rows with their units, and columns.
+        size: how many columns.
+        rng: random choices.
+        work: work and clock.
+        enough: units at which the search ends; None: all.
+
+    Returns:
+        At most `size` columns, and the units that they cover.
+    """
+    search = AreaSearch(problem, rng)
+    best, area = search.chosen, 0
+    while len(search.chosen) < min(size + _PAST, problem.n_columns) and search.grow():
+        search.improve(work, _STEPS_BETWEEN)
+        if len(search.chosen) <= size:
+            best, area = search.chosen, search.area
+    while len(search.chosen) > size:
+        search.shrink()
+        search.improve(work, _STEPS_BETWEEN)
+    if search.area < area:
+        search.set(best)
+    search.improve(work, _STEPS, enough)
+    return search.chosen, search.area

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from planner.cover.answer import told
 from planner.cover.area_bound import AreaBounds, area_bounds
-from planner.cover.area_search import AreaSearch
+from planner.cover.area_search import search_most
 from planner.cover.budget import Budget
 from planner.cover.interrupts import interruptible
 from planner.cover.prepared import Prepared, prepare
@@ -36,9 +36,6 @@ MOST_WORK = 1_500_000_000
 
 NODE_WORK, ROOT_NODES = 1000, 100
 """Charge of a node of HiGHS for each one of the matrix; the root with its cuts and heuristics counts as many."""
-
-_STEPS, _STEPS_BETWEEN = 20_000, 20  # swaps at the number of views that is wanted, and at those on the way
-_PAST = 3  # views beyond the number wanted; coming back from there finds what growing alone does not
 
 
 class MostStatus(Enum):
@@ -134,27 +131,6 @@ def most_coverage(
         columns, upper = ready.canonical(chosen), ready.base + inner
         fewest = int(np.flatnonzero(np.append(bounds.units[:-1], np.inf) >= ready.units(chosen))[0])
     return _result(ready, columns, upper, len(ready.fixed) + fewest, max_views, work)
-
-
-def search_most(problem: CoverProblem, size: int, rng: np.random.Generator, work: Budget) -> tuple[Ints, int]:
-    """Columns with much area: grown one by one and improved in between, past the number wanted and back, then searched.
-
-    Returns:
-        At most `size` columns, and the units that they cover.
-    """
-    search = AreaSearch(problem, rng)
-    best, area = search.chosen, 0
-    while len(search.chosen) < min(size + _PAST, problem.n_columns) and search.grow():
-        search.improve(work, _STEPS_BETWEEN)
-        if len(search.chosen) <= size:
-            best, area = search.chosen, search.area
-    while len(search.chosen) > size:
-        search.shrink()
-        search.improve(work, _STEPS_BETWEEN)
-    if search.area < area:
-        search.set(best)
-    search.improve(work, _STEPS)
-    return search.chosen, search.area
 
 
 def close_gap(

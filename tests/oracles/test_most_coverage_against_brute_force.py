@@ -115,3 +115,18 @@ def test_search_beats_greedy_where_greedy_is_known_to_fail():
     found = most_coverage(M, areas, rng=np.random.default_rng(0), max_views=2)
     assert sorted(found.cover.views.tolist()) == [0, 1]
     assert found.status is MostStatus.EVERYTHING
+
+
+def test_below_full_coverage_the_selection_profits_from_searching_by_area():
+    """On random matrices at 90 % the selection has no more views than the curve needs, and is below on none."""
+    from planner.cover import solve
+
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        M = rng.random((150, 60)) < 0.15
+        M = M[M.any(axis=1)]
+        areas = np.ones(len(M))
+        curve = coverage_curve(M, areas, rng=np.random.default_rng(0), budget=50_000_000)
+        suffices, possible = curve.fewest(0.9)
+        found = solve(M, areas, rng=np.random.default_rng(0), coverage=0.9)
+        assert possible <= len(found.views) <= suffices
