@@ -4,6 +4,9 @@ Outcomes come in the order in which they are finished. A worker that dies loses 
 """
 
 import multiprocessing
+import os
+import signal
+import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -90,13 +93,27 @@ class Processes:
     def _open(self) -> ProcessPoolExecutor:
         if self._pool is None:
             # spawn: a forked child would inherit the ray engine's and the solver's threads in an unknown state.
-            self._pool = ProcessPoolExecutor(self._count, mp_context=multiprocessing.get_context("spawn"))
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_live_with_parent)
         return self._pool
 
     def _close(self) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
+
+
+def _live_with_parent() -> None:
+    """A worker leaves Ctrl-C to its parent, and ends when that does, however it does: nobody would read its result."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
 
 
 class Cluster:

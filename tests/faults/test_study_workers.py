@@ -1,9 +1,13 @@
 """Studies whose workers die: nothing that was finished is lost, what was being computed is computed again."""
 
+import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +76,37 @@ def test_no_processes_is_refused(tmp_path: Path) -> None:
     """The sentence names the option."""
     with pytest.raises(UsageError, match="--processes 0"):
         run(_trials(1), processes=0, folder=tmp_path)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+def test_no_worker_outlives_a_study_that_was_killed(tmp_path: Path) -> None:
+    """Kill -9 of the command in its first trial: its processes are gone soon after."""
+    study = subprocess.Popen(
+        [sys.executable, "-m", "cell", "study", "table1", "--part", "petanque", "--processes", "2"],
+        cwd=tmp_path, env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+    def until(condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + 120
+        while not condition():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+    def workers() -> list[int]:
+        # By their command line: the parent of an orphan is another.
+        found = []
+        for path in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError):
+                if int(path.read_text().rpartition(")")[2].split()[1]) == study.pid:
+                    found.append(int(path.parent.name))
+        return found
+
+    until(lambda: len(workers()) >= 3)  # two of the pool and the tracker of shared resources
+    children = workers()
+    study.kill()
+    study.wait()
+    until(lambda: not [pid for pid in children if Path(f"/proc/{pid}").exists()])
 
 
 @pytest.fixture(scope="module")
