@@ -25,13 +25,11 @@ class DenseMove:
         q_from: (6,) [rad].
         q_to: (6,) [rad].
         checker: keeps the clearance.
-        touching: of the same scene, without clearance: finds contact alone.
     """
 
     q_from: Floats
     q_to: Floats
     checker: CollisionChecker
-    touching: CollisionChecker
 
     @cached_property
     def dense(self) -> Floats:
@@ -40,14 +38,11 @@ class DenseMove:
         return self.q_from + np.linspace(0.0, 1.0, n + 1)[:, None] * (self.q_to - self.q_from)
 
     @cached_property
-    def too_near(self) -> bool:
-        """Whether it comes nearer to something than the clearance."""
-        return bool(len(self._near))
-
-    @cached_property
-    def in_contact(self) -> bool:
-        """Whether it touches something."""
-        return bool(len(self._near)) and not bool(self.touching.free(self._near).all())
+    def intrusion(self) -> float:
+        """How much of the clearance the move uses up at its nearest [m]; 0 where it keeps it."""
+        if not len(self._near):
+            return 0.0
+        return max(0.0, self.checker.clearance - float(self.checker.distance(self._near)[0].min()))
 
     @cached_property
     def _near(self) -> Floats:

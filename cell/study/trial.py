@@ -23,6 +23,9 @@ TRIALS = {
     "table-row": "cell.study.tables:row",
     "placement": "cell.study.placed:placement",
     "views": "cell.study.views:views",
+    "knob": "cell.study.knobs:turn",
+    "whole": "cell.study.whole:whole",
+    "measurable": "cell.study.whole:measurable",
 }
 """Name of a trial and where its function is; only these can be run, whoever asks."""
 

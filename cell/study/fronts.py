@@ -1,0 +1,262 @@
+"""`cell study speed`: seconds against error, one knob at a time, and the whole pipeline under presets beside it.
+
+A row holds the seconds that its trial took where and when it was computed: rows of one run on one machine compare,
+rows of two do not. Errors and views are the same everywhere.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cell.scene.presets import DEFAULT, PRESETS
+from cell.scene.scene import Scene
+from cell.study import whole
+from cell.study.knobs import KNOBS, Knob, Value
+from cell.study.scenes import scene_settings
+from cell.study.study import Row, Study
+from cell.study.trial import Outcome, Trial
+
+WHOLE = "whole"
+"""Beside the knobs: the whole pipeline."""
+
+REPEATS = 3
+
+_COLOURS = {"fast": "#ca6f1e", "balanced": "#1e8449", "accurate": "#7d3c98", whole.PAPER: "#b03a2e"}
+_MARKS = {"fast": "v", "balanced": "*", "accurate": "^", whole.PAPER: "s"}
+_SIZES = {"fast": 9, "balanced": 14, "accurate": 9, whole.PAPER: 8}
+_LINE = "#2471a3"
+_SHOWN = ("knob", "part", "value", "presets", "seconds", "processor s", "error", "unit", "views")
+
+
+def speed_study(
+    turns: Sequence[tuple[str, str, Scene]],
+    wholes: Sequence[tuple[str, Scene, Sequence[str]]],
+    *,
+    values: Sequence[Value] | None = None,
+    repeats: int = REPEATS,
+) -> Study:
+    """The study of some knobs, and of the whole pipeline on some parts.
+
+    Args:
+        turns: name of each knob, name of its part, and the scene that it is turned on.
+        wholes: name, scene and options of `cell plan` of each part that the whole pipeline is run on.
+        values: in place of a knob's range, where there is one knob.
+        repeats: runs of each work, of which the best counts.
+    """
+    turned = [
+        (name, part, value, Trial.of("knob", {**base, "knob": name, "value": value, "repeats": repeats}))
+        for name, part, base in ((name, part, scene_settings(scene)) for name, part, scene in turns)
+        for value in (values or KNOBS[name].values)
+    ]
+    methods = [
+        (name, method, Trial.of("whole", {"options": list(options), "method": method, "files": _files(each)}))
+        for name, each, options in wholes
+        for method in whole.METHODS
+    ]
+    truths = {name: Trial.of("measurable", scene_settings(each)) for name, each, _ in wholes}
+
+    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+        found = {outcome.trial: outcome for outcome in outcomes}
+        listed = [_row(name, part, value, found[trial]) for name, part, value, trial in turned if trial in found]
+        for name, truth in truths.items():
+            of_part = [(method, found[t]) for n, method, t in methods if n == name and t in found]
+            if truth in found and of_part:
+                # A plan's own poses may measure a speck more than the finest candidates do.
+                most = max(found[truth].values["measurable"], *(each.values["visible"] for _, each in of_part))
+                listed += [whole.row(name, method, each.values, each.seconds, most) for method, each in of_part]
+        return listed
+
+    trials = [*truths.values(), *(trial for *_, trial in turned), *(trial for *_, trial in methods)]
+    return Study("speed", "Speed against accuracy", trials, rows, pictures, sentences, _SHOWN)
+
+
+def whole_parts() -> tuple[str, ...]:
+    """Built-in parts that the whole pipeline is run on where none is asked for: easy, hollow, hard."""
+    return ("mseke", "mug", "robinet")
+
+
+def _files(scene: Scene) -> dict[str, str]:
+    found: dict[str, str] = scene_settings(scene)["files"]
+    return found
+
+
+def presets_at(knob: Knob, value: Value) -> list[str]:
+    """Presets that have this value."""
+    return [name for name in PRESETS if knob.of_preset(name) == value]
+
+
+def _row(name: str, part: str, value: Value, outcome: Outcome) -> Row:
+    knob, values = KNOBS[name], outcome.values
+    return {
+        "knob": name,
+        "part": part,
+        "value": value,
+        "presets": " ".join(presets_at(knob, value)),
+        "seconds": outcome.seconds["work"],
+        "processor s": outcome.seconds["processor"],
+        "error": values["error"],
+        "unit": knob.error_unit,
+        **values["more"],
+    }
+
+
+def sentences(rows: Sequence[Row]) -> list[str]:
+    """For each knob what a step from the default to either side costs and brings; then the whole pipeline."""
+    said = []
+    for name, line in _by_knob(rows).items():
+        knob = KNOBS[name]
+        usual = next((row for row in line if row["value"] == knob.default), None)
+        if usual is None:
+            continue
+        at = line.index(usual)
+        steps = []
+        for row in [*line[max(0, at - 1) : at], *line[at + 1 : at + 2]]:
+            ratio = row["processor s"] / usual["processor s"] if usual["processor s"] else math.nan
+            steps.append(f"at {_label(knob, row)} {ratio:.2f} times the time and {_error(row)}")
+        said.append(
+            f"**{name}** ({knob.title}; {knob.measure}): {_error(usual)} at the default of {_label(knob, usual)}; "
+            + "; ".join(steps)
+            + "."
+        )
+    return said + whole.sentences([row for row in rows if row["knob"] == WHOLE])
+
+
+def _by_knob(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["knob"] != WHOLE:
+            found.setdefault(row["knob"], []).append(row)
+    return found
+
+
+def _error(row: Mapping[str, Any]) -> str:
+    return f"{row['error']:.3g} {row['unit']}"
+
+
+def _label(knob: Knob, row: Mapping[str, Any]) -> str:
+    value = row["value"]
+    text = value if isinstance(value, str) else f"{value:g}"
+    return f"{text} {knob.unit}".rstrip() if not isinstance(value, str) else text
+
+
+def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
+    """All fronts on one page, and the whole pipeline."""
+    lines = _by_knob(rows)
+    if lines:
+        yield "speed_fronts", _fronts(lines)
+    ends = [row for row in rows if row["knob"] == WHOLE]
+    if ends:
+        yield "speed_whole", _whole(ends)
+
+
+def _fronts(lines: Mapping[str, Sequence[Row]]) -> Figure:
+    columns = min(3, len(lines))
+    height = math.ceil(len(lines) / columns)
+    figure = Figure(figsize=(4.9 * columns, 3.7 * height + 0.5), dpi=110, layout="constrained")
+    grid = figure.subplots(height, columns, squeeze=False)
+    for axes, (name, line) in zip(grid.flat, lines.items(), strict=False):
+        _front(axes, name, line)
+    for axes in list(grid.flat)[len(lines) :]:
+        axes.axis("off")
+    handles = [
+        figure.axes[0].plot([], [], _MARKS[name], color=_COLOURS[name], markersize=_SIZES[name], label=_of(name))[0]
+        for name in PRESETS
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.supxlabel("processor time of the work, all cores [s]", fontsize=10)
+    figure.suptitle("Processor time against error, one knob at a time", fontsize=11)
+    return figure
+
+
+def _of(preset: str) -> str:
+    return f"{preset} (the default)" if preset == DEFAULT else preset
+
+
+def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
+    """One knob: points labelled with its value, and with views in brackets where it chooses views."""
+    knob = KNOBS[name]
+    height = _with_floor(axes, [row["error"] for row in line])
+    seconds = [max(row["processor s"], 1e-4) for row in line]
+    axes.plot(seconds, [height(row["error"]) for row in line], "o-", color=_LINE, markersize=4, linewidth=1.2)
+    for row, x in zip(line, seconds, strict=True):
+        y = height(row["error"])
+        for preset in presets_at(knob, row["value"]):
+            axes.plot(x, y, _MARKS[preset], color=_COLOURS[preset], markersize=_SIZES[preset], zorder=3)
+        counted = f" ({row['views']})" if knob.error_unit == "points" and "views" in row else ""
+        axes.annotate(f"{_label(knob, row)}{counted}", (x, y), xytext=(5, 6), textcoords="offset points", fontsize=7.5)
+    axes.set_xscale("log")
+    axes.set_title(f"{name}: {knob.title}\non {line[0]['part']}", fontsize=9, loc="left")
+    axes.set_ylabel(_wrapped(knob.measure), fontsize=8)
+    _plain(axes)
+    low, high = min(seconds), max(seconds)
+    axes.set_xlim(low / 1.4, high * max(1.6, (high / low) ** 0.3))
+
+
+def _whole(rows: Sequence[Row]) -> Figure:
+    """A panel a part: uncovered surface over seconds, views in brackets."""
+    parts = list(dict.fromkeys(row["part"] for row in rows))
+    figure = Figure(figsize=(4.6 * len(parts) + 0.6, 4.4), dpi=110, layout="constrained")
+    for axes, part in zip(figure.subplots(1, len(parts), squeeze=False).flat, parts, strict=True):
+        line = [row for row in rows if row["part"] == part]
+        height = _with_floor(axes, [row["error"] for row in line])
+        presets = [row for row in line if row["value"] in PRESETS]
+        axes.plot(
+            [row["processor s"] for row in presets], [height(row["error"]) for row in presets], "-", color="0.6", lw=1
+        )
+        for row in line:
+            method, x, y = row["value"], row["processor s"], height(row["error"])
+            axes.plot(x, y, _MARKS[method], color=_COLOURS[method], markersize=_SIZES[method])
+            axes.annotate(
+                f"{method}\n{row['views']} views", (x, y), xytext=(7, 5), textcoords="offset points", fontsize=8
+            )
+        axes.set_xscale("log")
+        axes.set_title(part, fontsize=10, loc="left")
+        _plain(axes)
+        low, high = min(row["processor s"] for row in line), max(row["processor s"] for row in line)
+        axes.set_xlim(low / 1.25, high * max(1.5, (high / low) ** 0.4))
+        axes.set_xlabel("processor time of cell plan [s]", fontsize=9)
+    figure.axes[0].set_ylabel("surface that could be measured and is not\n[points of visible coverage]", fontsize=9)
+    figure.suptitle("The whole of cell plan under each preset, and with the paper's method", fontsize=11)
+    return figure
+
+
+def _with_floor(axes: Axes, errors: Sequence[float]) -> Callable[[float], float]:
+    """A logarithmic axis on which an error of zero has a place, at its lower edge; returns where an error is drawn."""
+    positive = [error for error in errors if error > 0]
+    axes.set_yscale("log")
+    if not positive:
+        axes.set_ylim(0.005, 2.0)
+        axes.set_yticks([0.01], ["0"])
+        axes.minorticks_off()
+        return lambda error: 0.01
+    low, high = min(positive), max(positive)
+    floor = low / 4
+    if len(positive) < len(errors):
+        axes.axhline(floor, color="0.8", linewidth=0.8, linestyle=":")
+        axes.text(0.01, floor, "0", transform=axes.get_yaxis_transform(), fontsize=8, color="0.3", va="bottom")
+        low = floor
+    axes.set_ylim(low / 1.6, high * 2.5)
+    return lambda error: error if error > 0 else floor
+
+
+def _plain(axes: Axes) -> None:
+    axes.grid(color="0.9", linewidth=0.6, which="both")
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _wrapped(text: str) -> str:
+    """Two lines where one is longer than a panel is high."""
+    if len(text) < 38:
+        return text
+    words = text.split()
+    lines = [""]
+    for word in words:
+        if len(lines[-1]) + len(word) > 36:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n".join(lines)

@@ -1,0 +1,151 @@
+"""The whole pipeline as a process of its own: `cell plan` and `cell scan` under a preset, or by the paper's method.
+
+Seconds are those of the process, start-up included, nothing taken from caches. What the plan misses is held against
+what any view could measure that the robot reaches: candidates of a mesh of four times the default faces at four rolls.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from cell.errors import CellError
+from cell.rays.occluders import caster_of, occluder_triangles
+from cell.robot.frames import pose_from_kuka_abc
+from cell.scene.presets import PRESETS
+from cell.study.bench import Bench
+from cell.study.scenes import scene_of
+from cell.study.turned import FINEST
+from planner import coverage
+
+PAPER = "paper's method"
+
+METHODS: Mapping[str, tuple[str, ...]] = {
+    **{name: ("--preset", name) for name in PRESETS},
+    PAPER: ("--fill", "rays", "--solver", "meta-raps"),
+}
+"""Options of `cell plan` for each way to run it; all choose from their mesh's candidates at the scene's rolls."""
+
+_ROLLS_DEG = (0.0, 45.0, 90.0, 135.0)
+_GOOD = (0, 3)  # exit codes that leave a plan; 3: below the coverage that the scene requires
+
+
+def whole(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Plan and scan: the trial.
+
+    Args:
+        settings: options (of `cell plan`: part, scene, units), method (a name of `METHODS`), and files whose contents
+            the trial depends on.
+
+    Raises:
+        CellError: with the command's own sentence where it fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="cell-speed-") as scratch:
+        run = str(Path(scratch) / "run")
+        method = METHODS[settings["method"]]
+        plan, planning = _cell(scratch, "plan", *settings["options"], *method, "--no-cache", "--out", run, "--json")
+        scan, scanning = _cell(scratch, "scan", run, "--json")
+    surface = scan["deviation"]
+    return {
+        "views": plan["n_views"],
+        "lower_bound": plan["lower_bound"],
+        "visible": plan["coverage"]["visible"],
+        "motion_s": plan["motion"]["duration_s"],
+        "sampled": scan["coverage"]["sampled"],
+        "rms_um": None if surface is None else 1000 * surface["rms_mm"],
+        "seconds": {
+            "work": planning[0], "processor": planning[1], "scan work": scanning[0], "scan processor": scanning[1],
+        },
+    }  # fmt: skip
+
+
+def _cell(folder: str, *arguments: str) -> tuple[dict[str, Any], tuple[float, float]]:
+    """What a command of the program prints as JSON; its seconds on the wall clock and of all cores."""
+    used, start = getrusage(RUSAGE_CHILDREN), perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "cell", *arguments], cwd=folder, capture_output=True, text=True, check=False
+    )
+    seconds, after = perf_counter() - start, getrusage(RUSAGE_CHILDREN)
+    if done.returncode not in _GOOD:
+        told = done.stderr.strip().splitlines()
+        raise CellError(told[-1] if told else f"cell {arguments[0]} ended with code {done.returncode}")
+    busy = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
+    return json.loads(done.stdout), (seconds, busy)
+
+
+def measurable(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What any view could measure that the robot reaches: the trial that is the truth of the others.
+
+    Args:
+        settings: scene and files (`cell.study.scenes`).
+
+    Returns:
+        The share of the surface, on the held-out samples, with fixtures, post and floor in the way.
+    """
+    scene = scene_of(settings)
+    usual = Bench(scene)
+    plan = {"faces": FINEST * usual.settings.faces, "percent_kept": None, "rolls_deg": _ROLLS_DEG}
+    bench = Bench(scene.model_copy(update={"plan": scene.plan.model_copy(update=plan)}))
+    place = scene.placement
+    centre = pose_from_kuka_abc(np.array(place.position_mm) / 1000, np.deg2rad(place.abc_deg))
+    reached = bench.reach(bench.zone, centre).reachable
+    casters = (bench.caster, caster_of(occluder_triangles(bench.world, bench.world.placed(centre))))
+    poses = bench.zone.T_object_scanner[reached]
+    found = coverage.visible(poses, bench.samples, bench.scanner, casters).fraction if len(poses) else 0.0
+    return {"measurable": found, "candidates": len(bench.zone), "reachable": int(reached.sum())}
+
+
+def row(part: str, method: str, values: Mapping[str, Any], seconds: Mapping[str, float], most: float) -> dict[str, Any]:
+    """One tidy row.
+
+    Args:
+        part: its name.
+        method: a name of `METHODS`.
+        values: of the trial `whole`.
+        seconds: of the same.
+        most: share of the surface that can be measured.
+    """
+    return {
+        "knob": "whole",
+        "part": part,
+        "value": method,
+        "seconds": seconds["work"],
+        "processor s": seconds["processor"],
+        "error": 100 * (most - values["visible"]),
+        "unit": "points",
+        "views": values["views"],
+        "fewest views": values["lower_bound"],
+        "visible %": 100 * values["visible"],
+        "motion s": values["motion_s"],
+        "scan s": seconds["scan work"],
+        "scan processor s": seconds["scan processor"],
+        "sampled %": 100 * values["sampled"],
+        "surface rms um": values["rms_um"],
+    }
+
+
+def sentences(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Each way against the default preset, over all parts: ratios of seconds, differences of error and views."""
+    said = []
+    usual = {row["part"]: row for row in rows if row["value"] == "balanced"}
+    for method in METHODS:
+        pairs = [(row, usual[row["part"]]) for row in rows if row["value"] == method and row["part"] in usual]
+        if method == "balanced" or not pairs:
+            continue
+        time = float(np.mean([one["processor s"] / other["processor s"] for one, other in pairs]))
+        scan = float(np.mean([one["scan processor s"] / other["scan processor s"] for one, other in pairs]))
+        missed = float(np.mean([one["error"] - other["error"] for one, other in pairs]))
+        views = float(np.mean([one["views"] / other["views"] for one, other in pairs]))
+        said.append(
+            f"**{method}** against balanced, mean of {len(pairs)} part{'s' * (len(pairs) != 1)}: the plan takes "
+            f"{time:.2f} times as long, the scan {scan:.2f} times; {missed:+.2f} points of the surface missed; "
+            f"{views:.2f} times as many views."
+        )
+    return said
