@@ -101,8 +101,11 @@ class Narrator:
             yield told
 
     def ask(self, question: str) -> str:
-        """Put a question to the person at the terminal and return the answer."""
-        return self._errors.input(question, markup=False)
+        """Put a question to the person at the terminal and return the answer; Ctrl-D is none."""
+        try:
+            return self._errors.input(question, markup=False)
+        except EOFError:
+            return ""
 
     def note(self, sentence: str) -> None:
         """Say something that the user should know although the work goes on."""

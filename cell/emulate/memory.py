@@ -46,8 +46,13 @@ class Memory:
     def entry(self, entry: Entry) -> None:
         """Append one line."""
         if self._log is not None:
-            self._log.write(json.dumps(entry) + "\n")
-            self._log.flush()
+            try:
+                self._log.write(json.dumps(entry) + "\n")
+                self._log.flush()
+            except OSError as error:
+                raise FileError(
+                    f"{self._log.name} cannot be written: {error.strerror}; choose another --log"
+                ) from error
 
     def seen(self, state: RobotState) -> None:
         """Remember the position, before it is told."""

@@ -9,12 +9,13 @@ Arm and housing are not among the occluders, as in the plan's prediction.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from cell.commands.narrator import ProgressCallback
-from cell.errors import DriverFailureError, UsageError
+from cell.errors import DriverFailureError, FileError, UsageError
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.pose_error import Disturbance
 from cell.scan.scene import ScanScene
@@ -31,6 +32,7 @@ POSE, NOISE = 10, 11
 """Streams of randomness; a stop has its own of each, so that one view alone is disturbed as in the whole execution."""
 
 _AT_START = 100  # counts: so far the arm may stand from the start of the plan, 0.01 deg
+_OFF = 1000  # counts: so far from the end of a move it was moved by something else, 0.1 deg; an arm at rest is nearer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +149,9 @@ def run(
         Time that the controller took for the moves [s].
 
     Raises:
-        DriverFailureError: if the arm does not stand where the plan begins, or the controller would refuse a leg.
+        DriverFailureError: if the arm does not stand where the plan begins or a leg ended, or the controller would
+            refuse a leg.
+        FileError: if an event or a scan cannot be written; the arm stands.
         DriverError: whatever the driver raises.
     """
     began = clock.now()
@@ -163,11 +167,14 @@ def run(
         require_drivable(legs, driver, speed)
         for number, leg in enumerate(legs.legs, start=1):
             set_points = leg.set_points
+            if number > 1:  # a scan takes long enough for somebody to drive the arm by hand meanwhile
+                _require_near(legs.legs[number - 2], driver.state())
             say("move", leg=number, stop=leg.stop, via_points=len(set_points))
             left = clock.now()
             state = _drive(driver, set_points, speed)
             moving += clock.now() - left
             say("standing", leg=number, stop=leg.stop, axes_deg=to_deg(state.axes).tolist())
+            _require_near(leg, state)
             if leg.stop:
                 looks.append((leg, state.q))
                 after = legs.legs[number].stop if number < len(legs.legs) else 0
@@ -179,10 +186,11 @@ def run(
             if progress:
                 progress(number, len(legs.legs))
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt):
-            say("interrupted", reason="stopped by Ctrl-C")
-        else:
-            say("failed", reason=str(error))
+        with suppress(FileError):  # a full disk must not hide why it ended
+            if isinstance(error, KeyboardInterrupt):
+                say("interrupted", reason="stopped by Ctrl-C")
+            else:
+                say("failed", reason=str(error))
         raise
     say("done")
     return moving
@@ -281,6 +289,16 @@ def require_drivable(legs: Legs, driver: Driver, speed: float) -> None:
 def stands_at(q: Floats, state: RobotState) -> bool:
     """Whether the arm stands at joint angles (6,) [rad], to a hundredth of a degree."""
     return int(np.abs(from_rad(q).astype(np.int64) - state.axes).max()) <= _AT_START
+
+
+def _require_near(leg: Leg, state: RobotState) -> None:
+    """No path is checked from anywhere but where a leg ended."""
+    due = leg.set_points[-1]
+    if int(np.abs(due.astype(np.int64) - state.axes).max()) > _OFF:
+        raise DriverFailureError(
+            f"the arm stands at {text(state.axes)} and its last move ended at {text(due)}: it was moved by hand or by "
+            "another client; nothing more was moved, and --resume plans a way from where it stands"
+        )
 
 
 def _require_at(start: Floats, state: RobotState) -> None:

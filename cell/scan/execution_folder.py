@@ -10,14 +10,14 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run import process
-from cell.run.folder import SCHEMA, RunFolder, versions
+from cell.run.folder import SCHEMA, RunFolder, json_text, versions
 from cell.run.record import RunRecord
 from cell.scan.execution_reader import FOLDER
 
@@ -60,6 +60,7 @@ class ExecutionFolder(RunFolder):
                 except FileExistsError:
                     continue  # another execution took the number in between
             (path / "scans").mkdir()
+            _sync_folder(root)
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
             raise FileError(
@@ -121,29 +122,25 @@ class ExecutionFolder(RunFolder):
         line = json.dumps({"t_s": round(seconds, 6), "utc": now, "event": name, **details}, allow_nan=False) + "\n"
 
         def append(path: Path) -> None:
-            with path.open("a", encoding="utf-8") as file:
-                file.write(line)
+            new = not path.exists()
+            with path.open("ab+") as file:
+                _cut_torn_line(file)
+                file.write(line.encode())
                 file.flush()
                 os.fsync(file.fileno())
+            if new:
+                _sync_folder(path.parent)
 
         self._on_disk(EVENTS, append)
 
     def write_scan(self, name: str, **arrays: NDArray[Any]) -> None:
-        """Write scans/`name`: whole or not at all, and on disk when this returns."""
+        """Write scans/`name`: whole or not at all; it and its sha256 in the manifest are on disk when this returns."""
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
 
-        def write(path: Path) -> None:
-            temporary = path.with_name(path.name + ".tmp")
-            with temporary.open("wb") as file:
-                file.write(buffer.getbuffer())
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-            _sync_folder(path.parent)
-
-        self._on_disk(f"scans/{name}", write)
+        self._on_disk(f"scans/{name}", lambda path: _replace(path, buffer.getvalue()))
         self.adopt(f"scans/{name}")
+        self.note(artefacts=dict(sorted(self._artefacts.items())))
 
     def write_bytes(self, name: str, pieces: Iterable[bytes]) -> None:
         """Write a binary artefact."""
@@ -159,9 +156,33 @@ class ExecutionFolder(RunFolder):
             self.manifest.pop(name, None)
         RunFolder._close(self, status, exit_code)
 
+    def _write_manifest(self) -> None:
+        self._on_disk("manifest.json", lambda path: _replace(path, json_text(self.manifest).encode()))
+
     def _on_disk(self, name: str, write: Callable[[Path], None]) -> None:
         with self._writing(name):
             write(self.path / name)
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all; it is on disk, under its name, when this returns."""
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    _sync_folder(path.parent)
+
+
+def _cut_torn_line(file: IO[bytes]) -> None:
+    """A kill or a full disk can leave a part of the last line; it was never relied on, and the next one stays whole."""
+    if not file.seek(0, os.SEEK_END):
+        return
+    file.seek(-1, os.SEEK_END)
+    if file.read(1) != b"\n":
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
 
 
 def _sync_folder(path: Path) -> None:

@@ -77,10 +77,15 @@ def rest_of(legs: Legs, done: Collection[int], state: RobotState, run: RunRecord
 
 def _way(leg: Leg, state: RobotState, run: RunRecord, motion: Motion, seed: int) -> PathResult:
     """A certified way from where the arm stands to the end of a leg."""
+    here = np.clip(state.q, motion.limits.lower, motion.limits.upper)  # a count beyond a limit is a rounded limit
+    if not stands_at(here, state):
+        raise DriverFailureError(
+            f"the arm stands at {text(state.axes)}, outside the joint range of the plan, where no way is checked; "
+            "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
+        )
     world = world_of(run, run_reader.resolved_scene(run), run_reader.mesh(run, "reference.ply"))
     checker = MujocoCollisionChecker(world)
     goal = f"view {leg.stop}" if leg.stop else "home"
-    here = np.clip(state.q, motion.limits.lower, motion.limits.upper)
     found = path.connect(here, leg.via[-1], checker, motion.limits, np.random.default_rng([seed, leg.stop]))
     if found.via is None:
         between = f" ({found.between})" if found.between else ""

@@ -158,15 +158,17 @@ def resume(
     with ExitStack() as connected:
         with _drivers_errors_as_ours():
             connected.enter_context(driver)
-            speed = _allowed_speed(driver, settled, scene, ask)
+            if ask is None:  # nobody will agree later: leave the arm alone
+                _allowed_speed(driver, settled, scene, ask)
             state = safety.ready(driver, reset=settled.reset, stop_first=True)
             done = {scan.stop for scan in scans}
             rest = rest_of(execute.legs_of(motion, begun.view), done, state, run, motion, seed)
+            for sentence in _told(rest, len(done)):
+                narrator.note(sentence)
+            speed = _allowed_speed(driver, settled, scene, ask)  # whoever agrees has read which way the arm goes
             execute.require_drivable(rest.legs, driver, speed)
         folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
         folder.resume(list(argv), settled.driver)
-        for sentence in _told(rest, len(done)):
-            narrator.note(sentence)
         return _executed(
             connected, _Work(run, folder, narrator), rest.legs, driver, clock, scene, motion, settled, speed
         )
@@ -225,14 +227,13 @@ def _executed(
     folder = work.folder
     connected.enter_context(folder.kept_on_failure())
     connected.enter_context(_drivers_errors_as_ours())
-    moved = folder.manifest.get("moving_s") or 0.0
     with work.step(EXECUTING) as progress, driver:
         folder.note(controller=driver.capabilities.controller, speed_fraction=round(speed, 6))
         seconds = execute.run(
             legs, driver, scene, options.disturbance, folder, seed=int(folder.manifest["seed"]), speed=speed,
             clock=clock, progress=progress,
         )  # fmt: skip
-        folder.note(moving_s=round(moved + seconds, 6), simulated_time=driver.capabilities.simulated_time)
+        folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
     summary = _results(work, scene, motion, read_execution(work.run, folder.path.name))
     code = _exit_code(summary, scene)
     return ScanOutcome(folder.finish(code), code, summary)
@@ -309,10 +310,11 @@ def _results(work: _Work, scene: ScanScene, motion: Motion, recorded: RecordedEx
 
     with work.step("report"):
         legs = execute.legs_of(motion, options.get("view"))
-        simulated = bool(folder.manifest.get("simulated_time"))
+        # Of a resumed execution only the time of the last part is known.
+        timed = bool(folder.manifest.get("simulated_time")) and not folder.manifest.get("resumed")
         summary = execution_summary(
             scene, options, seed, plan, scans, [leg.stop for leg in legs.legs if leg.stop], left_out, cloud, reached,
-            model, off, legs.planned_seconds, folder.manifest.get("moving_s") if simulated else None,
+            model, off, legs.planned_seconds, folder.manifest.get("moving_s") if timed else None,
         )  # fmt: skip
         folder.write_json("report.json", summary)
         folder.write_text("report.md", execution_report.markdown(summary))

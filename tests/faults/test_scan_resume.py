@@ -12,10 +12,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+
+from cell.commands.narrator import Narrator
+from cell.errors import UsageError
+from cell.scan.options import ScanOptions
+from cell.scan.scan import resume
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -129,6 +134,44 @@ def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
     assert done.returncode == 0, done.stderr
     assert "a new way to view 2 was planned" in done.stderr
     assert _scans(execution) == undisturbed
+
+
+class _Told:
+    """A narrator that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, sentence: str) -> None:
+        self.notes.append(sentence)
+
+
+def test_the_new_way_is_told_before_anybody_agrees_to_it(
+    run_folder: Path, emulate: Callable[..., Any], run_cell: Run
+) -> None:
+    """Who is asked has read where the arm will go; without a yes nothing moves and the execution stays as it is."""
+    done = run_cell("scan", str(run_folder), "--resolution", "8", cwd=run_folder.parent)
+    assert done.returncode == 0, done.stderr
+    execution = run_folder / "executions" / "0001"
+    for name in list(_scans(execution))[1:]:
+        (execution / "scans" / name).unlink()
+    manifest = json.loads((execution / "manifest.json").read_text())
+    (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
+    kept = (execution / "manifest.json").read_bytes()
+    emulated = emulate("modbus", *_FAST)
+    narrator, known = _Told(), []
+
+    def ask(question: str) -> str:
+        known.extend([*narrator.notes, question])
+        return "no"
+
+    options = ScanOptions(str(emulated.url), speed_percent=50.0)
+    with pytest.raises(UsageError, match="nothing was moved"):
+        resume(run_folder, "latest", options, argv=[], narrator=cast("Narrator", narrator), ask=ask)
+    assert "a new way to view 2 was planned" in known[1]
+    assert "Type yes" in known[2]
+    assert emulated.entries("move") == []
+    assert (execution / "manifest.json").read_bytes() == kept
 
 
 def test_a_damaged_scan_is_taken_again_and_the_others_are_not(

@@ -1,7 +1,9 @@
 """Execution against toy drivers: what is driven, in which order things reach the disk, and how it ends."""
 
+import errno
 import itertools
 import json
+import os
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.errors import DriverFailureError, UsageError
+from cell.errors import DriverFailureError, FileError, UsageError
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run.folder import SCHEMA
@@ -295,3 +297,83 @@ def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "executions" / "notes").mkdir()
     made = [ExecutionFolder.make(run, [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC)).path.name for _ in range(2)]
     assert made == ["0042", "0043"]
+
+
+def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder: ExecutionFolder) -> None:
+    """Nobody checked a path from there: after the scan of view 2 the arm stands elsewhere, and nothing more is sent."""
+    driver = Recorded()
+    at_rest = driver.state
+
+    def state() -> RobotState:
+        if len(driver.moves) == 2:
+            driver.axes = driver.axes + np.int32([0, 0, 0, 0, 2000, 0])
+        return at_rest()
+
+    driver.state = state  # type: ignore[method-assign]
+    with pytest.raises(DriverFailureError, match=r"moved by hand or by another client.*--resume"):
+        _run(driver, _tour(), folder)
+    assert len(driver.moves) == 2
+    assert sorted(path.name for path in (folder.path / "scans").iterdir()) == ["0001.npz", "0002.npz"]
+
+
+def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: ExecutionFolder) -> None:
+    """A controller that says it arrived and stands a tenth of a degree off executed another move than ours."""
+    driver = Recorded(off=1001)
+    with pytest.raises(DriverFailureError, match="moved by hand or by another client"):
+        _run(driver, _tour(), folder)
+    assert len(driver.moves) == 1
+    assert list((folder.path / "scans").iterdir()) == []
+    assert [event["event"] for event in _events(folder)] == ["connected", "move", "standing", "failed"]
+
+
+def test_a_full_disk_does_not_hide_why_an_execution_ended(folder: ExecutionFolder, monkeypatch) -> None:
+    """Ctrl-C stays Ctrl-C where its event cannot be written any more."""
+
+    def interrupt(move: int) -> None:
+        def full(*arguments: object, **details: object) -> None:
+            raise FileError("the disk is full")
+
+        monkeypatch.setattr(folder, "event", full)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        _run(Recorded(before=interrupt), _tour(), folder)
+
+
+def test_a_move_that_cannot_be_journaled_is_not_made(folder: ExecutionFolder, monkeypatch) -> None:
+    """A disk that is full before the second move: one move was made, its scan is there, and the arm stands."""
+    driver, write = Recorded(), os.fsync
+
+    def full(descriptor: int) -> None:
+        if driver.moves and (folder.path / "scans" / "0001.npz").exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(FileError, match="disk is full"):
+        _run(driver, _tour(), folder)
+    assert len(driver.moves) == 1
+    read_scan(folder.path / "scans" / "0001.npz")
+
+
+def test_a_torn_event_does_not_spoil_the_next_one(folder: ExecutionFolder) -> None:
+    """A kill in the middle of a line: the part is cut off, and every line can be read."""
+    folder.event(0.0, "connected")
+    with (folder.path / "events.jsonl").open("a") as file:
+        file.write('{"t_s": 0.1, "ev')
+    folder.event(0.2, "move", leg=1)
+    assert [event["event"] for event in _events(folder)] == ["connected", "move"]
+    (folder.path / "events.jsonl").write_text('{"t_s')
+    folder.event(0.3, "done")
+    assert [event["event"] for event in _events(folder)] == ["done"]
+
+
+def test_what_a_killed_execution_scanned_is_in_its_manifest(folder: ExecutionFolder) -> None:
+    """The sum of each scan is on disk with it, so that a scan that was changed after a kill is found out."""
+    seen = []
+
+    def look(move: int) -> None:
+        seen.append(sorted(json.loads((folder.path / "manifest.json").read_text()).get("artefacts", {})))
+
+    _run(Recorded(before=look), _tour(), folder)
+    assert seen == [[], *[[f"scans/{k + 1:04d}.npz" for k in range(n)] for n in (1, 2, 3)]]

@@ -1,0 +1,92 @@
+"""What is left of a stopped execution, from wherever the arm stands; new ways are tested with the command."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.errors import DriverFailureError
+from cell.run.record import RunRecord
+from cell.scan.execute import Leg, Legs
+from cell.scan.resume import Rest, rest_of
+from drivers.contract import Mode, RobotState
+from drivers.limits import kr16
+from drivers.setpoints import from_rad, to_rad
+from planner.ports import JointLimits
+from planner.timing import Motion, retime
+
+HOME = to_rad(from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])))
+LIMITS = JointLimits(to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration, kr16().jerk)
+RUN = RunRecord(Path("no such run"), {})
+
+
+def at(degrees: float) -> np.ndarray:
+    """Home with A1 turned."""
+    return to_rad(from_rad(HOME + np.radians([degrees, 0, 0, 0, 0, 0])))
+
+
+# Home, view 1, a via point, view 2, a sweep of three poses, view 4, home.
+ENDS = {1: at(10), 2: at(30), 4: at(70)}
+LEGS = Legs(
+    HOME,
+    (
+        Leg(at(10)[None], 1, 70),
+        Leg(np.stack([at(20), at(30)]), 2, 71),
+        *(Leg(at(40 + 5 * pose)[None], 3, 72, pose) for pose in range(3)),
+        Leg(at(70)[None], 4, 73),
+        Leg(np.stack([at(35), HOME]), 0, -1),
+    ),
+    60.0,
+)
+MOTION: Motion = retime(np.stack([HOME, at(10)]), np.array([0, 1]), np.array([-1, 70]), LIMITS)
+
+
+def rest(done: set[int], q: np.ndarray) -> Rest:
+    """What is left where the arm stands at q."""
+    return rest_of(LEGS, done, RobotState(Mode.IDLE, from_rad(q), True), RUN, MOTION, 0)
+
+
+@pytest.mark.parametrize(
+    ("done", "stands", "stops", "legs"),
+    [
+        (set(), HOME, (1, 2, 3, 4), 7),
+        ({1}, at(10), (2, 3, 4), 6),
+        ({1, 2}, at(30), (3, 4), 5),
+        ({1, 2, 3}, at(50), (4,), 2),
+        ({1, 2, 3, 4}, at(70), (), 1),
+    ],
+    ids=["nothing moved", "view 1", "view 2", "after the sweep", "only the way home"],
+)
+def test_between_a_scan_and_the_next_move_the_plan_goes_on(
+    done: set[int], stands: np.ndarray, stops: tuple[int, ...], legs: int
+) -> None:
+    """The legs that are left are the plan's own, and start where the arm stands."""
+    left = rest(done, stands)
+    assert left.way is None
+    assert left.stops == stops
+    assert left.legs.legs == LEGS.legs[len(LEGS.legs) - legs :]
+    assert (left.legs.start == stands).all()
+
+
+@pytest.mark.parametrize(("done", "goal"), [(set(), at(10)), ({1}, at(30)), ({1, 2}, at(40)), ({1, 2, 3, 4}, HOME)])
+def test_between_the_end_of_a_move_and_its_scan_nothing_is_driven_again(done: set[int], goal: np.ndarray) -> None:
+    """It arrived and the scan was not kept: a move of no length, then the scan; the way home likewise."""
+    left = rest(done, goal)
+    assert left.way is None
+    assert (left.legs.legs[0].via == goal[None]).all()
+    after = left.legs.legs[1:]
+    assert after == LEGS.legs[len(LEGS.legs) - len(after) :]
+
+
+def test_views_behind_a_damaged_scan_are_driven_through() -> None:
+    """View 1 is scanned again; 2 and the sweep are passed without a scan, on the plan's own legs."""
+    left = rest({2, 3, 4}, HOME)
+    assert left.stops == (1,)
+    assert [leg.stop for leg in left.legs.legs] == [1, 0, 0, 0, 0, 0, 0]
+    assert all((a.via == b.via).all() for a, b in zip(left.legs.legs, LEGS.legs, strict=True))
+
+
+def test_from_outside_the_plan_s_joint_range_no_way_is_driven() -> None:
+    """A controller may let the arm stand where the plan's range ends: the first move would not be the checked one."""
+    with pytest.raises(DriverFailureError, match="outside the joint range of the plan"):
+        rest({1}, at(185.5))
