@@ -42,6 +42,15 @@ def scan(
     resolution: Annotated[
         float | None, typer.Option(metavar="DEG", help="Angle between rays. Default: the plan's.")
     ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="fast, balanced or accurate: the angle between rays, where neither --resolution nor the scene gives "
+            "one. Default: the plan's preset.",
+            show_default=False,
+        ),
+    ] = None,
     range_noise: Annotated[
         float, typer.Option(metavar="MM", help="Noise along each ray, one sigma.", rich_help_panel=_ERRORS)
     ] = 0.0,
@@ -126,6 +135,11 @@ def scan(
         raise UsageError(
             f"--pose-error {pose_error} must be two numbers, mm and deg, for instance --pose-error 0.5,0.1"
         )
+    if preset is not None and resolution is None:
+        from cell.run.record import open_run
+        from cell.scan.preset import resolution_deg
+
+        resolution = resolution_deg(open_run(run), preset)
     url = driver or "sim://"
     wanted = ScanOptions(
         url, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed, noise,
