@@ -100,7 +100,7 @@ class ControllerClient:
         if self._capabilities is None:
             return
         try:
-            if self._unknown or not self.state().standing:
+            if self._unknown or self.state().busy:
                 self.stop()
         except LinkError:
             pass  # the wire is gone; the controller's own watchdog stops the arm
@@ -243,7 +243,7 @@ class ControllerClient:
     def _wait_for_end(self, sequence: int) -> RobotState:
         """Wait until a move ended and the arm stands."""
         try:
-            while not (state := self.state()).standing:
+            while (state := self.state()).busy:
                 self._pause()
         except LinkError as error:
             raise self._state_unknown(f"how far move {sequence} went is not known", error) from error

@@ -113,6 +113,11 @@ class RobotState:
         """(6,) reported joint angles [rad], KUKA signs."""
         return to_rad(self.axes)
 
+    @property
+    def busy(self) -> bool:
+        """Whether the arm moves or is about to: a move may begin a cycle later, or with the enabling switch."""
+        return not self.standing or (self.queue_depth > 0 and not self.fault_code)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capabilities:

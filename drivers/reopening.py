@@ -46,7 +46,7 @@ class ReopeningLink(ABC):
         self._pulse = Pulse(clock, patience.watchdog)
         self._capabilities: Capabilities | None = None
         self._is_open = False
-        self._standing = True
+        self._busy = False
 
     @abstractmethod
     def _greet(self) -> Capabilities:
@@ -63,7 +63,7 @@ class ReopeningLink(ABC):
 
     def time_to_wait(self) -> float:
         """The poll's period."""
-        return 0.0 if self._standing else self._patience.poll
+        return self._patience.poll if self._busy else 0.0
 
     def _taken(self, heartbeat: int, state: RobotState) -> RobotState:
         """A state as read, once its heartbeat has been looked at."""
@@ -72,7 +72,7 @@ class ReopeningLink(ABC):
         except LinkLostError:
             self._drop()
             raise
-        self._standing = state.standing
+        self._busy = state.busy
         return state
 
     def _again(self, ask: Callable[[], T]) -> T:

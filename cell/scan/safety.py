@@ -66,7 +66,7 @@ def ready(driver: Driver, *, reset: bool, stop_first: bool) -> RobotState:
         DriverError: whatever the driver raises.
     """
     state = driver.state()
-    if not state.standing:
+    if state.busy:
         if not stop_first:
             raise DriverFailureError("the arm moves already: another client drives it; stop it first")
         state = driver.stop()

@@ -182,6 +182,21 @@ def test_a_controller_restarted_while_moving_is_noticed(link: ScriptedLink, clie
         client.move(at(10), 0.5)
 
 
+def test_a_move_that_is_accepted_and_begins_later_is_waited_for(link: ScriptedLink, client: ControllerClient) -> None:
+    """It may begin in its next cycle, or when the enabling switch is pressed: until then it stands, with a queue."""
+    moved, late = link.state, [3]
+
+    def state() -> RobotState:
+        if not link.moves or not late[0]:
+            return moved()
+        late[0] -= 1
+        return RobotState(Mode.IDLE, START, True, ack_sequence=1, queue_depth=1)
+
+    link.state = state  # type: ignore[method-assign]
+    assert client.move(at(10), 0.5).axes.tolist() == at(10)[-1].tolist()
+    assert late == [0]
+
+
 def test_another_client_on_the_line_is_noticed(link: ScriptedLink, client: ControllerClient) -> None:
     """When an answer is lost and the state shows a foreign number, nothing is sent again."""
 
@@ -304,6 +319,13 @@ def test_closing_stops_an_arm_that_moves(link: ScriptedLink, client: ControllerC
     assert link.controller.state().standing
     assert link.controller.state().axes[0] < at(90)[0, 0]
     assert link.closed == 1
+
+
+def test_closing_drops_a_move_that_has_not_begun(link: ScriptedLink, client: ControllerClient) -> None:
+    """A move that waits for the enabling switch must not begin when nobody watches any more."""
+    link.state = lambda: RobotState(Mode.IDLE, START, True, queue_depth=1)  # type: ignore[method-assign]
+    client.close()
+    assert isinstance(link.sent[-1][1], Stop)
 
 
 def test_closing_a_lost_line_gives_the_wire_back(link: ScriptedLink, client: ControllerClient) -> None:

@@ -19,11 +19,13 @@ class _Controller:
         self.capabilities = Capabilities(
             "KR C4", limits.lower, limits.upper, limits.max_step, 1.0, None, hardware, False
         )  # fmt: skip
-        self.mode, self.standing, self.asked = mode, standing, ""
+        self.mode, self.standing, self.asked, self.queue = mode, standing, "", 0
 
     def state(self) -> RobotState:
         latched = "heartbeat lost" if self.mode is Mode.FAULT else ""
-        return RobotState(self.mode, from_rad(np.zeros(6)), self.standing, fault_sentence=latched)
+        return RobotState(
+            self.mode, from_rad(np.zeros(6)), self.standing, queue_depth=self.queue, fault_sentence=latched
+        )
 
     def stop(self) -> RobotState:
         self.asked += "stop "
@@ -91,6 +93,10 @@ def test_an_arm_that_moves_is_stopped_only_where_an_execution_is_resumed() -> No
     """A new execution does not take an arm away from another client."""
     with pytest.raises(DriverFailureError, match="another client"):
         safety.ready(_Controller(Mode.MOVING, standing=False), reset=False, stop_first=False)
+    waiting = _Controller()
+    waiting.queue = 1
+    with pytest.raises(DriverFailureError, match="another client"):
+        safety.ready(waiting, reset=False, stop_first=False)
     moving = _Controller(Mode.MOVING, standing=False)
     moving.mode = Mode.IDLE
     assert safety.ready(moving, reset=False, stop_first=True).standing
