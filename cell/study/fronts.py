@@ -74,8 +74,8 @@ def speed_study(
 
 
 def whole_parts() -> tuple[str, ...]:
-    """Built-in parts that the whole pipeline is run on where none is asked for: easy, hollow, hard."""
-    return ("mseke", "mug", "robinet")
+    """Built-in parts that the whole pipeline is run on where none is asked for: large, hollow, round."""
+    return ("mseke", "mug", "petanque")
 
 
 def _files(scene: Scene) -> dict[str, str]:
