@@ -27,6 +27,9 @@ from planner.readonly import readonly
 ROUNDING = 1e-6
 """Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""
 
+LARGE_SUM = 1e-9
+"""Share that is taken off sums of units that are too large to be exact: far above their float error."""
+
 LP_ENTRIES, LP_ENTRIES_WIDE, WIDE = 400_000, 60_000, 4
 """Matrices up to the first number of ones get the LP solver's dual, those with more than `WIDE` columns for each row up
 to the second; larger ones cost it many seconds, and the subgradient steps come as near."""
@@ -174,11 +177,11 @@ def _largest_columns(problem: CoverProblem) -> int:
     """The fewest columns whose areas, overlaps ignored, reach what is required; 0 where costs differ."""
     if not problem.unit_cost:
         return 0
-    areas = np.add.reduceat(problem.units.astype(np.int64)[problem.column_rows], problem.column_start[:-1])
-    if problem.full:
-        required = int(problem.units.astype(np.int64) @ problem.demand)
-    else:
-        required = problem.required * int(problem.demand.min())
+    # In float64: thousands of columns that each cover half of the area sum to more than an int64 holds.
+    areas = np.add.reduceat(problem.units[problem.column_rows], problem.column_start[:-1])
+    required = float(problem.units @ problem.demand if problem.full else problem.required * int(problem.demand.min()))
+    if required >= 2**53:  # sums below that are exact
+        required *= 1 - LARGE_SUM
     return int(np.searchsorted(np.cumsum(np.sort(areas)[::-1]), required)) + 1
 
 

@@ -119,6 +119,8 @@ class DemandBound:
             costs = np.concatenate((costs, np.zeros(problem.n_rows)))
             b = np.concatenate((np.zeros(n_rows), [-target]))
         options: Any = {"maxiter": int(limit)}
+        if budget.seconds_left is not None:
+            options["time_limit"] = budget.seconds_left
         result = interruptible(
             lambda: linprog(costs, A_ub=A, b_ub=b, bounds=(0, 1), method="highs-ds", options=options)
         )

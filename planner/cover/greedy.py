@@ -4,6 +4,8 @@ Chvatal 1979 (doi:10.1287/moor.4.3.233). A row counts as open until as many colu
 the first column in canonical order, so the result does not depend on how the candidates were numbered.
 """
 
+import heapq
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,13 +101,23 @@ def by_marginal_area(problem: CoverProblem, columns: Ints) -> tuple[Ints, list[I
         The columns in that order, and for each the rows it completes.
     """
     counts = np.zeros(problem.n_rows, dtype=np.int64)
-    waiting = sorted(columns.tolist())  # canonical order decides ties
-    rows = {j: problem.column_rows[problem.column_start[j] : problem.column_start[j + 1]] for j in waiting}
+    rows = {j: problem.column_rows[problem.column_start[j] : problem.column_start[j + 1]] for j in columns.tolist()}
+
+    def gain(column: int) -> int:
+        own = rows[column]
+        return int(problem.units[own[counts[own] < problem.demand[own]]].sum())
+
+    # Gains only fall, so a gain that is on top and still true is the largest; canonical order decides ties.
+    waiting = [(-gain(column), column) for column in rows]
+    heapq.heapify(waiting)
     order: list[int] = []
     added: list[Ints] = []
     while waiting:
-        gains = [int(problem.units[rows[j][counts[rows[j]] < problem.demand[rows[j]]]].sum()) for j in waiting]
-        best = waiting.pop(int(np.argmax(gains)))
+        known, best = waiting[0]
+        if (now := -gain(best)) != known:
+            heapq.heapreplace(waiting, (now, best))
+            continue
+        heapq.heappop(waiting)
         counts[rows[best]] += 1
         order.append(best)
         added.append(rows[best][counts[rows[best]] == problem.demand[rows[best]]])

@@ -117,7 +117,8 @@ def most_coverage(
             + (f", and {len(ready.fixed)} views are pinned" if len(ready.fixed) else "")
         )
     work = Budget(budget, time_limit_s, clock)
-    problem, size = ready.problem, max_views - len(ready.fixed)
+    problem = ready.problem
+    size = min(max_views - len(ready.fixed), problem.n_columns)
     if problem.n_columns == 0 or size == 0:
         columns, upper, fewest = ready.useful_fixed, ready.base, 0
     else:

@@ -287,6 +287,7 @@ def candidates(
     usable[column_indices("banned", banned, n_columns)] = False
     if multiplicity < 1:
         raise PlannerError(f"multiplicity is {multiplicity}; every row must be covered at least once")
+    multiplicity = min(multiplicity, n_columns + 1)  # more than all columns are all columns
     column_costs, cost_unit = _costs(costs, n_columns)
 
     usable &= np.diff(matrix.indptr) > 0
@@ -299,7 +300,8 @@ def candidates(
     renumber[rows] = np.arange(len(rows))
     start, members = part.indptr.astype(np.int64), part.indices.astype(np.int64)
     covered = np.add.reduceat(row_units[renumber[members]], start[:-1]) if len(chosen) else np.zeros(0)
-    order = np.lexsort((chosen, column_costs[chosen], set_hash(start, members), -covered))
+    given = column_costs if costs is None else np.asarray(costs, dtype=np.float64)  # not rounded: they order more ties
+    order = np.lexsort((chosen, given[chosen], set_hash(start, members), -covered))
     canonical = sp.csr_array(part[:, order])[rows]
     required = ceil(Fraction(coverage) * int(row_units.sum()) * (1 - TARGET_SLACK))
     problem = _from_csr(

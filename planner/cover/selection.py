@@ -18,6 +18,12 @@ from planner.cover.solvers import BOUND_SHARE, SOLVERS
 from planner.errors import PlannerError
 from planner.readonly import readonly
 
+PRICE_ROUNDING = 1e-4
+"""Costs that are not whole numbers are rounded: "proven cheapest" means that none saves more than this share."""
+
+FLOAT_ERROR = 1e-12
+"""Share that is taken off a bound on costs that are not whole numbers: above the float error of their sums."""
+
 
 class CoverStatus(Enum):
     """How a selection ended; the value is the sentence for reports."""
@@ -195,6 +201,7 @@ def _search(problem: CoverProblem, solver: str, rng: np.random.Generator, search
     if problem.trivial:
         search.offer(np.zeros(0, dtype=np.int64))
         return np.zeros(0, dtype=np.int64)
+    search.prove(int(problem.costs.min()))  # one column at least, should Ctrl-C come before the bound
     try:
         chosen = greedy(problem, rng, search)
         with search.portion(BOUND_SHARE):
@@ -255,24 +262,17 @@ def _cover(
     views = np.concatenate((found.columns[order], idle))
     areas = found.areas[found.rows]
     marginal = [float(areas[rows].sum()) for rows in added] + [0.0] * len(idle)
+    price = None if costs is None else _price(found, views, idle, bound_units, costs)
     if not problem.n_rows:
         status = CoverStatus.NOTHING_COVERABLE
-    elif bound_units == problem.cost(columns):
+    elif bound_units == problem.cost(columns) and (price is None or price[0] - price[1] <= PRICE_ROUNDING * price[0]):
         status = CoverStatus.PROVEN
     elif search.interrupted:
         status = CoverStatus.INTERRUPTED
     else:
         status = CoverStatus.TIME_LIMITED if search.time_limited else CoverStatus.BOUNDED
-    if costs is None:
-        lower_bound, price = len(idle) + bound_units, None
-    else:
-        dearest = int(problem.costs.max(initial=1))
-        lower_bound = len(idle) + -(-bound_units // dearest)
-        idle_cost = float(costs[idle].sum())
-        price = (
-            problem.cost(columns) * found.cost_unit + idle_cost,
-            bound_units * found.cost_unit + idle_cost,
-        )
+    # with costs: a cover of so many units has at least as many columns as the dearest ones need for them
+    fewest = bound_units if costs is None else -(-bound_units // int(problem.costs.max(initial=1)))
     return Cover(
         views=views,
         marginal_area=np.array(marginal),
@@ -282,10 +282,32 @@ def _cover(
         uncoverable_rows=found.uncoverable_rows,
         pinned=fixed,
         status=status,
-        lower_bound=lower_bound,
+        lower_bound=len(idle) + fewest,
         solver=solver,
         work=search.spent,
         multiplicity=multiplicity,
         short_rows=found.short_rows,
         price=price,
     )
+
+
+def _price(found: Candidates, views: Ints, idle: Ints, bound_units: int, costs: Floats) -> tuple[float, float]:
+    """What the views cost as the costs were given, and what no selection undercuts.
+
+    The bound is on rounded costs: what rounding may have added to them is taken off, by the column on which it added
+    the largest share, or by what it added to all columns together, whichever takes off less.
+
+    Args:
+        found: the problem and where it came from.
+        views: chosen columns of the matrix.
+        idle: those of them that cover nothing; no selection is without them.
+        bound_units: no choice of the problem's columns costs less, in its units.
+        costs: (V,) as the user gave them.
+    """
+    price, unit = float(costs[views].sum()), found.cost_unit
+    given, rounded = costs[found.columns], found.problem.costs
+    least = bound_units * unit
+    if not np.array_equal(given, rounded * unit):
+        added = float(np.maximum(rounded - given / unit, 0.0).sum())
+        least = max(bound_units * float((given / rounded).min()), (bound_units - added) * unit) * (1 - FLOAT_ERROR)
+    return price, min(least + float(costs[idle].sum()), price)

@@ -6,6 +6,7 @@ import scipy.sparse as sp
 
 from planner.cover import SOLVERS, Budget, CoverStatus, solve
 from planner.cover.problem import candidates
+from planner.cover.selection import PRICE_ROUNDING
 
 WORK = 20_000_000
 COVERAGES = (0.0, 0.3, 0.8, 0.95, 1.0)
@@ -73,15 +74,15 @@ def test_covers_several_times_and_needs_every_view(solver, coverage, multiplicit
 @pytest.mark.parametrize("multiplicity", [1, 2])
 @pytest.mark.parametrize("coverage", [0.8, 1.0])
 def test_costs_add_up_and_bound_the_cheapest(solver, coverage, multiplicity):
-    """Cost is that of the views, the bound is not above it, and the status says proven exactly when they are equal."""
+    """Cost is that of the views, the bound is not above it, and proven means that they are equal but for rounding."""
     M, areas = instance(6)
     costs = np.random.default_rng(3).uniform(2.0, 9.0, M.shape[1])
     result = run(M, areas, solver, coverage, costs=costs, multiplicity=multiplicity)
     assert covered_share(M, areas, result.views, multiplicity) >= coverage - 1e-12
-    assert result.cost == pytest.approx(costs[result.views].sum(), rel=1e-4)
+    assert result.cost == pytest.approx(costs[result.views].sum(), rel=1e-12)
     assert 0 < result.cost_bound <= result.cost
     assert result.gap == pytest.approx(1 - result.cost_bound / result.cost)
-    assert (result.status is CoverStatus.PROVEN) == (result.cost_bound == result.cost)
+    assert (result.status is CoverStatus.PROVEN) == (result.cost_bound >= result.cost * (1 - PRICE_ROUNDING))
     assert "cheapest" in result.sentence
     assert result.lower_bound <= len(result.views)
     for view in result.views:

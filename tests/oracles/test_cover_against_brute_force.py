@@ -109,11 +109,13 @@ def test_demands_and_costs_against_all_subsets(coverage, priced):
                 costs=costs,
                 budget=20_000_000 if solver in ("meta-raps", "local-search") else 400_000_000,
             )
-            assert result.cost == pytest.approx(costs[result.views].sum(), abs=1e-3)
-            assert result.cost_bound <= least + 1e-3, (seed, solver)
-            assert least <= result.cost + 1e-3, (seed, solver)
+            assert result.cost == pytest.approx(costs[result.views].sum(), rel=1e-12)
+            assert result.cost_bound <= least * (1 + 1e-12), (seed, solver)
+            assert least <= result.cost * (1 + 1e-12), (seed, solver)
             if solver in ("auto", "exact"):
-                assert result.cost == result.cost_bound == pytest.approx(least, abs=1e-3), (seed, solver)
+                assert result.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE), (seed, solver)
+                assert result.cost_bound == pytest.approx(result.cost, rel=1e-4), (seed, solver)
+                assert result.cost == pytest.approx(least, rel=1e-4), (seed, solver)
 
 
 @pytest.mark.parametrize("coverage", [0.7, 1.0])

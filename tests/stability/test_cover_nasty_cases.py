@@ -1,5 +1,6 @@
 """Cover problems on which methods fail, by name."""
 
+import time
 from itertools import combinations
 
 import numpy as np
@@ -243,15 +244,58 @@ def test_costs_from_1e_minus_12_to_1e6(solver):
     result = run(M, np.ones(len(M)), solver, costs=costs)
     assert sorted(result.views.tolist())[-1] < 24
     assert M[:, result.views].any(axis=1).all()
-    assert result.cost_bound <= result.cost
-    assert result.cost == pytest.approx(costs[:12].sum(), rel=1e-3)
+    assert sorted(result.views.tolist()) == list(range(12))
+    assert result.cost == pytest.approx(costs[:12].sum(), rel=1e-12)
+    assert result.cost * (1 - 1e-3) <= result.cost_bound <= result.cost
+
+
+def test_costs_far_below_the_rounding_bound_nothing_falsely(solver):
+    """Columns of a millionth beside one of a million: their cost is told as given, and no bound is above it."""
+    M = np.hstack((np.repeat(np.eye(3, dtype=bool), 2, axis=1), np.ones((3, 1), dtype=bool)))
+    costs = np.array([2e-6, 1e-6, 2e-6, 1e-6, 2e-6, 1e-6, 1e6])
+    result = run(M, np.ones(3), solver, costs=costs)
+    assert sorted(result.views.tolist()) == [1, 3, 5]
+    assert result.cost == pytest.approx(3e-6, rel=1e-12)
+    assert 0 < result.cost_bound <= 3e-6
+
+
+def test_columns_whose_areas_sum_beyond_an_int64():
+    """Ten thousand columns that each cover half of all: two of them are enough, and no bound says more."""
+    rng = np.random.default_rng(0)
+    M = np.argsort(rng.random((80, 9000)), axis=0) < 40
+    M[:, 4001] = ~M[:, 17]
+    result = run(M, np.ones(80), "greedy", budget=0)
+    assert result.lower_bound == 2
+
+
+def test_as_many_views_as_rows_are_told_quickly():
+    """Each row has a column of its own: nothing to search, and the order of so many views costs no seconds."""
+    start = time.process_time()
+    result = run(sp.eye_array(4000, format="csc").astype(bool), np.arange(4000.0))
+    np.testing.assert_array_equal(result.views[:-1], np.arange(3999, 0, -1))
+    assert result.status is CoverStatus.PROVEN
+    assert time.process_time() - start < 5.0
+
+
+def test_ctrl_c_before_the_bound_still_tells_the_costs(solver, monkeypatch):
+    """The greedy cover and the cost of one column are all that is known; the sentence says so."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.cover.selection.bound", interrupted)
+    M = np.random.default_rng(3).random((60, 80)) < 0.1
+    result = run(M, np.ones(60), solver, costs=np.random.default_rng(4).uniform(1.0, 2.0, 80))
+    assert result.status is CoverStatus.INTERRUPTED
+    assert 0 < result.cost_bound < result.cost
+    assert result.sentence.startswith("the search was interrupted; costs at most")
 
 
 def test_a_multiplicity_beyond_all_columns_takes_every_column_that_covers(solver):
     """Demanding more than there is means all there is: reported, not refused."""
     M = np.random.default_rng(2).random((20, 8)) < 0.4
     M[:, 7] = False
-    result = run(M, np.ones(20), solver, multiplicity=100)
+    result = run(M, np.ones(20), solver, multiplicity=2**70)
     assert sorted(result.views.tolist()) == [j for j in range(8) if M[:, j].any()]
     np.testing.assert_array_equal(result.short_rows, np.flatnonzero(M.any(axis=1)))
     assert result.status is CoverStatus.PROVEN
