@@ -16,7 +16,7 @@ choice among stand-ins that can be picked in any combination to the search that 
 from collections.abc import Callable, Iterable
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -120,25 +120,33 @@ def exchange(
     current = np.array(views, dtype=np.int64)
     required = np.minimum(matrix.counts(current.tolist()), demand)
     tours = _Tours(configurations, home, limits, rng)
-    before, _, order = tours.shortest([current[k : k + 1] for k in range(len(current))], np.arange(len(current)))
-    best = before
-    while len(current) > 1 and tours.count < _ORDERINGS:
-        found = _exchanged(matrix, current, order, required, kept, tours, spare)
-        if found is None or found[0] >= best * (1.0 - 1e-9):
+    best = tours.shortest([current[k : k + 1] for k in range(len(current))], np.arange(len(current)))
+    before = best.cost
+    while len(best.picks) > 1 and tours.count < _ORDERINGS:
+        found = _exchanged(matrix, best, required, kept, tours, spare)
+        if found is None or found.cost >= best.cost * (1.0 - 1e-9):
             break
-        best, picks, order = found
-        current, order = _without_repeats(picks, order)
-        measured = np.minimum(matrix.counts(current.tolist()), demand)
+        best = _without_repeats(found)
+        measured = np.minimum(matrix.counts(best.picks.tolist()), demand)
         spare = max(spare + _area(matrix, measured > required) - _area(matrix, measured < required), 0.0)
         required = measured
-    groups = _any_combination(matrix, current, required, kept)
-    return Exchange(current, tuple(tours.nearest(current, order, groups)), before, best, tours.count)
+    groups = _any_combination(matrix, best.picks, required, kept)
+    return Exchange(best.picks, tuple(tours.nearest(best, groups)), before, best.cost, tours.count)
 
 
 def needed(matrix: Matrix, views: Ints, required: Ints) -> list[Ints]:
     """For each view the samples that the others measure less often than is required."""
     counts = matrix.counts(views.tolist())
     return [rows[counts[rows] <= required[rows]] for rows in map(matrix.measured_by, views.tolist())]
+
+
+class _Tour(NamedTuple):
+    """A tour over n groups: time [s], candidate picked of each; groups and joint angles (n, 6) [rad] as visited."""
+
+    cost: float
+    picks: Ints
+    order: Ints
+    q: Floats
 
 
 class _Tours:
@@ -153,10 +161,9 @@ class _Tours:
     ) -> None:
         self.configurations, self.home, self.limits, self.rng = configurations, home, limits, rng
         self.count = 0
-        self._q = home[None]  # of the last tour, in visiting order
 
-    def shortest(self, groups: Many[Ints], order: Ints) -> tuple[float, Ints, Ints]:
-        """The best tour with one member of each group: its time [s], the member of each group, the visiting order."""
+    def shortest(self, groups: Many[Ints], order: Ints) -> _Tour:
+        """The best tour with one member of each group, searched for from a visiting order."""
         owner, q, first = [np.array([-1])], [self.home[None]], [0, 1]
         for group in groups:
             solutions = [self.configurations(int(view)) for view in group]
@@ -167,20 +174,20 @@ class _Tours:
         problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), np.array(first))
         found = gtsp.solve(problem, order + 1, self.rng, _STEPS, 0)
         self.count += 1
-        self._q = nodes[found.tour]
         visited = problem.clusters_of(found.tour)[1:] - 1
         picks = np.empty(len(groups), dtype=np.int64)
         picks[visited] = owners[found.tour[1:]]
-        return found.cost, picks, visited
+        return _Tour(found.cost, picks, visited, nodes[found.tour[1:]])
 
-    def nearest(self, views: Ints, order: Ints, groups: Many[Ints]) -> list[Ints]:
-        """Each group cut to the `STAND_INS` members that make the last tour least longer; its view comes first."""
-        place = np.empty(len(order), dtype=np.int64)
-        place[order] = np.arange(1, len(order) + 1)
+    def nearest(self, tour: _Tour, groups: Many[Ints]) -> list[Ints]:
+        """Each group cut to the `STAND_INS` members that make the tour least longer; the view it picked comes first."""
+        stops = np.concatenate([self.home[None], tour.q, self.home[None]])
+        place = np.empty(len(tour.order), dtype=np.int64)
+        place[tour.order] = np.arange(1, len(tour.order) + 1)
         cut = []
         for k, group in enumerate(groups):
-            others = group[group != views[k]]
-            before, after = self._q[place[k] - 1], self._q[(place[k] + 1) % len(self._q)]
+            others = group[group != tour.picks[k]]
+            before, after = stops[place[k] - 1], stops[place[k] + 1]
             more = []
             for view in others:
                 q = self.configurations(int(view))
@@ -188,14 +195,15 @@ class _Tours:
                 more.append(float(longer.min(initial=np.inf)))
             nearest = np.argsort(more, kind="stable")[: STAND_INS - 1]
             usable = [int(others[i]) for i in nearest if more[i] < np.inf]
-            cut.append(np.array([views[k], *usable], dtype=np.int64))
+            cut.append(np.array([tour.picks[k], *usable], dtype=np.int64))
         return cut
 
 
 def _exchanged(
-    matrix: Matrix, views: Ints, order: Ints, required: Ints, pinned: frozenset[int], tours: _Tours, spare: float
-) -> tuple[float, Ints, Ints] | None:
+    matrix: Matrix, best: _Tour, required: Ints, pinned: frozenset[int], tours: _Tours, spare: float
+) -> _Tour | None:
     """The best tour over stand-ins that loses no sample but the spare area; None where none was found."""
+    views = best.picks
     only_here = needed(matrix, views, required)
     owned: list[Ints] = [np.zeros(0, dtype=np.int64)] * len(views)  # samples that may not be lost any more
     while tours.count < _ORDERINGS:
@@ -203,11 +211,11 @@ def _exchanged(
             _members(matrix, int(view), rows, own, pinned, spare)
             for view, rows, own in zip(views, only_here, owned, strict=True)
         ]
-        cost, picks, visited = tours.shortest(tours.nearest(views, order, members), order)
-        counts = matrix.counts(picks.tolist())
+        found = tours.shortest(tours.nearest(best, members), best.order)
+        counts = matrix.counts(found.picks.tolist())
         lost = np.flatnonzero(counts < required)
         if _area(matrix, lost) <= spare + (_area(matrix, (counts > 0) & (required == 0)) if spare > 0.0 else 0.0):
-            return cost, picks, visited
+            return found
         # Of the views that measure a lost sample, the one of whose stand-ins the largest share measures it, owns it.
         shares = np.array([_share(matrix, group, lost) for group in members])
         for k, view in enumerate(views):
@@ -241,13 +249,14 @@ def _share(matrix: Matrix, group: Ints, samples: Ints) -> Floats:
     return found / len(group)
 
 
-def _without_repeats(picks: Ints, order: Ints) -> tuple[Ints, Ints]:
-    """Views without those that were picked twice (one visit serves both), and the visiting order of the rest."""
-    first = np.unique(picks, return_index=True)[1]
+def _without_repeats(tour: _Tour) -> _Tour:
+    """The tour without views that were picked twice: one visit serves both."""
+    first = np.unique(tour.picks, return_index=True)[1]
     stays = np.sort(first)
-    number = np.full(len(picks), -1)
+    number = np.full(len(tour.picks), -1)
     number[stays] = np.arange(len(stays))
-    return picks[stays], number[order][number[order] >= 0]
+    order = number[tour.order]
+    return _Tour(tour.cost, tour.picks[stays], order[order >= 0], tour.q[order >= 0])
 
 
 def _any_combination(matrix: Matrix, views: Ints, required: Ints, pinned: frozenset[int]) -> list[Ints]:

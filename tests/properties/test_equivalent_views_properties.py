@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from planner import equivalent_views
 from planner.equivalent_views import Exchange, Matrix, exchange
 from planner.ports import JointLimits
+from planner.timing import move_time
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.arange(1.0, 7.0), np.arange(2.0, 8.0))
 HOME = np.full(6, 0.25)
@@ -121,3 +122,27 @@ def test_a_candidate_without_joint_solutions_stands_in_for_nobody() -> None:
     case.q[copy] = np.zeros((0, 6))
     case.usable[copy] = True
     assert copy not in np.concatenate(case.exchanged().groups)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_stand_ins_are_ranked_between_the_neighbours_of_the_tour_that_is_given(seed: int) -> None:
+    """By the least time from the stop before to the stop behind, whatever was ordered since."""
+    case = Case(seed)
+    tours = equivalent_views._Tours(lambda view: case.q[view], HOME, LIMITS, np.random.default_rng(seed))
+    alone = [case.views[k : k + 1] for k in range(len(case.views))]
+    found = tours.shortest(alone, np.arange(len(alone)))
+    others = np.setdiff1d(np.arange(60), case.views)
+    groups = [np.concatenate([view, others]) for view in alone]
+    tours.shortest(groups[::-1], np.arange(len(alone)))
+    ranked = tours.nearest(found, groups)
+    stops = [HOME, *found.q, HOME]
+    for place, group in enumerate(found.order, start=1):
+
+        def through(view: int, place: int = place) -> float:
+            ways = [
+                move_time(stops[place - 1], q, LIMITS) + move_time(q, stops[place + 1], LIMITS) for q in case.q[view]
+            ]
+            return float(min(ways))
+
+        expected = sorted(others.tolist(), key=through)[: equivalent_views.STAND_INS - 1]
+        assert ranked[group].tolist() == [case.views[group], *expected]
