@@ -35,6 +35,7 @@ _EXTERNAL = ",E1 0,E2 0,E3 0,E4 0,E5 0,E6 0"
 _AT_HOME_DEG = 0.1  # so far from home the program refuses to start
 _LEAST_SPEED = 0.001  # of a line whose TCP only turns [m/s]
 _LEAST_RATE_DEG, _FREE_RATE_DEG = 0.05, 200.0  # a line that turns less does not turn; what KUKA sets itself [deg/s]
+_LONGEST_LINE = 400  # characters; KRL's own limit is 471 on a KR C2 (from memory)
 _HIGHEST_SIGNAL, _HIGHEST_TIMER = 4096, 32  # of $IN and $OUT, and of $TIMER, on a KR C4
 
 
@@ -93,7 +94,13 @@ def data(program: Program, options: KrlOptions) -> bytes:
 
 
 def _file(lines: Iterator[str]) -> bytes:
-    return "".join(line + "\r\n" for line in lines).encode("ascii", errors="replace")
+    """One line each, whatever the names in the comments hold: a line break in one would begin a statement."""
+    return "".join(f"{_one_line(line)}\r\n" for line in lines).encode("ascii", errors="replace")
+
+
+def _one_line(line: str) -> str:
+    shown = "".join(character if character.isprintable() else "?" for character in line)
+    return shown if len(shown) <= _LONGEST_LINE else shown[: _LONGEST_LINE - 3] + "..."  # comments alone are so long
 
 
 def _source(program: Program, options: KrlOptions) -> Iterator[str]:
@@ -177,6 +184,8 @@ def _rate(radians: float) -> float:
 
 def _data(program: Program, options: KrlOptions) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT {program.told.name} PUBLIC")
+    yield "; KUKA's own routine, declared where KUKA's templates declare it; a KR C2 may not find it otherwise"
+    yield "EXT BAS (BAS_COMMAND :IN,REAL :IN )"
     yield "; tool: the scanner frame on the flange, as it was planned; put the calibrated tool here only after planning"
     yield "; again with it, since the joint angles in the program depend on it"
     yield f"DECL FRAME SC_TOOL={frame(program.T_flange_tcp)}"

@@ -33,14 +33,14 @@ LONGEST_NAME = 24
 """Characters of a name in KRL."""
 
 _RESERVED = """
-and as axis base bool brake case char circ circ_rel const continue decl def default deffct defdat delay do e6axis
-e6pos else end enddat endfct endfor endif endloop endswitch endwhile enum exit ext extfct false for frame global
-goto halt home if import in int interrupt is lin lin_rel load loop not or out path pos pto ptp ptp_rel public real
-repeat resume return sc_at_home sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan sc_scanned sc_settle sc_timeout
-sc_timer sc_tool sc_trigger sc_view seq signal spl slin sptp spline struc switch then to trigger true until wait
-when while xor
+abs and as aux axis bas base bool brake case cell char circ circ_rel con const continue decl def default defdat deffct
+delay do e6axis e6pos else end enddat endfct endfor endif endloop endswitch endwhile enum exit ext extfct false for
+frame global goto halt home if import in int interrupt ir_stopm is lin lin_rel load loop not nul or out path pos prn
+pto ptp ptp_rel public real repeat resume return sc_at_home sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan
+sc_scanned sc_settle sc_timeout sc_timer sc_tool sc_trigger sc_view seq signal slin spl spline sps sptp struc switch
+then to trigger true until wait when while xor
 """
-"""Words of KRL, and what a program of ours defines itself."""
+"""Words of KRL, what a program of ours defines itself, KUKA's own programs, and names that Windows gives no file."""
 
 
 class Kind(StrEnum):

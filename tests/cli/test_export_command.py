@@ -98,6 +98,8 @@ def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
         (("--name", "ünder"), "is no name in KRL"),
         (("--name", ""), "is no name in KRL"),
         (("--name", "Lin"), "--name Lin is a word of KRL"),
+        (("--name", "BAS"), "is a word of KRL, or of the program itself"),
+        (("--name", "con"), "is a word of KRL, or of the program itself"),
         (("--name", "SC_TOOL"), "is a word of KRL, or of the program itself"),
         (("--speed", "0"), "--speed 0 is not possible; it must be a whole number from 1 to 100"),
         (("--speed", "101"), "--speed 101 is not possible"),
@@ -138,6 +140,18 @@ def test_a_file_of_the_user_is_not_replaced(planned: Path, run_cell: Run, tmp_pa
     assert done.returncode == 6
     assert "P.dat exists already and differs" in done.stderr
     assert edited.read_bytes() == content
+
+
+def test_a_name_cannot_put_a_statement_into_the_program(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """A run folder whose name holds line breaks and more than a line of KRL takes stays one comment."""
+    run = tmp_path / ("moved\r\nPTP {A1 170}\n" + "x" * 200 + "ü")
+    shutil.copytree(planned, run)
+    assert run_cell("export", str(run), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
+    source = (tmp_path / "out" / "P.src").read_bytes().decode("ascii")
+    lines = source.split("\r\n")
+    assert not any("\n" in line or "\r" in line for line in lines)
+    assert [line[:2] for line in lines if "A1 170}" in line] == ["; "]
+    assert max(map(len, lines)) <= 400
 
 
 def test_runs_that_cannot_be_exported(planned: Path, run_cell: Run, tmp_path: Path) -> None:

@@ -55,7 +55,8 @@ class Krl:
         lines = self._lines(dat)
         assert re.fullmatch(r"DEFDAT (\w+) PUBLIC", lines[0])
         assert lines[-1] == "ENDDAT"
-        for line in lines[1:-1]:
+        assert lines[1] == "EXT BAS (BAS_COMMAND :IN,REAL :IN )"
+        for line in lines[2:-1]:
             match = re.fullmatch(r"DECL (INT|REAL|FRAME|BOOL) (\w+)=(.+)", line)
             assert match, line
             assert len(match[2]) <= 24
