@@ -393,8 +393,10 @@ def _prove(line: SweepLine, branch: int, arm: _Arm, limits: JointLimits, cruise:
             return _too_fast(branch, first[int(at_samples.max(axis=1).argmax())], limits)
         good, need, reach = np.ones(len(r), dtype=bool), np.zeros(len(r)), np.zeros((len(r), 6))
         steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-        for end in (slice(None, -1), slice(1, None)):
-            y1, y2, y3, y4, followed = _bounds(sigma[end], first[end], xi, r)
+        ends = slice(None, -1), slice(1, None)
+        bounds = [_bounds(sigma[end], first[end], xi, r) for end in ends]
+        y4 = np.maximum(bounds[0][3], bounds[1][3])  # of the whole interval, as the mean is
+        for end, (y1, y2, y3, _, followed) in zip(ends, bounds, strict=True):
             rho = 2.0 * r * y1
             good &= followed & (steps <= rho + 1e-12) & (_H * rho <= 0.5 * sigma[end])
             good &= np.sqrt(6.0) * _SLACK * y1 * r <= _SLACK - 1.0  # no axis' lever outgrows R
