@@ -132,7 +132,8 @@ def resume(
     Args:
         run_folder: of a finished plan.
         execution: its id, or "latest".
-        options: driver, confirmation, speed and reset of this time; everything else is as the execution was begun with.
+        options: driver (empty: that of the beginning), confirmation, speed and reset of this time; everything else is as
+            the execution was begun with.
         argv: for the manifest.
         narrator: is told what goes on.
         ask: puts a question to a person; None where nobody is there.
@@ -143,7 +144,7 @@ def resume(
     run = _finished(run_folder)
     recorded = read_execution(run, execution)
     begun = resumable(run, recorded)
-    now = options or ScanOptions()
+    now = options or ScanOptions(driver="")
     settled = replace(
         begun, driver=now.driver or begun.driver, realtime=now.realtime, confirm_motion=now.confirm_motion,
         speed_percent=now.speed_percent, reset=now.reset,
@@ -296,6 +297,8 @@ def _results(work: _Work, scene: ScanScene, motion: Motion, recorded: RecordedEx
 
     with work.step("reconstruct"):
         model = reconstruct(cloud.cloud, close=bool(options.get("close_holes")))
+        for doubt in model.doubts:
+            work.narrator.note(doubt)
         if model.mesh is None:
             folder.remove("mesh.ply")
         else:
