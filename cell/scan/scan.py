@@ -132,8 +132,8 @@ def resume(
     Args:
         run_folder: of a finished plan.
         execution: its id, or "latest".
-        options: driver (empty: that of the beginning), confirmation, speed and reset of this time; everything else is as
-            the execution was begun with.
+        options: driver (empty: that of the beginning), confirmation, speed and reset of this time; everything else is
+            as the execution was begun with.
         argv: for the manifest.
         narrator: is told what goes on.
         ask: puts a question to a person; None where nobody is there.
