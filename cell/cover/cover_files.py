@@ -104,9 +104,10 @@ def _parse(name: str, numbers: Ints) -> CoverFile:
     n_rows, n_columns = (sizes[1], sizes[0]) if name == "steiner" else sizes
     if max(sizes) > LARGEST:
         raise _MismatchError(f"{max(sizes)} rows or columns are more than {LARGEST}")
-    costs = np.ones(n_columns, dtype=np.int64)
     if name == "rows" and len(numbers) < 2 + n_columns:
         raise _MismatchError(f"it ends before the {n_columns} costs")
+    if name == "rail" and len(numbers) < 2 + 2 * n_columns:
+        raise _MismatchError(f"{n_columns} columns are {2 * n_columns} numbers at least, but {len(numbers) - 2} follow")
     if name == "rows":
         costs = numbers[2 : 2 + n_columns]
         start, members = _lists(numbers, 2 + n_columns, n_rows, "row", n_columns)
@@ -121,6 +122,7 @@ def _parse(name: str, numbers: Ints) -> CoverFile:
             raise _MismatchError(f"{n_rows} triples are {3 * n_rows} numbers, but {len(numbers) - 2} follow the sizes")
         members = _indices(numbers[2:], n_columns)
         start = np.arange(0, len(members) + 1, 3)
+        costs = np.ones(n_columns, dtype=np.int64)
         matrix = sp.csr_array((np.ones(len(members), bool), members, start), shape=(n_rows, n_columns))
     if (costs <= 0).any():
         at = int(np.flatnonzero(costs <= 0)[0])

@@ -120,8 +120,8 @@ def coverage_curve(
         clock: seconds, for the guard.
 
     Raises:
-        PlannerError: for input that `prepare` refuses, a negative number of views, or a known selection that leaves
-            out a pinned view or holds one that is not allowed.
+        PlannerError: for input that `prepare` refuses, fewer views than are pinned, or a known selection that leaves
+            out a pinned view. Columns of it that are not allowed are left out.
     """
     ready = prepare(M, areas, allowed, pinned, banned)
     if most_views is not None and most_views < len(ready.fixed):

@@ -29,7 +29,7 @@ SEARCH_SHARE, BOUND_SHARE = 0.3, 0.5
 """Of the budget: for the search, and of what is left then for the bound; the rest is for HiGHS."""
 
 SAME = 1e-6
-"""Areas that differ by less than this share of the coverable area count as equal: 0.0001 points."""
+"""HiGHS is asked for this share of the coverable area more (0.0001 points): its tolerance cannot do with less."""
 
 MOST_WORK = 1_500_000_000
 """Default budget: two to three seconds."""
@@ -203,7 +203,7 @@ def _result(ready: Prepared, columns: Ints, upper: int, fewest: int, max_views: 
         status = MostStatus.NOTHING_COVERABLE
     elif covered.all():
         status = MostStatus.EVERYTHING
-    elif upper - units <= 3 * SAME * total:
+    elif upper - units <= 3 * SAME * total:  # what HiGHS was asked for, the slack of its bound, and rounding
         status = MostStatus.PROVEN
     else:
         status = MostStatus.TIME_LIMITED if work.time_limited else MostStatus.BOUNDED

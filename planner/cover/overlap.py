@@ -24,7 +24,7 @@ from planner.cover.demand_search import Graph, connected, parts_of
 from planner.cover.demands import DemandProblem
 from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import Floats, Ints
-from planner.cover.selection import Cover, solve
+from planner.cover.selection import Cover, CoverStatus, beginning, solve
 from planner.errors import PlannerError
 from planner.readonly import readonly
 
@@ -105,7 +105,7 @@ class OverlapCover:
     def sentence(self) -> str:
         """The status in words with its numbers."""
         n = len(self.cover.views)
-        if self.status is OverlapStatus.NOTHING_COVERABLE or n == 0:
+        if self.status is OverlapStatus.NOTHING_COVERABLE:
             return OverlapStatus.NOTHING_COVERABLE.value
         if self.status is OverlapStatus.CANNOT_CONNECT:
             largest = int((self.part == 0).sum())
@@ -117,7 +117,7 @@ class OverlapCover:
         excess = self.cover.excess
         if excess <= 0:
             return "proven fewest for these candidates and samples that hang together"
-        return (
+        return beginning(self.cover.status) + (
             f"at most {excess} {'view' if excess == 1 else 'views'} more than the fewest that hang together, for these "
             "candidates and samples"
         )
@@ -200,12 +200,14 @@ def overlap_cover(
         PlannerError: for input that `planner.cover.solve` refuses.
     """
     pinned, banned = list(pinned), list(banned)
+    work = Budget(budget, time_limit_s, clock)
     free = solve(
         M, areas, allowed, rng=rng, coverage=coverage, pinned=pinned, banned=banned,
-        budget=int(UNCONNECTED_SHARE * budget), time_limit_s=time_limit_s, clock=clock,
+        budget=int(UNCONNECTED_SHARE * budget), clock=clock,
+        time_limit_s=None if time_limit_s is None else UNCONNECTED_SHARE * time_limit_s,
     )  # fmt: skip
-    work = Budget(budget, time_limit_s, clock)
     work.spent = free.work
+    work.time_limited = free.status is CoverStatus.TIME_LIMITED
     ready = prepare(M, areas, allowed, pinned, banned, coverage=coverage)
     problem = DemandProblem.of_cover(ready.found.problem)
     adjacent = joined_columns(ready.found.problem.matrix(), ready.found.areas[ready.found.rows], overlap)
@@ -213,7 +215,8 @@ def overlap_cover(
     if problem.trivial and not len(start):
         chosen = start
     else:
-        chosen = _connected_choice(problem, adjacent, start, ready.useful_fixed, rng, work, free.lower_bound)
+        idle = len(ready.fixed) - len(ready.useful_fixed)  # counted in the bound, but not among the columns searched
+        chosen = _connected_choice(problem, adjacent, start, ready.useful_fixed, rng, work, free.lower_bound - idle)
     cover = told(ready.found, ready.fixed, chosen, free.lower_bound, solver="overlap", work=work)
     return _result(ready, cover, overlap, len(free.views))
 

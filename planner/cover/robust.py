@@ -27,7 +27,7 @@ from planner.cover.budget import Budget
 from planner.cover.demands import DemandProblem
 from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import TARGET_SLACK, Floats, Ints
-from planner.cover.selection import Cover, solve
+from planner.cover.selection import Cover, beginning, solve
 from planner.errors import PlannerError
 from planner.pose_ensemble import ProbabilityLayer, credited
 from planner.readonly import readonly
@@ -77,7 +77,7 @@ class RobustCover:
         if cover.excess <= 0:
             return "proven fewest with this promise, for these candidates and samples"
         views = "view" if cover.excess == 1 else "views"
-        return (
+        return beginning(cover.status) + (
             f"at most {cover.excess} {views} more than the fewest with this promise, for these candidates and samples"
         )
 

@@ -124,13 +124,14 @@ class Cover:
             within = f"costs at most {100 * self.gap / (1 - self.gap):.3g} % more than the {fewest}"
         else:
             within = f"at most {self.excess} {'view' if self.excess == 1 else 'views'} more than the {fewest}"
-        return _BEGINNING.get(self.status, "") + f"{within} for these candidates and samples"
+        return beginning(self.status) + f"{within} for these candidates and samples"
 
 
-_BEGINNING = {
-    CoverStatus.TIME_LIMITED: "the time limit stopped the search; ",
-    CoverStatus.INTERRUPTED: "the search was interrupted; ",
-}
+def beginning(status: CoverStatus) -> str:
+    """How a sentence begins on a search that was ended from outside; empty where it was not."""
+    if status is CoverStatus.TIME_LIMITED:
+        return "the time limit stopped the search; "
+    return "the search was interrupted; " if status is CoverStatus.INTERRUPTED else ""
 
 
 def solve(

@@ -1,5 +1,7 @@
 """Overlap and promises where they fail, by name."""
 
+from itertools import count
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
@@ -130,3 +132,34 @@ def test_identical_columns_and_budget_zero():
         found = promised(M, 20, alpha=0.05, budget=budget)
         assert found.robust_area == 4.0
         assert found.cover.lower_bound <= 16 == len(found.cover.views)  # four of each: (13.5/33)^4 < 0.05 < (13.5/33)^3
+
+
+def test_nothing_is_asked_for():
+    """A coverage of 0 needs no view, and the sentence does not say that nothing can be measured."""
+    found = joined(np.eye(3, dtype=bool), np.ones(3), Overlap(area=1.0), coverage=0.0)
+    assert (len(found.cover.views), found.status) == (0, OverlapStatus.CONNECTED)
+    assert found.sentence.startswith("proven fewest")
+
+
+def test_one_time_limit_holds_for_both_searches_and_is_said():
+    """The cover without the wish takes a share of the clock, not a clock of its own; both answers name the limit."""
+    rng = np.random.default_rng(5)
+    M = rng.random((150, 300)) < 0.05
+    M[:, 0] |= ~M.any(axis=1)
+    ticks = count()
+    found = joined(
+        M, np.ones(150), Overlap(area=2.0), budget=10**12, time_limit_s=60.0, clock=lambda: float(next(ticks))
+    )
+    assert next(ticks) <= 66
+    assert found.sentence.startswith("the time limit stopped the search; at most")
+    assert promised(M, 20, budget=10**12, time_limit_s=0.0).sentence.startswith("the time limit stopped the search")
+
+
+def test_a_pinned_view_that_measures_nothing_does_not_end_the_search_early():
+    """It counts in the bound, but not among the columns that are searched."""
+    for seed in range(4):
+        M = np.random.default_rng(seed).random((30, 16)) < 0.25
+        M[:, 15] = False
+        without = joined(M, np.ones(30), Overlap(area=1.0))
+        pinned = joined(M, np.ones(30), Overlap(area=1.0), pinned=[15])
+        assert len(pinned.cover.views) == len(without.cover.views) + 1
