@@ -36,6 +36,7 @@ class Kind(StrEnum):
     BODIES = "several_bodies"
     UNITS = "units"
     FLAT = "flat"
+    FAR = "far_from_origin"
 
 
 @dataclass(frozen=True, slots=True)

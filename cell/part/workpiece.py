@@ -24,7 +24,12 @@ Floats = NDArray[np.float64]
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Metres in one unit of the file."""
 
-_PLAUSIBLE = (1e-3, 3.0)  # m, longest side: below, no laser scanner on this arm resolves it; above, it fits no cell
+PLAUSIBLE_M = (1e-3, 3.0)
+"""Longest side [m] of a part: below, no laser scanner on this arm resolves it; above, it fits no cell."""
+
+FARTHEST_SIZES = 1e3
+"""Distance of a part from its file's origin, in longest sides, up to which a file in single precision holds its shape:
+its coordinates then have steps of 6e-5 of the part."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +124,9 @@ def from_mesh(name: str, vertices: Floats, faces: NDArray[np.integer], units: st
     used, compact = np.unique(faces, return_inverse=True)
     metres = vertices[used] * UNITS[units]
     mesh = TriangleMesh(metres, compact.reshape(-1, 3).astype(np.int32))
-    return Workpiece(name, mesh, sha256, (*findings, *_size_findings(np.ptp(metres, axis=0), units)))
+    return Workpiece(
+        name, mesh, sha256, (*findings, *_size_findings(np.ptp(metres, axis=0), units), *_place_findings(metres))
+    )
 
 
 def _check_name(path: Path, names: tuple[str, ...]) -> None:
@@ -135,7 +142,7 @@ def _size_findings(size: Floats, units: str) -> list[Finding]:
     """Doubts about the units, and parts without thickness."""
     findings = []
     longest = float(size.max())
-    if not _PLAUSIBLE[0] <= longest <= _PLAUSIBLE[1]:
+    if not PLAUSIBLE_M[0] <= longest <= PLAUSIBLE_M[1]:
         in_file = longest / UNITS[units]
         fitting = [
             f"{_length(in_file * metres)} in {unit}"
@@ -151,6 +158,19 @@ def _size_findings(size: Floats, units: str) -> list[Finding]:
         )
         findings.append(Finding(Kind.FLAT, sentence, Severity.WARNING))
     return findings
+
+
+def _place_findings(vertices: Floats) -> list[Finding]:
+    """A part far from its file's origin: its coordinates may have lost the digits that its shape needs."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    away, longest = float(np.linalg.norm((low + high) / 2)), float((high - low).max())
+    if away <= FARTHEST_SIZES * longest:
+        return []
+    sentence = (
+        f"the part lies {_length(away)} from its file's origin, more than {FARTHEST_SIZES:g} times its length; a file "
+        "in single precision (every binary STL) has lost part of its shape there, so export it near the origin"
+    )
+    return [Finding(Kind.FAR, sentence, Severity.WARNING)]
 
 
 def _length(metres: float) -> str:

@@ -35,6 +35,7 @@ from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import Prediction, held_out
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run.folder import SCHEMA, RunFolder
+from cell.scene import doubts
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world import clearance
@@ -127,6 +128,8 @@ def plan(
         part = workpiece.load(scene.part.source, scene.part.units)
     for finding in part.findings:
         narrator.note(finding.sentence)
+    for sentence in doubts.of_scene(scene):
+        narrator.note(sentence)
     settings = resolve(scene, part)
     inputs = plan_files.input_hashes(scene, part)
     folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC))
@@ -148,6 +151,8 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
         _note_other_count(run.narrator, len(planning.faces), settings.faces)
         candidates = first(scene, settings, part, planning)
         features = surface_features(scene, reference, planning, run.rng(_FEATURES))
+        if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
+            run.narrator.note(doubt)
         plan_files.write_meshes(run.folder, reference, planning)
         plan_files.write_viewpoints(run.folder, scanners.swept(scanner, candidates))
 

@@ -14,6 +14,7 @@ brakes also close when the arm has been at rest for `BRAKE_DELAY`; time that pas
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -31,6 +32,8 @@ from planner.ports import Floats
 if TYPE_CHECKING:
     import mujoco
     from numpy.typing import ArrayLike
+
+log = logging.getLogger(__name__)
 
 FOLLOWING_ERROR = 0.01
 """Largest distance of the axes from their reference, length of the vector of six [rad]: 16 mm at 1.6 m."""
@@ -80,6 +83,8 @@ class MujocoPlant:
         if at.shape != (len(AXES),) or not np.isfinite(at).all():
             raise DriverError(f"a plant was started at {at}; it must be {len(AXES)} finite joint angles in radians")
         tool, settings = tool or Tool(), settings or Settings()
+        if settings.doubt:
+            log.warning("%s", settings.doubt)
         self._feed_forward = servo.FeedForward(tool, settings)
         home = np.array(self._feed_forward.model.key("home").qpos)
         inertia = np.diag(dynamics.mass_matrix(self._feed_forward.model, home))

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     import mujoco
 
 
+COARSEST_STEP = 1e-3
+"""Up to this time step [s] the error of a move is that of the servo; beyond, it is that of the step (docs/plant.md)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What the simulation and the servo are set to; the chart of docs/plant.md shows how far from the edge.
@@ -61,6 +65,16 @@ class Settings:
             raise UsageError(f"the plant's mass_error is {self.mass_error}; it must be above -1 and finite")
         if not -1.0 <= self.friction_error < np.inf:
             raise UsageError(f"the plant's friction_error is {self.friction_error}; it must be at least -1 and finite")
+
+    @property
+    def doubt(self) -> str:
+        """Why errors of a move are not those of an arm, in one sentence; "" where nothing speaks against it."""
+        if self.time_step <= COARSEST_STEP:
+            return ""
+        return (
+            f"the plant's time_step of {1e3 * self.time_step:g} ms is longer than {1e3 * COARSEST_STEP:g} ms: errors "
+            "of a move are those of the step, not of the arm, and from ten times that on the simulation may diverge"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,6 +28,13 @@ Indices = NDArray[np.int64]
 REACH = 2.0
 """Surface farther than this many point spacings from any datum is cut away."""
 
+SPARSEST = 0.015
+"""Point spacing, as a share of the cloud's diagonal, beyond which the surface between the points is a guess."""
+
+NOISIEST = 0.33
+"""Scatter of the points about their neighbours' planes, in point spacings, beyond which the surface follows the noise;
+the planes follow it too, so a sigma of 0.6 spacings scatters by that much."""
+
 _GRID = 1.25  # of the point spacing: finer costs with its square and, measured, hardly gains
 _LARGEST_GRID = (
     60_000_000  # nodes of the box round the part (4 bytes each, and a byte of mask); a larger one is coarsened
@@ -62,6 +69,9 @@ class Reconstruction:
         nodes: grid nodes at which the distance was evaluated.
         outliers: points left out because they lie alone or off their neighbours' surface.
         holes: open boundary loops of the measured surface (closed ones included).
+        noise: how far points typically lie off the plane of their neighbours, one robust sigma [m]; curvature and edges
+            are in it; NaN without a grid.
+        extent: diagonal of the box round the points [m]; NaN without a grid.
     """
 
     status: ReconstructionStatus
@@ -72,10 +82,28 @@ class Reconstruction:
     nodes: int
     outliers: int
     holes: int
+    noise: float = float("nan")
+    extent: float = float("nan")
 
     def __post_init__(self) -> None:
         count = 0 if self.mesh is None else len(self.mesh.faces)
         object.__setattr__(self, "closed", readonly("closed", self.closed, (count,), np.bool_))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the surface may be worse than its points look, one sentence each."""
+        found = []
+        if self.spacing > SPARSEST * self.extent:
+            found.append(
+                f"the points lie {1e3 * self.spacing:.3g} mm apart, more than {100 * SPARSEST:g} % of what they span: "
+                "the surface between them is a guess; scan at a finer resolution"
+            )
+        if self.noise > NOISIEST * self.spacing:
+            found.append(
+                f"the points scatter by {1e3 * self.noise:.3g} mm about the surface, more than {NOISIEST:g} of their "
+                f"spacing of {1e3 * self.spacing:.3g} mm: the surface follows the noise"
+            )
+        return tuple(found)
 
 
 def reconstruct(
@@ -100,7 +128,9 @@ def reconstruct(
     if grid is not None and not grid > 0:
         raise PlannerError(f"grid is {grid}; it must be positive (in metres)")
     spacing = point_spacing(cloud.points, cloud.scan)
-    kept = without_outliers(cloud, spacing) if len(cloud) >= _FEWEST_POINTS and spacing > 0 else cloud
+    kept, noise = cloud, float("nan")
+    if len(cloud) >= _FEWEST_POINTS and spacing > 0:
+        kept, noise = _sifted(cloud, spacing)
     outliers = len(cloud) - len(kept)
 
     def nothing(status: ReconstructionStatus, step: float = float("nan"), nodes: int = 0) -> Reconstruction:
@@ -119,7 +149,10 @@ def reconstruct(
     if not len(faces):
         return nothing(ReconstructionStatus.NO_SURFACE, volume.step, volume.nodes)
     mesh, closed, holes = close_holes(TriangleMesh(vertices, faces), close=close)
-    return Reconstruction(ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes)
+    extent = float(np.linalg.norm(np.ptp(kept.points, axis=0)))
+    return Reconstruction(
+        ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes, noise, extent
+    )
 
 
 def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
@@ -129,6 +162,11 @@ def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
         cloud: merged scans with normals, at least 12 points.
         spacing: point spacing [m].
     """
+    return _sifted(cloud, spacing)[0]
+
+
+def _sifted(cloud: PointCloud, spacing: float) -> tuple[PointCloud, float]:
+    """The cloud without outliers, and how far its points typically lie off the plane of their neighbours [m]."""
     distance, index = kdtree.nearest(kdtree.build(cloud.points), cloud.points, min(9, len(cloud)), workers=2)
     alone = distance[:, 4] > _LONELY * spacing
     # The height over the neighbours' planes; the median is not moved by an outlier among the neighbours.
@@ -138,7 +176,7 @@ def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
     # Edges stand off their neighbours' planes by nature, so nothing below a quarter of a spacing is called an outlier.
     off = height > max(_OFF_SURFACE * usual, 0.25 * spacing)
     keep = ~(alone | off)
-    return PointCloud(cloud.points[keep], cloud.normals[keep], cloud.scan[keep])
+    return PointCloud(cloud.points[keep], cloud.normals[keep], cloud.scan[keep]), usual
 
 
 class _Grid:

@@ -1,0 +1,66 @@
+"""What a plan may ask for although it is beyond where the methods are good: a sentence each, none where all is well.
+
+The numbers are the borders of the maps of docs/stability.md, which read them from here.
+"""
+
+import numpy as np
+
+from cell.scene.scene import Scene
+from planner import surface
+from planner.surface import SurfaceSamples, TriangleMesh
+
+STEEPEST_GRAZING_DEG = 77.0
+"""Surface at more than this to the rays counts as measured up to 90 degrees, but a scan hardly has a point on it."""
+
+COARSEST_MESH = 0.01
+"""How far a twentieth of the part's surface may lie off the planning mesh, as a share of its diagonal; farther off, the
+mesh's candidates miss surface that those of a finer mesh measure."""
+
+
+def of_scene(scene: Scene) -> list[str]:
+    """Doubts about a scene, whatever its part.
+
+    Args:
+        scene: a checked scene.
+    """
+    limit = getattr(scene.scanner, "grazing_max_deg", None)
+    found = grazing(float(limit)) if limit is not None else ""
+    return [found] if found else []
+
+
+def grazing(limit_deg: float) -> str:
+    """About a grazing limit [deg]."""
+    if limit_deg <= STEEPEST_GRAZING_DEG:
+        return ""
+    return (
+        f"scanner.grazing_max_deg is {limit_deg:g}: surface at more than {STEEPEST_GRAZING_DEG:g} deg to the rays "
+        "counts as measured here, but the points of a scan lie so far apart on it that it is hardly found"
+    )
+
+
+def off_mesh(features: SurfaceSamples, planning: TriangleMesh) -> float:
+    """How far 95 % of surface samples at most lie off the planes of their planning faces, as a share of the mesh's diagonal.
+
+    Args:
+        features: samples of the part (the centres of the planning faces themselves, of `rays`, are 0 off).
+        planning: the planning mesh.
+    """
+    off = features.points - surface.face_centres(planning)[features.planning_face]
+    height = np.abs(np.einsum("nj,nj->n", off, surface.face_normals(planning)[features.planning_face]))
+    return float(np.quantile(height, 0.95) / np.linalg.norm(np.ptp(planning.vertices, axis=0)))
+
+
+def planning_mesh(off: float, faces: int) -> str:
+    """About a planning mesh.
+
+    Args:
+        off: from `off_mesh`.
+        faces: how many it has.
+    """
+    if off <= COARSEST_MESH:
+        return ""
+    return (
+        f"the planning mesh of {faces} faces is coarse: a twentieth of the surface is {100 * off:.1f} % of the part's "
+        f"diagonal or more off it, above {100 * COARSEST_MESH:g} %; its candidates miss surface; "
+        "ask for more --faces"
+    )
