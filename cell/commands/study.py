@@ -284,6 +284,29 @@ def _absolute(part: str) -> str:
     return part if part in NAMES and not Path(part).is_file() else str(Path(part).absolute())
 
 
+@app.command(epilog="Examples:\n\ncell study stability\n\ncell study stability ik path --quick")
+def stability(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME ...]",
+            help="ik, limits, reach, path, plant, size, offset, grazing, decimation, cover, sparse, noise. "
+            "Default: all.",
+            show_default=False,
+        ),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few values, small problems: whether it still works.")] = False,
+    processes: Processes = None,
+    cluster: Cluster = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Map where each method breaks: success and error over what breaks it, and what the program says there."""
+    from cell.study.stability import stability_study
+
+    conducted(lambda: stability_study(names or [], quick=quick), processes, cluster, out, as_json)
+
+
 _table("table1", "The paper's Table 1: views and coverage over the decimation of the part.")
 _table("table2", "The paper's Table 2: views and coverage over the standoff distance.")
 _table("table3", "The paper's Table 3: views and coverage over the scanner's field of view.")

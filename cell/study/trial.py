@@ -26,6 +26,7 @@ TRIALS = {
     "knob": "cell.study.knobs:turn",
     "whole": "cell.study.whole:whole",
     "measurable": "cell.study.whole:measurable",
+    "stability": "cell.study.stability:at",
 }
 """Name of a trial and where its function is; only these can be run, whoever asks."""
 

@@ -1,0 +1,207 @@
+"""`cell study stability`: success and error of each method over the number that breaks it, with its safe region.
+
+A map asks a method at values of one number, some of them far beyond what anybody needs, and judges it by a truth that
+the method has no part in. At each value the program is asked as well what it would tell its user there: nothing, a
+note, a warning or a refusal. The safe region of a map is where it tells nothing; where its end is a number, the number
+is the one that the program itself compares with. A map keeps its promise when the method is good wherever the program
+is silent.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from textwrap import fill
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cell.errors import UsageError
+from cell.study import stability_robot, stability_scan, stability_views
+from cell.study.stability_map import Map
+from cell.study.study import Row, Study
+from cell.study.trial import Outcome, Trial
+
+MAPS: Mapping[str, Map] = {**stability_robot.MAPS, **stability_views.MAPS, **stability_scan.MAPS}
+
+
+def at(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """One method at one value: the trial.
+
+    Args:
+        settings: map, line, value and size.
+    """
+    seen = MAPS[settings["map"]].look(settings["line"], settings["value"], settings["size"])
+    return {"success": seen.success, "error": seen.error, "says": seen.says, "more": dict(seen.more)}
+
+
+def stability_study(names: Sequence[str], *, quick: bool = False) -> Study:
+    """The study of some maps.
+
+    Args:
+        names: of `MAPS`; empty: all.
+        quick: few values and small problems: a look at whether all of it still works.
+
+    Raises:
+        UsageError: if a name is unknown.
+    """
+    for name in names:
+        if name not in MAPS:
+            raise UsageError(f"there is no stability map {name}; there are {', '.join(MAPS)}")
+    asked = [
+        (
+            name,
+            line,
+            value,
+            Trial.of("stability", {"map": name, "line": line, "value": value, "size": each.sizes[quick]}),
+        )
+        for name, each in MAPS.items()
+        if name in names or not names
+        for line in (each.lines[: each.quick_lines] if quick else each.lines)
+        for value in (each.quick if quick else each.values)
+    ]
+
+    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+        found = {outcome.trial: outcome.values for outcome in outcomes}
+        return [_row(name, line, value, found[trial]) for name, line, value, trial in asked if trial in found]
+
+    return Study(
+        "stability", "Where each method breaks", [trial for *_, trial in asked], rows, pictures, sentences,
+        ("map", "line", "value", "success %", "error", "says"),
+    )  # fmt: skip
+
+
+def _row(name: str, line: str, value: float, values: Mapping[str, Any]) -> Row:
+    each = MAPS[name]
+    good = values["success"] >= each.enough and (values["error"] is None or values["error"] <= each.tolerated)
+    return {
+        "map": name,
+        "line": line,
+        "value": value,
+        "success %": 100 * values["success"],
+        "error": values["error"],
+        "good": good,
+        "says": values["says"],
+        **values["more"],
+    }
+
+
+def by_map(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows of each map, maps in the order of the rows."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row["map"], []).append(row)
+    return found
+
+
+def broken_promises(rows: Sequence[Row]) -> list[Row]:
+    """Rows at which a method of the program's is not good and the program says nothing."""
+    return [row for row in rows if not (row["good"] or row["says"] or row["line"] in MAPS[row["map"]].compared)]
+
+
+def sentences(rows: Sequence[Row]) -> list[str]:
+    """For each map where the method is good, where the program speaks, and what it says."""
+    said = []
+    for name, points in by_map(rows).items():
+        each = MAPS[name]
+        values = list(dict.fromkeys(row["value"] for row in points))
+        bad = [value for value in values if not all(row["good"] for row in points if row["value"] == value)]
+        spoken = [row for row in points if row["says"]]
+        text = f"**{name}** ({each.parameter}): "
+        text += "good at all values" if not bad else f"not good at {_listed(bad)}"
+        if spoken:
+            told = list(dict.fromkeys(row["value"] for row in spoken))
+            text += f"; the program speaks at {_listed(told)}, for instance: {spoken[0]['says']}"
+        silent = sorted({row["value"] for row in broken_promises(points)})
+        if silent:
+            text += f"; **silent although not good at {_listed(silent)}**"
+        said.append(text.rstrip(".") + ".")
+    return said
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
+    """One picture a map: success above, error below, the safe region shaded."""
+    for name, points in by_map(rows).items():
+        yield f"stability_{name}", _picture(MAPS[name], points)
+
+
+_COLOURS = ("#2471a3", "#ca6f1e", "#7d3c98", "#1e8449")
+_MARKS = ("o", "s", "^", "v")
+
+
+def _picture(each: Map, rows: Sequence[Row]) -> Figure:
+    figure = Figure(figsize=(7.2, 5.8), dpi=110, layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    _scaled(above, each, [row["value"] for row in rows])
+    for index, line in enumerate(each.lines):
+        points = sorted((row for row in rows if row["line"] == line), key=lambda row: row["value"])
+        if not points:
+            continue
+        x = [row["value"] for row in points]
+        style = {"color": _COLOURS[index], "marker": _MARKS[index], "markersize": 5, "linewidth": 1.3}
+        above.plot(x, [row["success %"] for row in points], label=line or None, **style)
+        known = [row for row in points if row["error"] is not None]
+        floor = each.tolerated * 1e-9
+        below.plot(
+            [row["value"] for row in known], [max(row["error"], floor) for row in known], label=line or None, **style
+        )
+    spoken = [row for row in rows if row["says"]]
+    for axes in (above, below):
+        for low, high in _safe(each, rows):
+            axes.axvspan(low, high, color="#d5f0da", zorder=0, linewidth=0)
+        axes.grid(color="0.88", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    above.set_ylim(-5, 108)
+    above.set_ylabel(fill(f"{each.success} [%]", 34), fontsize=9)
+    if any(row["error"] for row in rows):
+        positive = [row["error"] for row in rows if row["error"]]
+        below.set_yscale("symlog", linthresh=min(each.tolerated, max(positive)) / 1e3)
+        below.set_ylim(bottom=0)
+    below.axhline(each.tolerated, color="0.35", linewidth=0.9, linestyle="--")
+    below.annotate(
+        "good below", (0.01, each.tolerated), xycoords=("axes fraction", "data"), fontsize=7.5, va="bottom", color="0.3"
+    )
+    below.set_ylabel(fill(each.error, 34), fontsize=9)
+    below.set_xlabel(f"{each.parameter}; green: the program says nothing", fontsize=9)
+    if len(each.lines) > 1:
+        above.legend(fontsize=8, frameon=False, loc="best")
+    if spoken:
+        edge = _nearest_to_safe(each, rows, spoken)
+        figure.suptitle(f"{each.title}\n" + fill(f"beyond the green: “{edge['says']}”", 105), fontsize=9, ha="center")
+    else:
+        figure.suptitle(each.title, fontsize=9.5)
+    return figure
+
+
+def _nearest_to_safe(each: Map, rows: Sequence[Row], spoken: Sequence[Row]) -> Row:
+    """The row that speaks nearest to one that does not, in the order of the values."""
+    values = sorted({row["value"] for row in rows})
+    silent = [values.index(row["value"]) for row in rows if not row["says"]]
+    if not silent:
+        return spoken[0]
+    return min(spoken, key=lambda row: min(abs(values.index(row["value"]) - other) for other in silent))
+
+
+def _safe(each: Map, rows: Sequence[Row]) -> list[tuple[float, float]]:
+    """Intervals that are shaded: between the program's numbers, else where it said nothing at any line."""
+    values = sorted({row["value"] for row in rows})
+    silent = [not any(row["says"] for row in rows if row["value"] == value) for value in values]
+    low, high = each.borders
+    if low is not None or high is not None:
+        return [
+            (values[0] if low is None else max(low, values[0]), values[-1] if high is None else min(high, values[-1]))
+        ]
+    return [(values[index], values[index + 1]) for index, (one, other) in enumerate(pairwise(silent)) if one and other]
+
+
+def _scaled(axes: Axes, each: Map, values: Sequence[float]) -> None:
+    if each.scale == "symlog":
+        axes.set_xscale("symlog", linthresh=each.linear_below)
+    else:
+        axes.set_xscale(each.scale)
+    if each.towards_small:
+        axes.invert_xaxis()

@@ -1,0 +1,114 @@
+"""Where the reconstruction breaks: clouds that are ever sparser, and ever noisier.
+
+Eight virtual scans around a part; the truth is the part itself. Success is how much of what the scans could see has
+surface near it. Object frame, metres.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from cell.part.workpiece import Workpiece
+from cell.rays.embree import EmbreeRayCaster
+from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
+from cell.reconstruction.deviation import deviation
+from cell.reconstruction.nearest import NearestSurface
+from cell.reconstruction.reconstruct import Reconstruction, reconstruct
+from cell.study.clouds import eight_scans, noisy
+from cell.study.stability_body import body
+from cell.study.stability_map import Map, Seen
+from planner import surface
+from planner.ports import Floats
+
+_FINEST_DEG = 0.5
+_NEAR = 0.01  # of the diagonal: surface so near to a place counts as found there
+
+
+@lru_cache(maxsize=1)
+def _part() -> Workpiece:
+    return body()
+
+
+@lru_cache(maxsize=1)
+def _nearest() -> NearestSurface:
+    return NearestSurface(_part().reference)
+
+
+@lru_cache(maxsize=8)
+def _scans(step_deg: float) -> tuple[ScanCloud, ...]:
+    return tuple(eight_scans(_part(), step_deg))
+
+
+def _diagonal() -> float:
+    return float(np.linalg.norm(_part().size))
+
+
+@lru_cache(maxsize=2)
+def _in_sight(count: int) -> Floats:
+    """(n, 3) samples of the part that a source of the eight scans sees."""
+    reference = _part().reference
+    samples = surface.sample(reference, reference, count, np.random.default_rng(0))
+    caster = EmbreeRayCaster(reference.vertices, reference.faces)
+    seen = np.zeros(count, dtype=np.bool_)
+    lifted = samples.points + 1e-6 * _diagonal() * samples.normals
+    for scan in _scans(_FINEST_DEG):
+        sight = scan.sensor - samples.points
+        facing = np.einsum("nj,nj->n", sight, samples.normals) > 0.3 * np.linalg.norm(sight, axis=1)
+        seen |= facing & ~caster.blocked(np.broadcast_to(scan.sensor, lifted.shape), lifted)
+    return np.asarray(samples.points[seen])
+
+
+def _judged(result: Reconstruction, count: int) -> Seen:
+    says = " ".join(result.doubts) if result.mesh is not None else result.status.value
+    spacing = {"spacing mm": 1e3 * result.spacing if np.isfinite(result.spacing) else None}
+    if result.mesh is None:
+        return Seen(0.0, None, says, spacing)
+    places = _in_sight(count)
+    near = NearestSurface(result.mesh).closest(places).distance <= _NEAR * _diagonal()
+    off = deviation(result.mesh, _nearest(), np.random.default_rng(0), count=count)
+    return Seen(
+        float(near.mean()), 100 * off.rms / _diagonal(), says,
+        {**spacing, "rms mm": 1e3 * off.rms, "holes": result.holes, "outliers": result.outliers,
+         "noise mm": 1e3 * result.noise, "faces": len(result.mesh.faces)},
+    )  # fmt: skip
+
+
+def sparse(line: str, step_deg: float, count: int) -> Seen:
+    """The surface of scans with ever larger angles between rays."""
+    return _judged(reconstruct(merge(list(_scans(step_deg)))), count)
+
+
+def noise(line: str, spacings: float, count: int) -> Seen:
+    """The surface of scans with ever more noise along the rays, in point spacings."""
+    step = float(line.split()[0])
+    spacing = _spacing(step)
+    seen = _judged(reconstruct(merge(noisy(list(_scans(step)), spacings * spacing))), count)
+    if seen.error is None:
+        return seen
+    return replace(seen, error=seen.error / 100 * _diagonal() / spacing)
+
+
+@lru_cache(maxsize=4)
+def _spacing(step_deg: float) -> float:
+    """Point spacing of the exact scans [m]."""
+    scans = _scans(step_deg)
+    points = np.concatenate([scan.points for scan in scans])
+    return point_spacing(points, np.repeat(np.arange(len(scans)), [len(scan) for scan in scans]))
+
+
+MAPS = {
+    "sparse": Map(
+        "Reconstruction from sparse clouds: eight scans of a bumpy body from 300 mm", "angle between rays [deg]",
+        "surface in sight that has mesh within 1 % of the diagonal", "rms deviation [% of the diagonal]", 0.2,
+        (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 12.0, 20.0), (1.0, 8.0), sparse, (10_000, 1000),
+    ),
+    "noise": Map(
+        "Reconstruction from noisy clouds: eight scans of a bumpy body from 300 mm",
+        "noise along the rays, one sigma [point spacings]",
+        "surface in sight that has mesh within 1 % of the diagonal", "rms deviation [point spacings]", 0.25,
+        (0.005, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 1.0, 1.5, 2.5), (0.1, 1.5), noise, (10_000, 1000),
+        lines=("0.7 deg", "1 deg"),
+    ),
+}  # fmt: skip
+"""Of the reconstruction."""
