@@ -39,7 +39,7 @@ def grazing(limit_deg: float) -> str:
 
 
 def off_mesh(features: SurfaceSamples, planning: TriangleMesh) -> float:
-    """How far 95 % of surface samples at most lie off the planes of their planning faces, as a share of the mesh's diagonal.
+    """How far 95 % of surface samples at most lie off their planning faces' planes, as a share of the mesh's diagonal.
 
     Args:
         features: samples of the part (the centres of the planning faces themselves, of `rays`, are 0 off).
