@@ -213,6 +213,7 @@ def _comments(program: Program) -> Iterator[str]:
     yield f"; {program.views} views of {program.told.part}, planned by scan-cell; run folder {program.told.run}"
     yield f"; sha256 of its plan.json {program.told.plan_sha256}"
     yield "; before it runs: the same robot, tool, base, part and fixtures as in the plan; first in T1 at 10 %"
+    yield "; external axes: every motion sends E1 to E6 to 0; the plan knows of none"
     yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"
     if np.isfinite(program.told.clearance):
         nearest = f"{program.told.clearance * 1000:.1f} mm ({program.told.between})"
