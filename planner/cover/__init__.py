@@ -6,7 +6,7 @@ greedy, meta_raps, local_search, exact    solvers; `solvers` names them and adds
 local_search_kernels    the compiled loops of the local search, imported when it runs
 bound         lower bound on the cost
 budget        work, clock guard, best cover so far
-interrupts    Ctrl-C during HiGHS
+interrupts    Ctrl-C: heard during HiGHS, and the end of a search
 selection     `solve`: all of it, with a status and a gap
 
 Beside it stand requests that are no cover of this form; each has a module of its own and is imported by its name.

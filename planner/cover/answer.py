@@ -34,6 +34,8 @@ def told(
         status = CoverStatus.NOTHING_COVERABLE
     elif lower_bound >= len(views):
         status = CoverStatus.PROVEN
+    elif work.interrupted:
+        status = CoverStatus.INTERRUPTED
     else:
         status = CoverStatus.TIME_LIMITED if work.time_limited else CoverStatus.BOUNDED
     return Cover(

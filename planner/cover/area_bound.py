@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.cover.budget import STEP_WORK, Budget
+from planner.cover.interrupts import ends_search
 from planner.cover.problem import CoverProblem, Floats, Ints
 from planner.readonly import readonly
 
@@ -66,8 +67,9 @@ def area_bounds(problem: CoverProblem, covered: Ints, budget: Budget, sizes: Ite
         search.steps[~np.isin(np.arange(len(covered)), list(sizes))] = 0.0
     search.evaluate(problem.units)  # the k largest columns, overlaps counted twice
     try:
-        while (size := search.widest()) and budget.spend(0):
-            search.lower(size, budget)
+        with ends_search(budget):
+            while (size := search.widest()) and budget.spend(0):
+                search.lower(size, budget)
     finally:
         # The number of steps hangs on float rounding, which differs between machines; what is left must not.
         budget.spent = max(budget.spent, everything)

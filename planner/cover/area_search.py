@@ -7,6 +7,7 @@ chosen column for another in each step. Work is counted in entries touched, so t
 import numpy as np
 
 from planner.cover.budget import Budget
+from planner.cover.interrupts import ends_search
 from planner.cover.problem import CoverProblem, Ints
 
 TENURES = 61
@@ -82,12 +83,13 @@ class AreaSearch:
         moving, best = self.chosen.copy(), self.chosen.copy()
         area = best_area = self.area
         step, work = 0, 0
-        while budget.spend(work) and step < steps and best_area < ceiling:
-            # The kernel runs on past the ceiling until its chunk ends: short chunks where it is near.
-            area, best_area, step, work = self._kernels.swap_search(
-                *self._sets, self._units, moving, self._counts, self._gains, tabu, best, tenures, area, best_area,
-                step, min(steps, step + 50), min(_CHUNK, max(budget.left, 1)),
-            )  # fmt: skip
+        with ends_search(budget):
+            while budget.spend(work) and step < steps and best_area < ceiling:
+                # The kernel runs on past the ceiling until its chunk ends: short chunks where it is near.
+                area, best_area, step, work = self._kernels.swap_search(
+                    *self._sets, self._units, moving, self._counts, self._gains, tabu, best, tenures, area, best_area,
+                    step, min(steps, step + 50), min(_CHUNK, max(budget.left, 1)),
+                )  # fmt: skip
         self.set(best)
 
 

@@ -71,8 +71,8 @@ class Budget:
 
     @property
     def left(self) -> int:
-        """Work that is left."""
-        return max(self.limit - self.spent, 0)
+        """Work that is left; none once the user has interrupted."""
+        return 0 if self.interrupted else max(self.limit - self.spent, 0)
 
     @property
     def seconds_left(self) -> float | None:

@@ -43,7 +43,7 @@ class CoverageCurve:
         views: n selections, columns of the matrix in ascending order.
         coverable_area: area that all usable columns cover [m^2].
         total_area: area of all rows [m^2].
-        time_limited: whether the clock stopped the work.
+        time_limited: whether the clock, or Ctrl-C, stopped the work.
     """
 
     first: int
@@ -154,7 +154,7 @@ def coverage_curve(
         views=tuple(np.sort(np.concatenate((ready.found.columns[c], idle))) for c in canonical),
         coverable_area=coverable,
         total_area=float(ready.found.areas.sum()),
-        time_limited=work.time_limited,
+        time_limited=work.time_limited or work.interrupted,
     )
 
 

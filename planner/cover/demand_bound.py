@@ -19,7 +19,7 @@ import numpy as np
 from planner.cover.bound import PIVOT_WORK, ROUNDING
 from planner.cover.budget import STEP_WORK, Budget
 from planner.cover.demands import DemandProblem
-from planner.cover.interrupts import interruptible
+from planner.cover.interrupts import ends_search, interruptible
 from planner.cover.problem import Floats, Ints
 
 LP_ENTRIES = 200_000
@@ -157,9 +157,10 @@ def lower_bound(problem: DemandProblem, upper: int, budget: Budget) -> DemandBou
     everything = budget.spent + budget.left
     found = DemandBound(problem)
     try:
-        if found.value < upper:
-            found.linear_programme(budget)
-        found.climb(upper, budget)
+        with ends_search(budget):
+            if found.value < upper:
+                found.linear_programme(budget)
+            found.climb(upper, budget)
     finally:
         # Steps hang on float rounding, which differs between machines; what is left must not.
         budget.spent = max(budget.spent, everything)
@@ -176,8 +177,8 @@ def close_gap(problem: DemandProblem, best: Ints, known: DemandBound, budget: Bu
     from scipy.optimize import Bounds, LinearConstraint, milp
 
     lower, upper = min(known.value, len(best)), len(best)
-    if lower >= upper:
-        return best, upper
+    if lower >= upper or budget.interrupted:
+        return best, lower
     keep = np.flatnonzero(known.dual + np.maximum(known.reduced_costs, 0.0) <= upper - 1 + ROUNDING)
     core = problem.on_columns(keep)
     if not core.met(np.arange(core.n_columns)):
@@ -202,9 +203,12 @@ def close_gap(problem: DemandProblem, best: Ints, known: DemandBound, budget: Bu
     options: Any = {"node_limit": int(min(nodes, 2**31 - 1)), "mip_rel_gap": 0.0}
     if budget.seconds_left is not None:
         options["time_limit"] = budget.seconds_left
-    result = interruptible(
-        lambda: milp(costs, integrality=integrality, bounds=Bounds(0, 1), constraints=constraints, options=options)
-    )
+    with ends_search(budget):
+        result = interruptible(
+            lambda: milp(costs, integrality=integrality, bounds=Bounds(0, 1), constraints=constraints, options=options)
+        )
+    if budget.interrupted:
+        return best, lower
     budget.spend(NODE_WORK * core.n_entries * (ROOT_NODES + int(getattr(result, "mip_node_count", None) or 0)))
     if result.status == 2:
         return best, upper

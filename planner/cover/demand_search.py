@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.cover.budget import Budget
 from planner.cover.demands import DemandProblem
+from planner.cover.interrupts import ends_search
 from planner.cover.problem import Ints
 
 AREA_WEIGHT = 1000
@@ -148,37 +149,39 @@ def improve(
     if not problem.full and problem.n_rows:
         growth = np.maximum(np.rint(problem.units * (AREA_WEIGHT / problem.units.mean())), 1).astype(np.int64)
     most = int(problem.demand.max(initial=1))
-    while len(best) > max(enough, int(pinned.sum()), 1) and budget.spend(0):
-        weights, load = growth.copy(), problem.loads(best)
-        gains = _gains(problem, weights, load)
-        chosen = np.zeros(problem.n_columns + 1, dtype=np.int64)
-        chosen[: len(best)] = best
-        # One too few: the column with the least loss goes first.
-        free = [p for p, j in enumerate(best.tolist()) if not pinned[j]]
-        losses = [demand_kernels.loss_of(*sets[3:], problem.demand, weights, load, int(best[p])) for p in free]
-        out = free[int(np.argmin(losses))]
-        demand_kernels.move(*sets, problem.demand, weights, load, gains, int(best[out]), -1)
-        size = len(best) - 1
-        chosen[out] = chosen[size]
-        stamps = np.zeros(problem.n_columns, dtype=np.int64)
-        better = np.zeros(problem.n_columns + 1, dtype=np.int64)
-        largest = int(gains.max(initial=1))
-        state = np.array([0, max(largest // 4, most), -1], dtype=np.int64)
-        found, work = -1, 0
-        while found < 0 and budget.spend(work):
-            size, found, work = demand_kernels.search(
-                *sets, problem.demand, problem.units, growth, weights, problem.slack, problem.full, adjacent, pinned,
-                chosen, size, load, gains, stamps, better, rng.random(_BLOCK), state, min(max(budget.left, 1), _CHUNK),
-            )  # fmt: skip
-            tired = not problem.full and int(weights.sum()) > FORGET_ABOVE * int(growth.sum())
-            if tired or int(weights.max(initial=0)) > LARGEST_WEIGHT // most or int(state[1]) > 2**50:
-                weights[:] = growth + (weights - growth) * 3 // 10
-                gains[:] = _gains(problem, weights, load)
-                state[1] = min(int(state[1]), max(largest // 4, most))
-            if work == 0:
-                return best
-        if found >= 0:
-            best = prune(problem, better[:found].copy(), adjacent, np.flatnonzero(pinned))
+    with ends_search(budget):
+        while len(best) > max(enough, int(pinned.sum()), 1) and budget.spend(0):
+            weights, load = growth.copy(), problem.loads(best)
+            gains = _gains(problem, weights, load)
+            chosen = np.zeros(problem.n_columns + 1, dtype=np.int64)
+            chosen[: len(best)] = best
+            # One too few: the column with the least loss goes first.
+            free = [p for p, j in enumerate(best.tolist()) if not pinned[j]]
+            losses = [demand_kernels.loss_of(*sets[3:], problem.demand, weights, load, int(best[p])) for p in free]
+            out = free[int(np.argmin(losses))]
+            demand_kernels.move(*sets, problem.demand, weights, load, gains, int(best[out]), -1)
+            size = len(best) - 1
+            chosen[out] = chosen[size]
+            stamps = np.zeros(problem.n_columns, dtype=np.int64)
+            better = np.zeros(problem.n_columns + 1, dtype=np.int64)
+            largest = int(gains.max(initial=1))
+            state = np.array([0, max(largest // 4, most), -1], dtype=np.int64)
+            found, work = -1, 0
+            while found < 0 and budget.spend(work):
+                size, found, work = demand_kernels.search(
+                    *sets, problem.demand, problem.units, growth, weights, problem.slack, problem.full, adjacent,
+                    pinned, chosen, size, load, gains, stamps, better, rng.random(_BLOCK), state,
+                    min(max(budget.left, 1), _CHUNK),
+                )  # fmt: skip
+                tired = not problem.full and int(weights.sum()) > FORGET_ABOVE * int(growth.sum())
+                if tired or int(weights.max(initial=0)) > LARGEST_WEIGHT // most or int(state[1]) > 2**50:
+                    weights[:] = growth + (weights - growth) * 3 // 10
+                    gains[:] = _gains(problem, weights, load)
+                    state[1] = min(int(state[1]), max(largest // 4, most))
+                if work == 0:
+                    return best
+            if found >= 0:
+                best = prune(problem, better[:found].copy(), adjacent, np.flatnonzero(pinned))
     return best
 
 

@@ -19,7 +19,7 @@ from planner.cover.answer import told
 from planner.cover.area_bound import AreaBounds, area_bounds
 from planner.cover.area_search import search_most
 from planner.cover.budget import Budget
-from planner.cover.interrupts import interruptible
+from planner.cover.interrupts import ends_search, interruptible
 from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import CoverProblem, Ints
 from planner.cover.selection import Cover
@@ -45,6 +45,7 @@ class MostStatus(Enum):
     PROVEN = "proven most that so many of these candidates measure of these samples"
     BOUNDED = "within known points of coverage of the most that so many of these candidates measure"
     TIME_LIMITED = "the time limit stopped the search; within known points of coverage of the most"
+    INTERRUPTED = "interrupted; within known points of coverage of the most"
     NOTHING_COVERABLE = "no allowed view measures any sample"
 
 
@@ -73,11 +74,18 @@ class MostCoverage:
     @property
     def sentence(self) -> str:
         """The status in words with its numbers."""
-        if self.status not in (MostStatus.BOUNDED, MostStatus.TIME_LIMITED):
+        if self.status not in _OPEN:
             return str(self.status.value)
         views = "1 view" if self.max_views == 1 else f"{self.max_views} views"
         within = f"at most {max(self.gap_points, 0.01):.2f} points of coverage below the most that {views} can measure"
-        return f"the time limit stopped the search; {within}" if self.status is MostStatus.TIME_LIMITED else within
+        return _OPEN[self.status] + within
+
+
+_OPEN = {
+    MostStatus.BOUNDED: "",
+    MostStatus.TIME_LIMITED: "the time limit stopped the search; ",
+    MostStatus.INTERRUPTED: "the search was interrupted; ",
+}
 
 
 def most_coverage(
@@ -176,9 +184,12 @@ def close_gap(
     if budget.seconds_left is not None:
         options["time_limit"] = budget.seconds_left
     integrality = np.repeat((1, 0), (n_columns, n_rows))
-    result = interruptible(
-        lambda: milp(costs, integrality=integrality, bounds=Bounds(0, 1), constraints=constraints, options=options)
-    )
+    with ends_search(budget):
+        result = interruptible(
+            lambda: milp(costs, integrality=integrality, bounds=Bounds(0, 1), constraints=constraints, options=options)
+        )
+    if budget.interrupted:
+        return chosen, upper
     budget.spend(NODE_WORK * M.nnz * (ROOT_NODES + int(getattr(result, "mip_node_count", None) or 0)))
     if result.status == 2:  # nothing better by more than what counts as equal
         return chosen, min(upper, area + int(2 * SAME * total))
@@ -205,10 +216,12 @@ def _result(ready: Prepared, columns: Ints, upper: int, fewest: int, max_views: 
         status = MostStatus.EVERYTHING
     elif upper - units <= 3 * SAME * total:  # what HiGHS was asked for, the slack of its bound, and rounding
         status = MostStatus.PROVEN
+    elif work.interrupted:
+        status = MostStatus.INTERRUPTED
     else:
         status = MostStatus.TIME_LIMITED if work.time_limited else MostStatus.BOUNDED
     fewest = max(fewest, ready.fewest_for(units))
     cover = told(ready.found, ready.fixed, columns, fewest, solver="most-coverage", work=work, idle_too=False)
-    proven = status not in (MostStatus.BOUNDED, MostStatus.TIME_LIMITED)
+    proven = status not in _OPEN
     upper_area = cover.covered_area if proven else cover.coverable_area * min(upper / total, 1.0)
     return MostCoverage(cover, max_views, upper_area, status)

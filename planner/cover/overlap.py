@@ -208,6 +208,7 @@ def overlap_cover(
     )  # fmt: skip
     work.spent = free.work
     work.time_limited = free.status is CoverStatus.TIME_LIMITED
+    work.interrupted = free.status is CoverStatus.INTERRUPTED
     ready = prepare(M, areas, allowed, pinned, banned, coverage=coverage)
     problem = DemandProblem.of_cover(ready.found.problem)
     adjacent = joined_columns(ready.found.problem.matrix(), ready.found.areas[ready.found.rows], overlap)

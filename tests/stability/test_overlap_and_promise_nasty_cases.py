@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from planner.cover import Budget
+from planner.cover.most_coverage import most_coverage
 from planner.cover.overlap import Overlap, OverlapStatus, overlap_cover
 from planner.cover.robust import robust_cover
 from planner.errors import PlannerError
@@ -157,9 +159,40 @@ def test_one_time_limit_holds_for_both_searches_and_is_said():
 
 def test_a_pinned_view_that_measures_nothing_does_not_end_the_search_early():
     """It counts in the bound, but not among the columns that are searched."""
-    for seed in range(4):
+    for seed in (48, 98, 117):  # where the last view less has to be searched for
         M = np.random.default_rng(seed).random((30, 16)) < 0.25
         M[:, 15] = False
-        without = joined(M, np.ones(30), Overlap(area=1.0))
-        pinned = joined(M, np.ones(30), Overlap(area=1.0), pinned=[15])
+        without = joined(M, np.ones(30), Overlap(area=2.0))
+        pinned = joined(M, np.ones(30), Overlap(area=2.0), pinned=[15])
         assert len(pinned.cover.views) == len(without.cover.views) + 1
+
+
+@pytest.mark.parametrize("after", [1, 5, 20, 40, 60])
+@pytest.mark.parametrize("ask", ["overlap", "promise", "most"])
+def test_ctrl_c_gives_the_best_so_far(ask, after, monkeypatch):
+    """Whenever it comes: what is asked for holds, the bound too, and the sentence says that it was interrupted."""
+    rng = np.random.default_rng(5)
+    M = rng.random((150, 300)) < 0.05
+    M[:, 0] |= ~M.any(axis=1)
+    calls, spend = count(), Budget.spend
+
+    def interrupted(self, work):
+        if next(calls) == after:
+            raise KeyboardInterrupt
+        return spend(self, work)
+
+    monkeypatch.setattr(Budget, "spend", interrupted)
+    for module in ("demand_search", "area_search", "local_search"):
+        monkeypatch.setattr(f"planner.cover.{module}.{'CHUNK_WORK' if module == 'local_search' else '_CHUNK'}", 100_000)
+    if ask == "overlap":
+        found = joined(M, np.ones(150), Overlap(area=2.0), budget=10**11)
+        assert found.status is OverlapStatus.CONNECTED
+    elif ask == "promise":
+        found = promised(M, 20, alpha=0.5, budget=10**11)
+        assert found.robust_area == found.robust_coverable_area
+    else:
+        found = most_coverage(M, np.ones(150), max_views=9, rng=rng, budget=10**11)
+        assert found.cover.covered_area < found.upper_area
+    assert next(calls) > after
+    assert 0 <= found.cover.lower_bound < len(found.cover.views)
+    assert found.sentence.startswith("the search was interrupted; at most")
