@@ -209,7 +209,9 @@ def select_and_connect(
             else sweeping.groups(chosen.views)
         )
         motion = connect(groups)
-        if motion.duration > groups.straight_before:  # detours may have cost what the exchange saved
+        exchanged = np.isfinite(groups.straight_before)
+        # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
+        if exchanged and (motion.dropped or motion.duration > groups.straight_before):
             own = view_exchange.alone(arm, chosen.views)
             groups, motion = view_exchange.shorter((groups, motion), (own, connect(own)))
         if motion.status is TourStatus.HOME_IN_COLLISION:
