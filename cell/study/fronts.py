@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cell.scene.presets import DEFAULT, PRESETS
 from cell.scene.scene import Scene
@@ -28,6 +30,7 @@ _COLOURS = {"fast": "#ca6f1e", "balanced": "#1e8449", "accurate": "#7d3c98", who
 _MARKS = {"fast": "v", "balanced": "*", "accurate": "^", whole.PAPER: "s"}
 _SIZES = {"fast": 9, "balanced": 14, "accurate": 9, whole.PAPER: 8}
 _LINE = "#2471a3"
+_BESIDE = 0.3  # points whose seconds and errors differ by less than this (of e): the second's label goes below
 _SHOWN = ("knob", "part", "value", "presets", "seconds", "processor s", "error", "unit", "views")
 
 
@@ -155,7 +158,7 @@ def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
 def _fronts(lines: Mapping[str, Sequence[Row]]) -> Figure:
     columns = min(3, len(lines))
     height = math.ceil(len(lines) / columns)
-    figure = Figure(figsize=(4.9 * columns, 3.7 * height + 0.5), dpi=110, layout="constrained")
+    figure = Figure(figsize=(4.9 * columns, 3.5 * height + 0.7), dpi=110, layout="constrained")
     grid = figure.subplots(height, columns, squeeze=False)
     for axes, (name, line) in zip(grid.flat, lines.items(), strict=False):
         _front(axes, name, line)
@@ -166,7 +169,6 @@ def _fronts(lines: Mapping[str, Sequence[Row]]) -> Figure:
         for name in PRESETS
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    figure.supxlabel("processor time of the work, all cores [s]", fontsize=10)
     figure.suptitle("Processor time against error, one knob at a time", fontsize=11)
     return figure
 
@@ -181,15 +183,26 @@ def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
     height = _with_floor(axes, [row["error"] for row in line])
     seconds = [max(row["processor s"], 1e-4) for row in line]
     axes.plot(seconds, [height(row["error"]) for row in line], "o-", color=_LINE, markersize=4, linewidth=1.2)
+    labelled: list[tuple[float, float]] = []
     for row, x in zip(line, seconds, strict=True):
         y = height(row["error"])
+        below = any(abs(math.log(x / x0)) < _BESIDE and abs(math.log(y / y0)) < _BESIDE for x0, y0 in labelled)
+        labelled.append((x, y))
         for preset in presets_at(knob, row["value"]):
             axes.plot(x, y, _MARKS[preset], color=_COLOURS[preset], markersize=_SIZES[preset], zorder=3)
         counted = f" ({row['views']})" if knob.error_unit == "points" and "views" in row else ""
-        axes.annotate(f"{_label(knob, row)}{counted}", (x, y), xytext=(5, 6), textcoords="offset points", fontsize=7.5)
+        axes.annotate(
+            f"{_label(knob, row)}{counted}",
+            (x, y),
+            xytext=(5, -13 if below else 6),
+            textcoords="offset points",
+            fontsize=7.5,
+        )
     axes.set_xscale("log")
+    _decimal(axes.xaxis)
     axes.set_title(f"{name}: {knob.title}\non {line[0]['part']}", fontsize=9, loc="left")
     axes.set_ylabel(_wrapped(knob.measure), fontsize=8)
+    axes.set_xlabel("processor time [s]", fontsize=8)
     _plain(axes)
     low, high = min(seconds), max(seconds)
     axes.set_xlim(low / 1.4, high * max(1.6, (high / low) ** 0.3))
@@ -213,13 +226,14 @@ def _whole(rows: Sequence[Row]) -> Figure:
                 f"{method}\n{row['views']} views", (x, y), xytext=(7, 5), textcoords="offset points", fontsize=8
             )
         axes.set_xscale("log")
+        _decimal(axes.xaxis)
         axes.set_title(part, fontsize=10, loc="left")
         _plain(axes)
         low, high = min(row["processor s"] for row in line), max(row["processor s"] for row in line)
         axes.set_xlim(low / 1.25, high * max(1.5, (high / low) ** 0.4))
         axes.set_xlabel("processor time of cell plan [s]", fontsize=9)
     figure.axes[0].set_ylabel("surface that could be measured and is not\n[points of visible coverage]", fontsize=9)
-    figure.suptitle("The whole of cell plan under each preset, and with the paper's method", fontsize=11)
+    figure.suptitle("cell plan under each preset, and by the paper's method", fontsize=11)
     return figure
 
 
@@ -227,6 +241,7 @@ def _with_floor(axes: Axes, errors: Sequence[float]) -> Callable[[float], float]
     """A logarithmic axis on which an error of zero has a place, at its lower edge; returns where an error is drawn."""
     positive = [error for error in errors if error > 0]
     axes.set_yscale("log")
+    _decimal(axes.yaxis)
     if not positive:
         axes.set_ylim(0.005, 2.0)
         axes.set_yticks([0.01], ["0"])
@@ -240,6 +255,13 @@ def _with_floor(axes: Axes, errors: Sequence[float]) -> Callable[[float], float]
         low = floor
     axes.set_ylim(low / 1.6, high * 2.5)
     return lambda error: error if error > 0 else floor
+
+
+def _decimal(axis: Axis) -> None:
+    """1, 2, 5 and their tenfolds as plain numbers: few of these axes span many decades."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _plain(axes: Axes) -> None:
