@@ -114,7 +114,7 @@ def sentences(rows: Sequence[Row]) -> list[str]:
         silent = sorted({row["value"] for row in broken_promises(points)})
         if silent:
             text += f"; **silent although not good at {_listed(silent)}**"
-        said.append(text.rstrip(".") + ".")
+        said.append(text if text.endswith((".", "?")) else f"{text}.")
     return said
 
 

@@ -248,7 +248,7 @@ MAPS = {
         "Reach at the envelope's edge", "inside the edge [mm]", "poses told right, in or out of reach",
         "set-point's place off the pose [um]", 10.0,
         (300.0, 100.0, 10.0, 1.0, 1e-1, 1e-3, 1e-5, -1e-5, -1e-3, -1e-1, -1.0, -10.0, -100.0), (100.0, 1e-3, -1e-3),
-        reached, (40, 6), lines=(_OURS, "numeric, least squares"), compared=("numeric, least squares",),
+        reached, (30, 6), lines=(_OURS, "numeric, least squares"), quick_lines=1, compared=("numeric, least squares",),
         borders=(-1000 * STRETCH_TOLERANCE, None), scale="symlog", linear_below=1e-6, towards_small=True,
     ),
     "path": Map(

@@ -21,7 +21,7 @@ from cell.study.stability_map import Map, Seen
 from planner import surface
 from planner.ports import Floats
 
-_FINEST_DEG = 0.5
+_FINEST_DEG = 1.0
 _NEAR = 0.01  # of the diagonal: surface so near to a place counts as found there
 
 
@@ -101,14 +101,14 @@ MAPS = {
     "sparse": Map(
         "Reconstruction from sparse clouds: eight scans of a bumpy body from 300 mm", "angle between rays [deg]",
         "surface in sight that has mesh within 1 % of the diagonal", "rms deviation [% of the diagonal]", 0.2,
-        (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 12.0, 20.0), (1.0, 8.0), sparse, (10_000, 1000),
+        (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 12.0, 20.0), (1.0, 8.0), sparse, (5000, 500),
     ),
     "noise": Map(
         "Reconstruction from noisy clouds: eight scans of a bumpy body from 300 mm",
         "noise along the rays, one sigma [point spacings]",
         "surface in sight that has mesh within 1 % of the diagonal", "rms deviation [point spacings]", 0.25,
-        (0.005, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 1.0, 1.5, 2.5), (0.1, 1.5), noise, (10_000, 1000),
-        lines=("0.7 deg", "1 deg"),
+        (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 1.0, 1.5, 2.5), (0.1, 1.0), noise, (5000, 500),
+        lines=("1 deg", "0.7 deg"), quick_lines=1,
     ),
 }  # fmt: skip
 """Of the reconstruction."""
