@@ -3,7 +3,7 @@
 Each seeded scene (part, placement, fixtures; `benchmarks.seeded_scenes`) is covered once, in full; three ways then
 order and connect the same cover, with certified paths and jerk-limited moves:
 
-- before: the frozen order of `benchmarks.frozen_order`;
+- before: the frozen order of `benchmarks.frozen_order`, with the lazy search of moves as it was then;
 - RoboTSP: a tour through the scanner's positions, best joint solutions along it by dynamic programming (Suarez-Ruiz,
   Lembono and Pham 2018, doi:10.1109/ICRA.2018.8460581). Its tour is given 10,000 steps of our own search;
 - now: today's ordering after the exchange of views (`planner.equivalent_views`), as `cell plan` runs it.
@@ -27,6 +27,10 @@ from cell.scene.scene import Scene
 from cell.study.bench import Bench
 from planner import cover, equivalent_views, generalised_tsp, measurability, order, reach
 from planner.tour import Tour, plan_motion
+from planner.tour_search import DEFAULT_BUDGET, MotionBudget
+
+_BEFORE = MotionBudget(rounds=60, quick=10, looks=0, before_settling=1_000_000, polish=0, guesses=((1.1, 0.35),))
+"""How the frozen order was searched: one tour looked at in each of 60 rounds, a lower guess, no polish."""
 
 _FACES, _ROLLS_DEG, _LEAST = 200, (0.0, 45.0, 90.0, 135.0), 40
 
@@ -46,7 +50,9 @@ def _row(number: int) -> dict[str, Any]:
     checker, kinematics, candidates = bench.checker(world.T_base_object), bench.kinematics, bench.zone
     home_pose = kinematics.forward(world.home[None])[0] @ world.T_flange_scanner
 
-    def motion(groups: list[Any], views: Any, ordering: str) -> tuple[Tour, float]:
+    def motion(
+        groups: list[Any], views: Any, ordering: str, budget: MotionBudget = DEFAULT_BUDGET
+    ) -> tuple[Tour, float]:
         begin = perf_counter()
         tour = plan_motion(
             [np.concatenate([reached.q_of(int(v)) for v in group]) for group in groups],
@@ -55,6 +61,7 @@ def _row(number: int) -> dict[str, Any]:
             world.limits,
             world.T_base_object @ candidates.T_object_scanner[views, 0],
             np.random.default_rng(number),
+            budget,
             ordering=ordering,
             T_base_home=home_pose,
         )
@@ -62,8 +69,8 @@ def _row(number: int) -> dict[str, Any]:
 
     alone = [chosen.views[k : k + 1] for k in range(len(chosen.views))]
     order.ORDERINGS |= {"frozen": frozen, "task-space": task_space}
-    before, before_s = motion(alone, chosen.views, "frozen")
-    robotsp, _ = motion(alone, chosen.views, "task-space")
+    before, before_s = motion(alone, chosen.views, "frozen", _BEFORE)
+    robotsp, _ = motion(alone, chosen.views, "task-space", _BEFORE)
     search = order.sequence(
         [reached.q_of(int(view)) for view in chosen.views],
         world.home,
@@ -134,9 +141,7 @@ def task_space(configurations: Any, home: Any, limits: Any, **arguments: Any) ->
     problem = generalised_tsp.instance(lengths, np.arange(len(positions) + 1))
     tour = generalised_tsp.solve(problem, np.arange(1, len(positions)), arguments["rng"], 10_000, 0).tour
     nodes = np.concatenate([home[None], *configurations])
-    cost = order.move_time(nodes[:, None], nodes, limits)
-    for (a, b), time in (arguments.get("edge_time") or {}).items():
-        cost[a, b] = cost[b, a] = time
+    cost = arguments["times"].copy()
     joint = generalised_tsp.instance(cost, np.concatenate(([0], order.node_offsets(configurations))))
     duration, chosen = generalised_tsp.best_nodes(joint, tour[1:])
     views = joint.clusters_of(chosen)[1:]

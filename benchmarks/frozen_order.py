@@ -50,11 +50,12 @@ def frozen(
     edge_time: Any = None,
     T_base_home: Any = None,
     start: Any = None,
+    times: Any = None,
     **_: Any,
 ) -> Sequence:
     """Order the views as it was done then; arguments as in `planner.order.sequence`."""
     nodes = np.concatenate([home[None], *configurations])
-    cost = move_time(nodes[:, None], nodes, limits)
+    cost = move_time(nodes[:, None], nodes, limits) if times is None else times.copy()
     for (a, b), time in (edge_time or {}).items():
         cost[a, b] = cost[b, a] = time
     problem = _Instance(cost, node_offsets(configurations))

@@ -125,7 +125,7 @@ def instance(cost: Floats, first: Ints) -> Instance:
 
 
 def solve(
-    problem: Instance, start: Ints, rng: np.random.Generator, steps: int = STEPS, bound_work: int = BOUND_WORK
+    problem: Instance, start: Ints, rng: np.random.Generator, steps: int = STEPS, bound_work: int | None = BOUND_WORK
 ) -> Found:
     """The best tour that the budgets allow, and a bound: by `exact` where that is affordable, else by `search`.
 
@@ -134,7 +134,7 @@ def solve(
         start: (m - 1,) clusters 1.. in the visiting order to begin with.
         rng: source of the search's randomness.
         steps: budget of the search.
-        bound_work: budget of the bound.
+        bound_work: budget of the bound; with 0 it is the quick one, with None there is none (0).
 
     Returns:
         A tour that is never worse than the best one for the order `start`.
@@ -142,6 +142,10 @@ def solve(
     if exact_work(problem) <= max(ALWAYS_EXACT, _EXACT_PER_STEP * steps):
         return exact(problem)
     cost, tour = best_nodes(problem, start)
+    if bound_work is None:
+        scale = cost / problem.n_clusters if cost < BLOCKED else None
+        cost, tour = search(problem, tour, int(rng.integers(2**63)), steps, scale)
+        return _found(problem, tour, cost, 0.0, steps)
     quick = min(tour_bound.one_tree(problem.either, problem.first), cost)
     if cost > quick * (1.0 + 1e-12):
         cost, tour = search(problem, tour, int(rng.integers(2**63)), steps)
@@ -199,7 +203,7 @@ def exact(problem: Instance) -> Found:
     return _found(problem, tour, cost, cost, 1)
 
 
-def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float, Ints]:
+def search(problem: Instance, tour: Ints, seed: int, steps: int, scale: float | None = None) -> tuple[float, Ints]:
     """A good tour within a number of steps, never worse than the one to begin with.
 
     Args:
@@ -207,6 +211,7 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float,
         tour: (m,) nodes of the tour to begin with.
         seed: from 0 to 2^63 - 1; equal seeds give equal tours.
         steps: tours to ruin and rebuild.
+        scale: mean cost of an edge of a good tour, for the temperatures; None: estimated by the quick bound.
 
     Returns:
         The cost, and the tour (m,), beginning in cluster 0.
@@ -218,9 +223,10 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float,
     between = tour_bound.between_clusters(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
     near = np.argsort(between, axis=1, kind="stable")
-    usable = between[(between > 0) & (between < BLOCKED)]
-    scale = max(tour_bound.one_tree(problem.either, problem.first) / problem.n_clusters, 1e-12)
+    if scale is None:
+        scale = max(tour_bound.one_tree(problem.either, problem.first) / problem.n_clusters, 1e-12)
     if scale >= BLOCKED / problem.n_clusters:  # no tour does without a blocked edge
+        usable = between[(between > 0) & (between < BLOCKED)]
         scale = float(np.median(usable)) if len(usable) else 1.0
     best, _ = anneal(
         problem.cost, problem.back, problem.first, near, tour.copy(), steps, _HOT * scale, _COLD * scale, seed

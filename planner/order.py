@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,12 +99,13 @@ def sequence(
     T_base_scanner: Floats,
     rng: np.random.Generator,
     budget: int = gtsp.STEPS,
-    bound_work: int = gtsp.BOUND_WORK,
+    bound_work: int | None = gtsp.BOUND_WORK,
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
     start: NDArray[np.int64] | None = None,
     leaves: Many[NDArray[np.int64]] | None = None,
     stays: Many[Floats] | None = None,
+    times: Floats | None = None,
 ) -> Sequence:
     """Order the views in joint space.
 
@@ -115,7 +117,7 @@ def sequence(
         rng: source of the search's randomness.
         budget: tours that the search may look at; the exact search takes its place wherever that is no dearer, and for
             small problems always.
-        bound_work: edges that the lower bound may look at; 0 takes the quick, weak bound.
+        bound_work: edges that the lower bound may look at; 0 takes the quick, weak bound, None no bound at all.
         edge_time: times [s] of single edges between nodes, in either direction, that replace the straight move's time;
             inf where no path exists.
         T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
@@ -123,6 +125,7 @@ def sequence(
         leaves: per view, (n_i,) the joint solution of the same view at which the arm leaves, when it arrived at each:
             a sweep ends where its reverse begins. None: where it arrived.
         stays: per view, (n_i,) time between arriving and leaving [s], part of the durations. None: none is counted.
+        times: (N, N) times [s] between all nodes where they are known already; None: those of straight moves.
 
     Returns:
         The sequence. Its duration is never above the baseline's.
@@ -130,7 +133,7 @@ def sequence(
     Raises:
         PlannerError: if a view has no joint solution, a joint angle is outside its range, or shapes do not fit.
     """
-    problem = instance(configurations, home, limits, edge_time, leaves, stays)
+    problem = instance(configurations, home, limits, edge_time, leaves, stays, times)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
     starts = [baseline] if start is None else [baseline, 1 + _permutation(start, len(configurations))]
     costs = [gtsp.best_nodes(problem, order)[0] for order in starts]
@@ -150,18 +153,19 @@ def christofides(
     T_base_scanner: Floats,
     rng: np.random.Generator,
     budget: int = gtsp.STEPS,
-    bound_work: int = gtsp.BOUND_WORK,
+    bound_work: int | None = gtsp.BOUND_WORK,
     edge_time: EdgeTimes | None = None,
     T_base_home: Floats | None = None,
     start: NDArray[np.int64] | None = None,
     leaves: Many[NDArray[np.int64]] | None = None,
     stays: Many[Floats] | None = None,
+    times: Floats | None = None,
 ) -> Sequence:
     """The baseline: a Christofides tour in task space, then its best joint solutions; arguments as in `sequence`.
 
     The tour's length is at most 1.5 times the shortest in task space (Christofides 1976); its time has no such bound.
     """
-    problem = instance(configurations, home, limits, edge_time, leaves, stays)
+    problem = instance(configurations, home, limits, edge_time, leaves, stays, times)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
     cost, tour = gtsp.best_nodes(problem, baseline)
     quick = one_tree(problem.either, problem.first)
@@ -181,6 +185,7 @@ def instance(
     edge_time: EdgeTimes | None,
     leaves: Many[NDArray[np.int64]] | None,
     stays: Many[Floats] | None,
+    times: Floats | None = None,
 ) -> gtsp.Instance:
     """The travelling salesman's instance: one cluster per view, straight-move times, single edges replaced."""
     solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(configurations)]
@@ -191,7 +196,10 @@ def instance(
     start = readonly("home", home, (6,))
     check_inside("home: number", start[None], limits)
     nodes = np.concatenate([start[None], *solutions])
-    cost = move_time(nodes[:, None], nodes, limits)
+    if times is None:
+        cost = move_time(nodes[:, None], nodes, limits)
+    else:
+        cost = readonly("times", times, (len(nodes), len(nodes))).copy()
     for (a, b), time in (edge_time or {}).items():
         if not (0 <= a < len(nodes) and 0 <= b < len(nodes)) or not time >= 0:
             raise PlannerError(
@@ -251,13 +259,20 @@ def _task_space_tour(positions: Floats) -> NDArray[np.int64]:
     m = len(positions)
     if m < 4:  # every cyclic order has the same length
         return np.arange(m, dtype=np.int64)
+    return np.array(_christofides_tour(np.ascontiguousarray(positions).tobytes(), m), dtype=np.int64)
+
+
+@lru_cache(maxsize=16)
+def _christofides_tour(positions: bytes, m: int) -> tuple[int, ...]:
+    """The same of the bytes of the positions: the rounds of one search ask again and again."""
     import networkx as nx  # 0.1 s that a help text should not cost
 
+    points = np.frombuffer(positions).reshape(m, 3)
     graph = nx.Graph()
-    lengths = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    lengths = np.linalg.norm(points[:, None] - points[None], axis=2)
     graph.add_weighted_edges_from((a, b, float(lengths[a, b])) for a in range(m) for b in range(a))
     tour: list[int] = nx.approximation.christofides(graph)
-    return np.array(tour[:-1], dtype=np.int64)
+    return tuple(tour[:-1])
 
 
 def _result(

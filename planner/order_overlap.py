@@ -62,7 +62,13 @@ def overlapping(joined: Joined) -> Callable[..., Sequence]:
         if len(configurations) != len(joined) or keeps(joined, free.order):
             return free
         problem = orders.instance(
-            configurations, home, limits, options.get("edge_time"), options.get("leaves"), options.get("stays")
+            configurations,
+            home,
+            limits,
+            options.get("edge_time"),
+            options.get("leaves"),
+            options.get("stays"),
+            options.get("times"),
         )
 
         def judged(order: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:

@@ -122,8 +122,9 @@ class Tour:
         view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
         pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
         entered: (n,) via point at which each visited view is entered: where its passage begins.
-        clearance: (n + 1,) smallest distance found along each leg [m] (`planner.edge.clearance_along`).
-        between: n + 1 names of the pair that is nearest on each leg.
+        clearance: (n + 1,) smallest distance found along each leg [m] (`planner.edge.clearance_along`); NaN where it
+            was not measured.
+        between: n + 1 names of the pair that is nearest on each leg, "" where it was not measured.
         detour: (n + 1,) True where the leg is no straight move.
         duration: time of all moves, stopping at each via point, and of the passages [s].
         baseline_duration: time of the Christofides tour with straight moves [s], collisions not looked at.
@@ -182,6 +183,7 @@ def plan_motion(
     ordering: str | ordering_of_views.Ordering = "joint-space",
     T_base_home: Floats | None = None,
     passages: Many[Many[Passage]] | None = None,
+    measure: bool = True,
 ) -> Tour:
     """Plan the motion that visits every view once, from home and back.
 
@@ -197,6 +199,7 @@ def plan_motion(
         ordering: a name of `planner.order.ORDERINGS`, or a function like them.
         T_base_home: (4, 4) scanner pose at home [m].
         passages: per view, one for each of its joint solutions, beginning there; None: the arm stands and measures.
+        measure: whether to measure the clearance along the legs.
 
     Returns:
         The motion with the views that it cannot visit. It is certified: see `planner.edge`.
@@ -235,7 +238,7 @@ def plan_motion(
     search = TourSearch(roadmap, poses, T_base_home, limits, seed, budget, ordering, progress, stays)
     nodes = search.run()
     dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
-    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), passages)
+    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), passages, measure)
 
 
 def _between(
@@ -263,6 +266,7 @@ def _tour(
     search: TourSearch,
     dropped: tuple[Dropped, ...],
     passages: Many[Many[Passage]] | None,
+    measure: bool,
 ) -> Tour:
     """Put the legs together and measure their clearance."""
     views = [search.view_of(node) for node in nodes[1:-1]]
@@ -276,7 +280,7 @@ def _tour(
     clearance, between, detour, duration = [], [], [], 0.0
     for leg, (a, b) in enumerate(search.edges(nodes)):
         path = search.path(a, b)
-        nearest, pair = clearance_along(path, roadmap.checker)
+        nearest, pair = clearance_along(path, roadmap.checker) if measure else (float("nan"), "")
         duration += path_time(path, search.limits)
         via.append(path[1:])
         view += [-1] * (len(path) - 1)
@@ -288,7 +292,7 @@ def _tour(
             view[-1:] = np.where(here.pose >= 0, views[leg], -1).tolist()
             pose[-1:] = here.pose.tolist()
             duration += here.duration
-            if len(here.via) > 1:
+            if measure and len(here.via) > 1:
                 nearest, pair = min((nearest, pair), clearance_along(here.via, roadmap.checker))
         segment += [leg] * (len(view) - len(segment))
         clearance.append(nearest)

@@ -12,12 +12,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner import generalised_tsp as gtsp
 from planner import order as ordering_of_views
 from planner.path import CHECKS, path_time
 from planner.ports import Floats, JointLimits
 from planner.roadmap import Edge, Roadmap
+
+Ints = NDArray[np.int64]
 
 Progress = Callable[[int, int], None]
 """Called with the number of real edges and the number of edges of the tour under work."""
@@ -32,14 +35,30 @@ class MotionBudget:
         bound: edges that the lower bound may look at.
         path_checks: configurations that the search of one detour may check.
         checks: configurations after which detours get only a token search.
-        rounds: orderings at most; after them the edges of the last tour are made real without ordering again.
+        rounds: orderings at most, shared evenly among the guesses; after them the edges of the last tour are made real
+            without ordering again, where no tour is real yet.
+        quick: share of `orders` that every ordering after the first gets, but the last, as its inverse.
+        looks: how often the edges of a tour are looked at, and its joint solutions chosen anew, before it is ordered
+            again.
+        around: edges of the next best tours in the same order of views that are looked at each time.
+        before_settling: configurations checked under each guess after which the search settles for what it has.
+        polish: further searches for each detour of the final tour.
+        guesses: what a colliding move is priced at until a detour is searched, one after the other: so many times the
+            straight move's time, and so much more [s] (`planner.roadmap`). A high guess finds a good tour with few
+            searches; a low one after it searches what may still be faster.
     """
 
     orders: int = gtsp.STEPS
     bound: int = gtsp.BOUND_WORK
     path_checks: int = CHECKS
     checks: int = 1_000_000
-    rounds: int = 60
+    rounds: int = 600
+    quick: int = 20
+    looks: int = 12
+    around: int = 4
+    before_settling: int = 200_000
+    polish: int = 4
+    guesses: tuple[tuple[float, float], ...] = ((1.1, 1.2), (1.1, 0.35))
 
 
 DEFAULT_BUDGET = MotionBudget()
@@ -76,31 +95,99 @@ class TourSearch:
         self.baseline, self.lower_bound = 0.0, 0.0
         self.rounds = 0
         self.best: list[int] = []
-        self.best_time = float("inf")
+        self.best_time, self.promised = float("inf"), 0.0
         self.stays = np.zeros(len(roadmap.q)) if stays is None else stays  # time between arriving and leaving, by node
 
     def run(self) -> list[int]:
         """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
         wanted = list(self.views)
-        nodes, full = self.order(self.budget.orders, []), True
-        while self.rounds < self.budget.rounds:
-            if self.make_real(nodes):
+        for guess in self.budget.guesses:
+            guessed = self.roadmap.guess_by(*guess)
+            if self.best and (not guessed or self.rounds >= self.budget.rounds):
+                break
+            self.settle()
+        self.polish()
+        kept = {self.view_of(node) for node in self.best[1:-1]}
+        self.unconnected = [k for k in wanted if k not in kept]
+        return self.best
+
+    def settle(self) -> None:
+        """Order and look in turns under one guess, until no ordering promises a faster tour than the best real one."""
+        last_round = self.rounds + max(1, self.budget.rounds // len(self.budget.guesses))
+        last_check = self.roadmap.checks + self.budget.before_settling
+        nodes, full = self.order(self.budget.orders, self.best), True
+        while self.rounds < last_round and self.roadmap.checks < last_check:
+            if full and self.promised >= self.best_time * (1 - 1e-9) and len(nodes) <= len(self.best):
+                return
+            nodes, known = self.look_around(nodes)
+            if known and self.make_real(nodes):
                 if not self.keep(nodes) or full:
-                    break
+                    return
                 # Quick orderings brought all edges to light; a full one may find a faster tour over them.
                 full = True
                 nodes = self.order(self.budget.orders, nodes)
             else:
                 full = False
-                nodes = self.order(self.budget.orders // 10, nodes)
-        else:
-            while not self.make_real(nodes):
-                self.drop_unconnected()
-                nodes = [node for node in nodes if node == 0 or self.usable(node)]
-            self.keep(nodes)
-        kept = {self.view_of(node) for node in self.best[1:-1]}
-        self.unconnected = [k for k in wanted if k not in kept]
-        return self.best
+                nodes = self.order(self.budget.orders // self.budget.quick, nodes)
+        if self.best:
+            return
+        while not self.make_real(nodes):
+            self.drop_unconnected()
+            nodes = [node for node in nodes if node == 0 or self.usable(node)]
+        self.keep(nodes)
+
+    def look_around(self, nodes: list[int]) -> tuple[list[int], bool]:
+        """Look at the edges of a tour and of the next best ones in its order of views, until its best one is known.
+
+        Returns:
+            The best tour in this order under the prices known now, and whether nothing was found to collide.
+        """
+        if len(nodes) < 3 or not self.budget.looks:
+            return nodes, True
+        known = True
+        for _ in range(self.budget.looks):
+            layers = [
+                np.array([0]),
+                *(self.roadmap.nodes_of(self.view_of(node)) for node in nodes[1:-1]),
+                np.array([0]),
+            ]
+            nodes, edges = self.through(layers)
+            unseen = [e for e in self.edges(nodes) if self.roadmap.unseen()[e]]
+            if not unseen:
+                return nodes, known
+            known = self.roadmap.look([*unseen, *edges]) and known
+        return nodes, False
+
+    def through(self, layers: list[Ints]) -> tuple[list[int], list[Edge]]:
+        """The best tour through one node of each layer, and the unseen edges of the next best tours.
+
+        Two dynamic programmes over the layers, one from each end, give for each edge the best tour that uses it.
+        """
+        times, unseen, leave = self.roadmap.times(), self.roadmap.unseen(), self.roadmap.leave
+        steps = [times[np.ix_(leave[a], b)] + self.stays[b] for a, b in pairwise(layers)]
+        onward = [np.zeros(1)]
+        for step in reversed(steps):
+            onward.append((step + onward[-1]).min(axis=1))
+        onward.reverse()
+        reached, nodes, at = np.zeros(1), [0], 0
+        slack: list[Floats] = []
+        found: list[Ints] = []
+        for step, a, b, rest in zip(steps, layers, layers[1:], onward[1:], strict=False):
+            total = reached[:, None] + step + rest
+            i, j = np.nonzero(unseen[np.ix_(leave[a], b)])
+            slack.append(total[i, j])
+            found.append(np.stack((leave[a][i], b[j]), axis=1))
+            at = int((step[at] + rest).argmin())
+            nodes.append(int(b[at]))
+            reached = (reached[:, None] + step).min(axis=0)
+        best = np.argsort(np.concatenate(slack), kind="stable")[: self.budget.around]
+        return nodes, [(int(a), int(b)) for a, b in np.concatenate(found)[best]]
+
+    def polish(self) -> None:
+        """Search the detours of the best tour again with more work."""
+        for a, b in self.edges(self.best):
+            if self.budget.polish and len(self.path(a, b)) > 2:
+                self.roadmap.improve(a, b, self.budget.polish)
 
     def keep(self, nodes: list[int]) -> bool:
         """Keep a tour of real edges if it visits more views than the best so far, or as many in less time."""
@@ -136,11 +223,6 @@ class TourSearch:
         numbers = np.full(len(roadmap.q), -1)
         flat = np.concatenate([np.zeros(1, dtype=np.int64), *nodes])
         numbers[flat] = np.arange(len(flat))
-        edge_time = {
-            (int(numbers[a]), int(numbers[b])): time
-            for (a, b), time in roadmap.prices().items()
-            if numbers[a] >= 0 and numbers[b] >= 0
-        }
         place = {view: k for k, view in enumerate(self.views)}
         start = [place[v] for node in before[1:-1] if (v := self.view_of(node)) in place]
         found = self.ordering(
@@ -151,15 +233,16 @@ class TourSearch:
             T_base_home=self.T_base_home,
             rng=np.random.default_rng([self.seed, self.rounds]),
             budget=steps,
-            bound_work=self.budget.bound if self.rounds == 0 else 0,
-            edge_time=edge_time,
+            bound_work=self.budget.bound if self.rounds == 0 else None,
             start=np.array(start) if len(start) == len(self.views) and start else None,
             leaves=None if self.at_rest else [numbers[roadmap.leave[n]] - numbers[n[0]] for n in nodes],
             stays=None if self.at_rest else [self.stays[n] for n in nodes],
+            times=roadmap.times()[np.ix_(flat, flat)],
         )
         if self.rounds == 0:  # no edge was looked at: times of straight moves, which no path undercuts
             self.baseline, self.lower_bound = found.baseline_duration, found.lower_bound
         self.rounds += 1
+        self.promised = found.duration
         return [0, *(int(nodes[k][i]) for k, i in zip(found.order, found.choice, strict=True)), 0]
 
     def drop_unconnected(self) -> None:
