@@ -122,7 +122,7 @@ class Tour:
         view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
         pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
         entered: (n,) via point at which each visited view is entered: where its passage begins.
-        clearance: (n + 1,) smallest distance found along each leg [m] (`planner.edge.clearance_along`); NaN where it
+        clearance: (n + 1,) smallest distance found along each leg [m] (`planner.edge.clearance_along`); inf where it
             was not measured.
         between: n + 1 names of the pair that is nearest on each leg, "" where it was not measured.
         detour: (n + 1,) True where the leg is no straight move.
@@ -280,7 +280,7 @@ def _tour(
     clearance, between, detour, duration = [], [], [], 0.0
     for leg, (a, b) in enumerate(search.edges(nodes)):
         path = search.path(a, b)
-        nearest, pair = clearance_along(path, roadmap.checker) if measure else (float("nan"), "")
+        nearest, pair = clearance_along(path, roadmap.checker) if measure else (float("inf"), "")
         duration += path_time(path, search.limits)
         via.append(path[1:])
         view += [-1] * (len(path) - 1)

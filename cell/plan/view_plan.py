@@ -162,6 +162,7 @@ def select_and_connect(
             ordering=_ordering(request, selected),
             T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
             passages=None if sweeping is None else sweeping.passages(groups.views),
+            measure=False,  # the pipeline proves the clearance of the motion that is kept
         )
 
     stale = True

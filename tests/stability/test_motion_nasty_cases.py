@@ -278,3 +278,20 @@ def test_broken_input_is_refused_in_one_sentence(change: Callable[[dict], None],
     change(arguments)
     with pytest.raises(PlannerError, match=message):
         plan_motion(**arguments)
+
+
+def test_more_work_never_makes_the_motion_longer() -> None:
+    """Among bars: looking around, a second guess and polish each give a motion that is no longer than without."""
+    bars = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)), box(x=(-0.9, -0.7), y=(-0.3, BIG)))
+    views = [np.array([at(x), at(x + 0.1)]) for x in (1.0, -1.3, 0.2)]
+    high, low = (1.1, 1.2), (1.1, 0.35)
+    first = motion_over(views, bars, budget=MotionBudget(path_checks=10_000, guesses=(high,), polish=0))
+    again = motion_over(views, bars, budget=MotionBudget(path_checks=10_000, guesses=(high, low), polish=0))
+    polished = motion_over(views, bars, budget=MotionBudget(path_checks=10_000, guesses=(high, low), polish=2))
+    assert first.status is again.status is polished.status is TourStatus.COMPLETE
+    assert polished.detour.any()
+    assert not np.isinf(polished.clearance).any()
+    unmeasured = motion_over(views, bars, budget=MotionBudget(path_checks=10_000, polish=2), measure=False)
+    assert np.isinf(unmeasured.clearance).all()
+    assert unmeasured.via.tobytes() == polished.via.tobytes()
+    assert first.duration >= again.duration >= polished.duration > polished.lower_bound
