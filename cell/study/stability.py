@@ -101,15 +101,16 @@ def broken_promises(rows: Sequence[Row]) -> list[Row]:
 def sentences(rows: Sequence[Row]) -> list[str]:
     """For each map where the method is good, where the program speaks, and what it says."""
     said = []
-    for name, points in by_map(rows).items():
+    for name, drawn in by_map(rows).items():
         each = MAPS[name]
+        points = [row for row in drawn if row["line"] not in each.compared]
         values = list(dict.fromkeys(row["value"] for row in points))
         bad = [value for value in values if not all(row["good"] for row in points if row["value"] == value)]
         spoken = [row for row in points if row["says"]]
         text = f"**{name}** ({each.parameter}): "
         text += "good at all values" if not bad else f"not good at {_listed(bad)}"
         if spoken:
-            told = list(dict.fromkeys(row["value"] for row in spoken))
+            told = [value for value in values if any(row["value"] == value for row in spoken)]
             text += f"; the program speaks at {_listed(told)}, for instance: {spoken[0]['says']}"
         silent = sorted({row["value"] for row in broken_promises(points)})
         if silent:
@@ -150,23 +151,27 @@ def _picture(each: Map, rows: Sequence[Row]) -> Figure:
         )
     spoken = [row for row in rows if row["says"]]
     for axes in (above, below):
-        for low, high in _safe(each, rows):
+        for low, high in [] if each.judged_by_error else _safe(each, rows):
             axes.axvspan(low, high, color="#d5f0da", zorder=0, linewidth=0)
         axes.grid(color="0.88", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     above.set_ylim(-5, 108)
-    above.set_ylabel(fill(f"{each.success} [%]", 34), fontsize=9)
+    above.set_ylabel(fill(f"{each.success} [%]", 34), fontsize=8.5)
     if any(row["error"] for row in rows):
         positive = [row["error"] for row in rows if row["error"]]
-        below.set_yscale("symlog", linthresh=min(each.tolerated, max(positive)) / 1e3)
-        below.set_ylim(bottom=0)
+        below.set_yscale("symlog", linthresh=min(each.tolerated or max(positive), max(positive)) / 1e3)
+        below.set_ylim(0, 3 * max(each.tolerated, *positive))
+    if each.judged_by_error:
+        below.axhspan(0, each.tolerated, color="#d5f0da", zorder=0, linewidth=0)
     below.axhline(each.tolerated, color="0.35", linewidth=0.9, linestyle="--")
     below.annotate(
         "good below", (0.01, each.tolerated), xycoords=("axes fraction", "data"), fontsize=7.5, va="bottom", color="0.3"
     )
-    below.set_ylabel(fill(each.error, 34), fontsize=9)
+    below.set_ylabel(fill(each.error, 34), fontsize=8.5)
     below.set_xlabel(f"{each.parameter}; green: the program says nothing", fontsize=9)
+    if each.scale == "symlog":
+        below.tick_params(axis="x", labelrotation=60, labelsize=8)
     if len(each.lines) > 1:
         above.legend(fontsize=8, frameon=False, loc="best")
     if spoken:
@@ -201,6 +206,8 @@ def _safe(each: Map, rows: Sequence[Row]) -> list[tuple[float, float]]:
 def _scaled(axes: Axes, each: Map, values: Sequence[float]) -> None:
     if each.scale == "symlog":
         axes.set_xscale("symlog", linthresh=each.linear_below)
+        axes.set_xticks(sorted(set(values)), [f"{value:g}" for value in sorted(set(values))])
+        axes.minorticks_off()
     else:
         axes.set_xscale(each.scale)
     if each.towards_small:

@@ -46,6 +46,7 @@ class Map:
         compared: lines that are no method of the program's, for comparison.
         borders: (lowest, highest) value that is safe, where the program compares with a number; None for an end that it
             finds out by trying.
+        judged_by_error: whether the program compares the error itself with `tolerated`; what lies below it is safe.
         scale: of the axis: "log", "linear" or "symlog".
         linear_below: of a "symlog" axis.
         towards_small: whether the method breaks towards small values; the axis then runs to the right towards them.
@@ -64,6 +65,7 @@ class Map:
     quick_lines: int = 9
     compared: tuple[str, ...] = ()
     borders: tuple[float | None, float | None] = (None, None)
+    judged_by_error: bool = False
     scale: str = "log"
     linear_below: float = 1.0
     towards_small: bool = False

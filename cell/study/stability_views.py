@@ -249,7 +249,7 @@ MAPS = {
         "measured, of what the plan of 1000 faces measures",
         "a twentieth of the part is farther off the mesh [% of the diagonal]", 100 * doubts.COARSEST_MESH,
         (700.0, 500.0, 350.0, 250.0, 150.0, 100.0, 50.0, 12.0), (500.0, 50.0), decimation, (10_000, 1000),
-        lines=(_BUMPY, "mseke", "robinet"), quick_lines=1, enough=0.98,
+        lines=(_BUMPY, "mseke", "robinet"), quick_lines=1, judged_by_error=True, enough=0.98,
         towards_small=True,
     ),
     "cover": Map(

@@ -15,7 +15,9 @@ from cell.reconstruction.reconstruct import NOISIEST, SPARSEST, reconstruct
 from cell.scene import doubts
 from cell.scene.scene import Scene
 from cell.study.stability import MAPS, broken_promises, sentences, stability_study
+from cell.study.stability_body import body
 from cell.study.trial import Outcome, Trial
+from planner import surface
 
 _NUMBERS = [
     (name, line, border, outward)
@@ -114,6 +116,19 @@ def test_a_grazing_limit_that_no_scan_reaches_is_told() -> None:
     """At the limit itself nothing is said."""
     for limit, said in ((doubts.STEEPEST_GRAZING_DEG, 0), (doubts.STEEPEST_GRAZING_DEG + 1, 1)):
         assert len(doubts.of_scene(Scene.model_validate({"scanner": {"grazing_max_deg": limit}}))) == said
+
+
+def test_a_coarse_planning_mesh_is_told_and_a_fine_one_is_not() -> None:
+    """The finer, the nearer to the part."""
+    part = body(4).reference
+    off = {}
+    for faces in (12, 150, 600):
+        planning = surface.decimate(part, faces)
+        off[faces] = doubts.off_mesh(surface.sample(part, planning, 2000, np.random.default_rng(0)), planning)
+    assert off[12] > off[150] > off[600]
+    assert doubts.planning_mesh(off[600], 600) == ""
+    assert "of 12 faces is coarse" in doubts.planning_mesh(off[12], 12)
+    assert doubts.planning_mesh(doubts.COARSEST_MESH, 99) == ""
 
 
 def _plane(step: float, sigma: float) -> ScanCloud:

@@ -1,0 +1,22 @@
+"""`cell plan` and `cell scan` tell what is beyond where their methods are good (docs/stability.md), and go on."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def test_a_coarse_mesh_a_steep_limit_and_a_sparse_scan_are_told(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
+    """Three notes on stderr, one for each; the plan and the execution are made all the same."""
+    (tmp_path / "cell.toml").write_text("[scanner]\ngrazing_max_deg = 85\n")
+    done = run_cell(
+        "plan", str(part_file), "--units", "mm", "--scene", "cell.toml", "--place", "1100,400,100", "--faces", "12",
+        "--samples", "2", "--standoff", "250", "--coverage", "0.5", "--out", "run", "--json", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode in (0, 3), done.stderr
+    assert "note: scanner.grazing_max_deg is 85" in done.stderr
+    assert "note: the planning mesh of 12 faces is coarse" in done.stderr
+    scanned = run_cell("scan", "run", "--resolution", "3", "--json", cwd=tmp_path)
+    assert scanned.returncode in (0, 3), scanned.stderr
+    assert "note: the points lie" in scanned.stderr
