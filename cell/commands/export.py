@@ -15,7 +15,7 @@ _OUTPUT = "Output"
 EPILOG = (
     "Examples:\n\n"
     "cell export sim_runs/trial\n\n"
-    "cell export sim_runs/trial --name PART_07 --speed 20 --trigger-output 5 --done-input 6 --out program\n\n"
+    "cell export sim_runs/trial --name PART_07 --speed 10 --trigger-output 5 --done-input 6 --out program\n\n"
     "cell export sim_runs/trial --format csv\n\n"
     "Read docs/export.md before a program runs on a robot.\n\n"
     "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
@@ -37,12 +37,18 @@ def export(
     speed: Annotated[
         int | None,
         typer.Option(
-            metavar="PERCENT", help="Of the axis speeds, 1 to 100. Default: the plan's.", rich_help_panel=_KRL
+            metavar="PERCENT",
+            help="Of the axis speeds, 1 to 100; sweeps slow down alike. Default: 20, or the plan's if slower.",
+            rich_help_panel=_KRL,
         ),
     ] = None,
     acceleration: Annotated[
         int | None,
-        typer.Option(metavar="PERCENT", help="Of the axis accelerations. Default: the plan's.", rich_help_panel=_KRL),
+        typer.Option(
+            metavar="PERCENT",
+            help="Of the axis accelerations. Default: 30, or the plan's if slower.",
+            rich_help_panel=_KRL,
+        ),
     ] = None,
     trigger_output: Annotated[
         int, typer.Option(metavar="N", help="$OUT that starts a scan.", rich_help_panel=_KRL)

@@ -14,6 +14,9 @@ from cell.export.program import Program
 FOLDER = "export"
 """Below the run folder; not part of the plan, each call replaces its files."""
 
+SPEED_PERCENT, ACCELERATION_PERCENT = 20, 30
+"""Of the controller's axis speeds and accelerations where nothing is asked for; less where the plan is slower."""
+
 
 class Format(StrEnum):
     """What is written."""
@@ -44,8 +47,8 @@ class Wanted:
         kind: of the files.
         out: folder for them; None takes `export/` of the run folder.
         name: of the program; None makes one.
-        speed_percent: of the axis speeds; None takes that of the plan.
-        acceleration_percent: the same of the accelerations.
+        speed_percent: of the axis speeds; None takes `SPEED_PERCENT`, or that of the plan where it is slower.
+        acceleration_percent: the same of the accelerations, with `ACCELERATION_PERCENT`.
         signals: the rest of what the controller's side needs, fields of `KrlOptions`.
     """
 
@@ -70,8 +73,8 @@ def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
     """
     loaded = program.load(run_folder, wanted.name)
     options = KrlOptions(
-        _percent(wanted.speed_percent, loaded.told.speed),
-        _percent(wanted.acceleration_percent, loaded.told.acceleration),
+        _percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
+        _percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
         **wanted.signals,
     )
     contents = _contents(loaded, options, wanted.kind)
@@ -101,9 +104,9 @@ def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, b
     return {f"{loaded.told.name}.json": tables.as_json(loaded)}
 
 
-def _percent(given: int | None, fraction: float) -> int:
-    """What was given, else the plan's fraction in whole percent, rounded down: never faster than planned."""
-    return given if given is not None else max(1, int(fraction * 100 + 1e-9))
+def _percent(given: int | None, default: int, planned: float) -> int:
+    """What was given, else the default, or the plan's fraction in whole percent, rounded down, where it is less."""
+    return given if given is not None else min(default, max(1, int(planned * 100 + 1e-9)))
 
 
 def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[Path, ...]:

@@ -10,11 +10,14 @@ interpreter from running ahead of the arm. A stop:
                                              so a timer counts up from -time-out; its flag is TRUE above 0
     $OUT[trigger]=FALSE
 
-A sweep is one LIN between trigger and answer, from rest to rest; `$OUT[gate]` is TRUE while it is driven.
+A sweep is one LIN between trigger and answer, from rest to rest; `$OUT[gate]` is TRUE while it is driven. Its
+orientation is constant: between two orientations KRL swivels the tool direction and turns about it, which is not the
+planned turn about one axis for every axis, so a sweep that turns is refused.
 
-After a time-out the program halts; Start makes the same scan again, a sweep after a LIN back to its beginning. The
-scanner takes its answer back when the trigger falls; an answer that still stands from the view before is waited for
-before the trigger rises.
+After a time-out the program halts; Start makes the same scan again, a sweep after a LIN back to its beginning. Before
+every trigger, and before that LIN, each axis must be where the last motion ended (`SC_STOP`): an arm that was jogged
+while the program stood halts it again. The scanner takes its answer back when the trigger falls; an answer that still
+stands from the view before is waited for before the trigger rises.
 
 Numbers: joint angles exact to 1e-4 deg, lengths to 1e-3 mm, angles of frames to 1e-4 deg (a REAL of KRL has 7
 digits). Lines end with CR LF; characters are ASCII.
@@ -26,15 +29,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.errors import UsageError
+from cell.export.krl_routines import BEGIN, ROUTINES
 from cell.export.program import Kind, Program, Sweep, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
 from planner.ports import Floats
 from planner.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
+from planner.sweep_line import rotation_vectors
 
 _EXTERNAL = ",E1 0,E2 0,E3 0,E4 0,E5 0,E6 0"
-_AT_HOME_DEG = 0.1  # so far from home the program refuses to start
-_LEAST_SPEED = 0.001  # of a line whose TCP only turns [m/s]
-_LEAST_RATE_DEG, _FREE_RATE_DEG = 0.05, 200.0  # a line that turns less does not turn; what KUKA sets itself [deg/s]
+_AT_STOP_DEG = 0.1  # an axis farther from the last stop is not there: the program halts
+_TURNS_DEG = 0.001  # a line that turns by less is straight: set-points of 1e-4 deg turn it by up to 0.0006
+_LEAST_SPEED = 0.001  # of a line that has no length: KRL takes no speed 0 [m/s]
 _LONGEST_LINE = 400  # characters; KRL's own limit is 471 on a KR C2 (from memory)
 _HIGHEST_SIGNAL, _HIGHEST_TIMER = 4096, 32  # of $IN and $OUT, and of $TIMER, on a KR C4
 
@@ -84,7 +89,20 @@ class KrlOptions:
 
 
 def source(program: Program, options: KrlOptions) -> bytes:
-    """The content of `<name>.src`."""
+    """The content of `<name>.src`.
+
+    Raises:
+        UsageError: if a sweep turns.
+    """
+    for sweep in program.sweeps:
+        T = program.T_base_tcp[[sweep.begin, sweep.end], :3, :3]
+        turn = float(np.degrees(np.linalg.norm(rotation_vectors(T[1:] @ T[0].T))))
+        if turn > _TURNS_DEG:
+            raise UsageError(
+                f"the sweep of view {_number(program, sweep)} turns by {turn:.3f} deg, and a LIN of KRL need not turn "
+                "as it was planned and checked; choose --format csv or json, or plan with sweep_mm in place of "
+                "sweep_deg"
+            )
     return _file(_source(program, options))
 
 
@@ -106,7 +124,7 @@ def _one_line(line: str) -> str:
 def _source(program: Program, options: KrlOptions) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEF {program.told.name}( )")
     yield from _comments(program)
-    yield from _BEGIN
+    yield from BEGIN
     yield f"BAS(#VEL_PTP,{options.speed_percent})"
     yield f"BAS(#ACC_PTP,{options.acceleration_percent})"
     yield "; base: the robot's foot, equal to the world as long as $ROBROOT is zero; every motion between views is in"
@@ -114,8 +132,8 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
     yield "$BASE={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}"
     yield "$TOOL=SC_TOOL"
     if program.sweeps:
-        yield "; along a line the orientation turns evenly from its beginning to its end; the base stands still"
-        yield from ("$ORI_TYPE=#VAR", "$IPO_MODE=#BASE")
+        yield "; along a line the orientation does not change; the base stands still"
+        yield from ("$ORI_TYPE=#CONSTANT", "$IPO_MODE=#BASE")
     yield "; nothing runs ahead of the arm, and every motion ends in an exact stop"
     yield "$ADVANCE=0"
     yield "$OUT[SC_TRIGGER]=FALSE"
@@ -123,10 +141,9 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
         yield "$OUT[SC_GATE]=FALSE"
     yield ""
     yield "; the way to home was not checked: the program goes on only from there"
-    yield "WHILE NOT SC_AT_HOME()"
-    yield "  HALT ; bring the arm to home by hand, then start again"
-    yield "ENDWHILE"
-    yield f"PTP {e6axis(program.q[0])} ; home: block coincidence"
+    yield f"SC_STOP={e6axis(program.q[0])}"
+    yield "SC_STAND( )"
+    yield "PTP SC_STOP ; home: block coincidence"
     leg = -1
     begins = {sweep.begin: sweep for sweep in program.sweeps}
     for row in range(1, len(program.q)):
@@ -137,49 +154,55 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
             yield from ("", f"; leg {leg + 1}: {to}")
         if program.kinds[row] is Kind.LIN:
             continue
-        yield f"PTP {e6axis(program.q[row])}"
+        if row not in begins and not program.stop[row]:
+            yield f"PTP {e6axis(program.q[row])}"
+            continue
+        yield f"SC_STOP={e6axis(program.q[row])}"
+        yield "PTP SC_STOP"
         if row in begins:
-            yield from _sweep(program, begins[row])
-        elif program.stop[row]:
+            yield from _sweep(program, begins[row], _slower(program, options))
+        else:
             yield f"SC_SCAN({program.stop[row]}) ; candidate {program.candidate[row]}"
     yield from ("", "END", "")
-    yield from _SCAN
-    yield from ("", "DEFFCT BOOL SC_AT_HOME( )")
-    yield "; whether no axis is farther from home than SC_NEAR [deg]"
-    for axis, angle in enumerate(angles_deg(program.q[0]), start=1):
-        yield f"IF ABS($AXIS_ACT.A{axis}-({angle:.4f}))>SC_NEAR THEN"
-        yield from ("  RETURN FALSE", "ENDIF")
-    yield from ("RETURN TRUE", "ENDFCT")
+    yield from ROUTINES
 
 
-def _sweep(program: Program, sweep: Sweep) -> Iterator[str]:
-    """One line between trigger and answer; back and again while the scanner does not answer."""
+def _sweep(program: Program, sweep: Sweep, slower: float) -> Iterator[str]:
+    """One line between trigger and answer; back and again while the scanner does not answer.
+
+    A line that takes s times as long has 1/s of the speed and 1/s^2 of the acceleration: its ramps stay as long as
+    they are, so that the speed is constant from the first measuring pose to the last.
+    """
     own = slice(sweep.begin, sweep.end + 1)
-    number, candidate = int(program.stop[own].max()), int(program.candidate[own].max())
-    poses = int((program.pose[own] >= 0).sum())
-    yield f"; sweep of candidate {candidate}: {poses} poses at {sweep.speed * 1000:.2f} mm/s"
-    yield f"$VEL.CP={max(sweep.speed, _LEAST_SPEED):.5f}"
-    yield f"$ACC.CP={max(sweep.acceleration, _LEAST_SPEED):.5f}"
-    for swing in (1, 2):
-        yield f"$VEL.ORI{swing}={_rate(sweep.rate):.4f}"
-        yield f"$ACC.ORI{swing}={_rate(sweep.angular_acceleration):.4f}"
+    poses, candidate = int((program.pose[own] >= 0).sum()), int(program.candidate[own].max())
+    speed, acceleration = sweep.speed * slower, sweep.acceleration * slower**2
+    stands = sweep.speed < _LEAST_SPEED
+    yield f"; sweep of candidate {candidate}: {poses} poses at {speed * 1000:.3f} mm/s"
+    yield f"$VEL.CP={_LEAST_SPEED if stands else speed:.7f}"
+    yield f"$ACC.CP={_LEAST_SPEED if stands else acceleration:.7f}"
     yield "SC_SCANNED=FALSE"
     yield "WHILE NOT SC_SCANNED"
-    yield f"  SC_BEGIN({number})"
+    yield f"  SC_BEGIN({_number(program, sweep)})"
     yield "  $OUT[SC_GATE]=TRUE"
     yield f"  LIN {e6pos(program.T_base_tcp[sweep.end])}"
     yield "  $OUT[SC_GATE]=FALSE"
+    yield f"  SC_STOP={e6axis(program.q[sweep.end])}"
     yield "  SC_END( )"
     yield "  IF NOT SC_SCANNED THEN"
     yield f"    LIN {e6pos(program.T_base_tcp[sweep.begin])}"
+    yield f"    SC_STOP={e6axis(program.q[sweep.begin])}"
     yield "  ENDIF"
     yield "ENDWHILE"
 
 
-def _rate(radians: float) -> float:
-    """Degrees for a limit of the orientation; where a line does not turn, one that does not slow it down."""
-    degrees = float(np.degrees(radians))
-    return degrees if degrees > _LEAST_RATE_DEG else _FREE_RATE_DEG
+def _number(program: Program, sweep: Sweep) -> int:
+    """Of the view that a sweep is."""
+    return int(program.stop[sweep.begin : sweep.end + 1].max())
+
+
+def _slower(program: Program, options: KrlOptions) -> float:
+    """The speed of lines as a fraction of the planned one: as the axis speeds, but never faster than planned."""
+    return min(1.0, options.speed_percent / 100 / program.told.speed)
 
 
 def _data(program: Program, options: KrlOptions) -> Iterator[str]:
@@ -199,8 +222,9 @@ def _data(program: Program, options: KrlOptions) -> Iterator[str]:
     yield "; standstill before a scan [s], longest wait for the scanner [ms]"
     yield f"DECL REAL SC_SETTLE={options.settle:.3f}"
     yield f"DECL INT SC_TIMEOUT={round(options.timeout * 1000)}"
-    yield "; so near to home every axis must stand at the beginning [deg]"
-    yield f"DECL REAL SC_NEAR={_AT_HOME_DEG:.3f}"
+    yield "; where the last motion ended, and how near to it every axis must stand before the program goes on [deg]"
+    yield f"DECL E6AXIS SC_STOP={e6axis(program.q[0])}"
+    yield f"DECL REAL SC_NEAR={_AT_STOP_DEG:.3f}"
     yield "; view that is scanned, for the one who reads it after a time-out; 0: none yet"
     yield "DECL INT SC_VIEW=0"
     yield "; whether its scan is done"
@@ -247,58 +271,3 @@ def _xyzabc(T: Floats) -> str:
     deg = np.degrees(from_steps(to_steps(abc))) + 0.0
     pieces = [f"{name} {value:.3f}" for name, value in zip("XYZ", mm, strict=True)]
     return ",".join(pieces + [f"{name} {value:.4f}" for name, value in zip("ABC", deg, strict=True)])
-
-
-_BEGIN = (
-    ";FOLD INI",
-    "  ;FOLD BASISTECH INI",
-    "    GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )",
-    "    INTERRUPT ON 3",
-    "    BAS (#INITMOV,0 )",
-    "  ;ENDFOLD (BASISTECH INI)",
-    ";ENDFOLD (INI)",
-)
-
-_SCAN = (
-    "DEF SC_SCAN(NUMBER :IN )",
-    "; scan a view at rest; after a time-out halt, and on Start scan it again",
-    "DECL INT NUMBER",
-    "SC_SCANNED=FALSE",
-    "WHILE NOT SC_SCANNED",
-    "  SC_BEGIN(NUMBER)",
-    "  SC_END( )",
-    "ENDWHILE",
-    "END",
-    "",
-    "DEF SC_BEGIN(NUMBER :IN )",
-    "; stand, see that the answer to the view before is gone, trigger",
-    "DECL INT NUMBER",
-    "WAIT SEC SC_SETTLE",
-    "SC_VIEW=NUMBER",
-    "SC_CLOCK( )",
-    "WAIT FOR (NOT $IN[SC_DONE]) OR $TIMER_FLAG[SC_TIMER]",
-    "WHILE $IN[SC_DONE]",
-    "  HALT ; the answer to the view before did not go away",
-    "ENDWHILE",
-    "$OUT[SC_TRIGGER]=TRUE",
-    "END",
-    "",
-    "DEF SC_END( )",
-    "; wait for the scanner and take the trigger back; SC_SCANNED says whether it answered in time",
-    "SC_CLOCK( )",
-    "WAIT FOR $IN[SC_DONE] OR $TIMER_FLAG[SC_TIMER]",
-    "SC_SCANNED=$IN[SC_DONE]",
-    "$OUT[SC_TRIGGER]=FALSE",
-    "$TIMER_STOP[SC_TIMER]=TRUE",
-    "IF NOT SC_SCANNED THEN",
-    "  HALT ; time-out: the scanner did not answer; SC_VIEW says at which view",
-    "ENDIF",
-    "END",
-    "",
-    "DEF SC_CLOCK( )",
-    "; begin to measure the time-out: the timer counts up, its flag is TRUE above 0",
-    "$TIMER_STOP[SC_TIMER]=TRUE",
-    "$TIMER[SC_TIMER]=-SC_TIMEOUT",
-    "$TIMER_STOP[SC_TIMER]=FALSE",
-    "END",
-)

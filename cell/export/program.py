@@ -36,9 +36,9 @@ _RESERVED = """
 abs and as aux axis bas base bool brake case cell char circ circ_rel con const continue decl def default defdat deffct
 delay do e6axis e6pos else end enddat endfct endfor endif endloop endswitch endwhile enum exit ext extfct false for
 frame global goto halt home if import in int interrupt ir_stopm is lin lin_rel load loop not nul or out path pos prn
-pto ptp ptp_rel public real repeat resume return sc_at_home sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan
-sc_scanned sc_settle sc_timeout sc_timer sc_tool sc_trigger sc_view seq signal slin spl spline sps sptp struc switch
-then to trigger true until wait when while xor
+pto ptp ptp_rel public real repeat resume return sc_at_stop sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan
+sc_scanned sc_settle sc_stand sc_stop sc_timeout sc_timer sc_tool sc_trigger sc_view seq signal slin spl
+spline sps sptp struc switch then to trigger true until wait when while xor
 """
 """Words of KRL, what a program of ours defines itself, KUKA's own programs, and names that Windows gives no file."""
 
@@ -86,7 +86,6 @@ class Sweep:
         speed: of the TCP between its first and its last pose [m/s].
         rate: of its turn there [rad/s].
         acceleration: of the TCP before and after [m/s^2].
-        angular_acceleration: of its turn [rad/s^2].
     """
 
     begin: int
@@ -94,7 +93,6 @@ class Sweep:
     speed: float
     rate: float
     acceleration: float
-    angular_acceleration: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,11 +287,11 @@ def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:
     first, last = int(poses[0]), int(poses[-1])
     time = float(motion.via_t[last] - motion.via_t[first])
     if time <= 0.0:
-        return Sweep(begin, end, 0.0, 0.0, 0.0, 0.0)
+        return Sweep(begin, end, 0.0, 0.0, 0.0)
     path = float(np.linalg.norm(T_base_tcp[last, :3, 3] - T_base_tcp[first, :3, 3]))
     turn = float(np.linalg.norm(rotation_vectors(T_base_tcp[[last], :3, :3] @ T_base_tcp[first, :3, :3].T)))
     each = 0.8 * time / (len(poses) - 1)
-    return Sweep(begin, end, path / time, turn / time, path / time / each, turn / time / each)
+    return Sweep(begin, end, path / time, turn / time, path / time / each)
 
 
 def _name_of(folder: str, digest: str) -> str:

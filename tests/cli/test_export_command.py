@@ -78,6 +78,27 @@ def test_one_json_object_says_what_was_written(planned: Path, run_cell: Run, tmp
     assert b"BAS(#VEL_PTP,7)\r\n" in (tmp_path / "x" / "A1.src").read_bytes()
 
 
+def test_a_program_is_slow_unless_asked_and_never_faster_than_the_plan(
+    planned: Path, run_cell: Run, tmp_path: Path
+) -> None:
+    """20 % of the speeds and 30 % of the accelerations; the plan's where that is less."""
+    done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--json", cwd=tmp_path)
+    told = json.loads(done.stdout)
+    assert (told["speed_percent"], told["acceleration_percent"]) == (20, 30)
+    source = (tmp_path / "x" / "A1.src").read_bytes()
+    assert b"BAS(#VEL_PTP,20)\r\nBAS(#ACC_PTP,30)\r\n" in source
+
+    slow = tmp_path / "slow"
+    shutil.copytree(planned, slow)
+    scene = json.loads((slow / "scene.resolved.json").read_text())
+    (slow / "scene.resolved.json").write_text(json.dumps(scene | {"speed_scaling": 0.079}))
+    manifest = json.loads((slow / "manifest.json").read_text())
+    manifest["artefacts"].pop("scene.resolved.json", None)
+    (slow / "manifest.json").write_text(json.dumps(manifest))
+    told = json.loads(run_cell("export", str(slow), "--json", cwd=tmp_path).stdout)
+    assert (told["speed_percent"], told["acceleration_percent"]) == (7, 30)
+
+
 def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
     planned: Path, run_cell: Run, tmp_path: Path
 ) -> None:

@@ -124,6 +124,11 @@ def test_sweeps_are_executed_and_exported(
     driven = np.load(run / "executions" / "0001" / "motion.npz")
     np.testing.assert_array_equal(driven["via_q"][0], driven["via_q"][-1])
     assert (driven["pose"] >= 0).sum() == 5
+    done = run_cell("export", str(run), "--json", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "the sweep of view 1 turns by 24.000 deg, and a LIN of KRL need not turn as it was planned" in done.stderr
+    assert not (run / "export").exists()
+    assert run_cell("export", str(run), "--format", "csv", cwd=tmp_path).returncode == 0
 
 
 def test_a_sensor_is_chosen_by_name(run_cell: Run, part_file: Path, tmp_path: Path) -> None:

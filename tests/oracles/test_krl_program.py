@@ -44,6 +44,13 @@ class Robot:
         self.scanner(self)
 
 
+class _Struct(dict[str, float]):
+    """An aggregate; `name.A1` reads a component."""
+
+    def __getattr__(self, component: str) -> float:
+        return self[component]
+
+
 class Krl:
     """One module: `.src` and `.dat`."""
 
@@ -57,7 +64,7 @@ class Krl:
         assert lines[-1] == "ENDDAT"
         assert lines[1] == "EXT BAS (BAS_COMMAND :IN,REAL :IN )"
         for line in lines[2:-1]:
-            match = re.fullmatch(r"DECL (INT|REAL|FRAME|BOOL) (\w+)=(.+)", line)
+            match = re.fullmatch(r"DECL (INT|REAL|FRAME|BOOL|E6AXIS) (\w+)=(.+)", line)
             assert match, line
             assert len(match[2]) <= 24
             robot.variables[match[2]] = self._value(match[3])
@@ -131,7 +138,7 @@ class Krl:
 
     def _statement(self, line: str) -> None:
         robot = self.robot
-        if match := re.fullmatch(r"(PTP|LIN) (\{.+\})", line):
+        if match := re.fullmatch(r"(PTP|LIN) (\{.+\}|\w+)", line):
             goal = self._value(match[2])
             robot.wait(1.0)
             if match[1] == "PTP":
@@ -182,7 +189,7 @@ class Krl:
         text = text.strip()
         if text.startswith("{"):
             inner = re.sub(r"^\w+:", "", text[1:-1].strip())
-            return {name: float(number) for name, number in (piece.split() for piece in inner.split(","))}
+            return _Struct((name, float(number)) for name, number in (piece.split() for piece in inner.split(",")))
         robot = self.robot
         scope = {
             "IN": _Signals(robot.inputs),
@@ -326,6 +333,58 @@ def test_a_mute_scanner_halts_the_program_and_the_view_is_scanned_again(exported
     assert robot.axes == HOME
 
 
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("off", [0.2, -0.2, 360.0])
+def test_an_arm_that_was_jogged_while_the_program_stood_halts_it_again(
+    exported: tuple[bytes, bytes], axis: int, off: float
+) -> None:
+    """At the first view's time-out: no trigger and no motion until every axis is back where it stopped."""
+    mute, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
+
+    def operator(robot: Robot) -> None:
+        stood.append((len(robot.moves), list(robot.axes)))
+        assert robot.outputs[7] is False
+        if len(stood) == 1:
+            robot.axes[axis] += off
+        elif len(stood) == 3:
+            robot.axes = list(stood[0][1])
+            robot.axes[axis] += 0.05  # not as near as the stop is repeated, but at it
+            mute[0] = False
+
+    robot = Robot(list(HOME), lambda robot: None if mute[0] else prompt(robot), operator)
+    _driven(exported, robot)
+    assert len(stood) == 3
+    assert len({moves for moves, _ in stood}) == 1
+    halts = [k for k, (name, _) in enumerate(robot.events) if name == "HALT"]
+    assert [name for name, _ in robot.events[halts[0] : halts[-1] + 2]] == ["HALT"] * 3 + ["OUT7=True"]
+    assert robot.events[halts[-1] + 1][1] - robot.events[halts[-1]][1] > 0.4 - 1e-9  # stands calm again
+    assert robot.axes == HOME
+
+
+def test_an_arm_that_was_jogged_before_the_trigger_halts_it_too(exported: tuple[bytes, bytes]) -> None:
+    """The halt for an answer that hangs: the arm is looked at after it, before the trigger rises."""
+    hangs, prompt, stood = [True], _prompt(7, 8), list[list[float]]()
+
+    def operator(robot: Robot) -> None:
+        stood.append(list(robot.axes))
+        hangs[0] = False
+        robot.inputs[8] = False
+        robot.axes = [angle + 1.0 for angle in robot.axes] if len(stood) == 1 else list(stood[0])
+
+    def scanner(robot: Robot) -> None:
+        if hangs[0]:
+            robot.inputs[8] = True
+        else:
+            prompt(robot)
+
+    robot = Robot(list(HOME), scanner, operator)
+    _driven(exported, robot)
+    names = [name for name, _ in robot.events]
+    assert names.count("HALT") == len(stood) == 2
+    assert names[names.index("HALT") : names.index("HALT") + 3] == ["HALT", "HALT", "OUT7=True"]
+    assert robot.axes == HOME
+
+
 def test_an_answer_that_stays_is_not_taken_for_the_next_views(exported: tuple[bytes, bytes]) -> None:
     """A done signal that hangs at TRUE: the trigger never rises."""
 
@@ -359,8 +418,10 @@ def test_away_from_home_nothing_moves(exported: tuple[bytes, bytes], axis: int, 
     assert robot.axes == HOME
 
 
-def _sweeping(reverse: bool) -> tuple[bytes, bytes, Any]:
-    """A program of one straight and one turned sweep with a stop between, and its motion."""
+def _sweeping(
+    reverse: bool = False, turn: float = 0.0, speed_percent: int = 100, planned_speed: float = 1.0
+) -> tuple[bytes, bytes, Any]:
+    """A program of two sweeps, the second of them turned where asked [rad], with a stop between, and its motion."""
     from cell.export import krl
     from cell.export.program import Told, of_motion
     from cell.robot.kinematics import Kr16Kinematics
@@ -371,7 +432,7 @@ def _sweeping(reverse: bool) -> tuple[bytes, bytes, Any]:
     kinematics, mount = Kr16Kinematics.load(), np.eye(4)
     mount[:3, 3] = (0.02, -0.03, 0.12)
     T = kinematics.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ mount
-    columns = (straight_poses(0.15, 8), turned_poses(0.4, 5))
+    columns = (straight_poses(0.15, 8), turned_poses(turn, 5) if turn else straight_poses(0.06, 5, (0.2, 1.0, 0.1)))
     paths = [sweeps_of(T @ column, mount, kinematics, kinematics.limits).paths[int(reverse)] for column in columns]
     home, between = np.radians([HOME]), paths[0].q[-1:] + np.radians(1.5)
     via = np.concatenate([home, paths[0].q, between, paths[1].q, home])
@@ -385,9 +446,13 @@ def _sweeping(reverse: bool) -> tuple[bytes, bytes, Any]:
         lines={row: DrivenSweep(path, mount, kinematics) for row, path in rows.items()},
     )  # fmt: skip
     program = of_motion(
-        motion, kinematics, mount, np.eye(4), Told("SWEEPS", "plate", "run", "0" * 64, 1.0, 1.0, float("nan"), "")
+        motion,
+        kinematics,
+        mount,
+        np.eye(4),
+        Told("SWEEPS", "plate", "run", "0" * 64, planned_speed, 1.0, float("nan"), ""),
     )
-    options = krl.KrlOptions(50, 100, trigger_output=7, gate_output=9, done_input=8)
+    options = krl.KrlOptions(speed_percent, 100, trigger_output=7, gate_output=9, done_input=8)
     return krl.source(program, options), krl.data(program, options), (motion, paths, kinematics, mount)
 
 
@@ -399,7 +464,7 @@ def _straight_line(kinematics: Any) -> Callable[[Robot, dict[str, float]], list[
         return pose_from_kuka_abc([of[axis] / 1000 for axis in "XYZ"], np.radians([of[angle] for angle in "ABC"]))
 
     def drive(robot: Robot, goal: dict[str, float]) -> list[float]:
-        assert robot.variables["ORI_TYPE"] == "VAR"
+        assert robot.variables["ORI_TYPE"] == "CONSTANT"
         T = frame(robot.variables["$BASE"]) @ frame(goal) @ np.linalg.inv(frame(robot.variables["$TOOL"]))
         T[3] = (0, 0, 0, 1)
         now = np.radians(robot.axes)
@@ -443,8 +508,6 @@ def test_a_sweep_is_one_line_between_trigger_and_answer(reverse: bool) -> None:
         assert np.linalg.norm(on_line - planned[:, :3, 3], axis=1).max() < 2e-5
         steady = float(path.profile.cruise)
         assert speed["$VEL.CP"] == pytest.approx(max(path.line.length / steady, 0.001), rel=1e-3)
-        turning = np.degrees(path.line.angle / steady) if path.line.angle > 0.01 else 200.0
-        assert speed["$VEL.ORI1"] == speed["$VEL.ORI2"] == pytest.approx(turning, rel=1e-3)
         ramp = float(path.profile.ramp)
         assert speed["$ACC.CP"] == pytest.approx(max(path.line.length / steady / ramp, 0.001), rel=1e-3)
     gate = [
@@ -456,6 +519,56 @@ def test_a_sweep_is_one_line_between_trigger_and_answer(reverse: bool) -> None:
         if name == "LIN":
             assert names[k - 2 : k + 3] == ["OUT7=True", "OUT9=True", "LIN", "OUT9=False", "OUT7=False"]
     assert robot.variables["SC_VIEW"] == 3
+
+
+@pytest.mark.parametrize(
+    ("percent", "planned", "slower"), [(20, 1.0, 0.2), (1, 1.0, 0.01), (20, 0.5, 0.4), (50, 0.5, 1.0), (100, 0.5, 1.0)]
+)
+def test_lines_slow_down_with_the_axes_and_are_never_faster_than_planned(
+    percent: int, planned: float, slower: float
+) -> None:
+    """`--speed` against the plan's own; the ramps v^2 / 2a stay as long as they were planned."""
+    src, _, (_, paths, _, _) = _sweeping(speed_percent=percent, planned_speed=planned)
+    speeds, accelerations = (
+        [float(value) for value in re.findall(re.escape(f"${name}=") + r"(\S+)", src.decode())]
+        for name in ("VEL.CP", "ACC.CP")
+    )
+    for path, speed, acceleration in zip(paths, speeds, accelerations, strict=True):
+        as_planned = path.line.length / path.profile.cruise
+        assert speed == pytest.approx(slower * as_planned, rel=2e-3)
+        assert speed**2 / acceleration == pytest.approx(as_planned * path.profile.ramp, rel=1e-2)
+
+
+def test_a_sweep_that_turns_is_refused() -> None:
+    """One sentence with the angle; a line whose set-points turn it by their rounding alone is straight."""
+    from cell.errors import UsageError
+
+    with pytest.raises(UsageError, match=r"the sweep of view 3 turns by 22\.9\d\d deg.*--format csv or json"):
+        _sweeping(turn=0.4)
+    with pytest.raises(UsageError, match=r"turns by 0\.0\d\d deg"):
+        _sweeping(turn=np.radians(0.02))
+
+
+def test_an_arm_jogged_at_the_end_of_a_line_is_not_driven_back() -> None:
+    """The LIN to the beginning waits for the line's end; and the next trigger for its beginning."""
+    src, dat, (_, paths, kinematics, _) = _sweeping()
+    mute, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
+
+    def operator(robot: Robot) -> None:
+        stood.append((len(robot.moves), list(robot.axes)))
+        assert (robot.outputs[7], robot.outputs[9]) == (False, False)
+        robot.axes = [angle - 0.3 for angle in robot.axes] if len(stood) == 1 else list(stood[0][1])
+        mute[0] = len(stood) < 2
+
+    robot = Robot(
+        list(HOME), lambda robot: None if mute[0] else prompt(robot), operator, line=_straight_line(kinematics)
+    )
+    _driven((src, dat), robot)
+    assert len(stood) == 2
+    assert stood[0][0] == stood[1][0]
+    np.testing.assert_allclose(stood[0][1], np.degrees(paths[0].q[-1]), atol=1e-3)
+    assert [kind for kind, _ in robot.moves].count("LIN") == 4
+    assert robot.axes == HOME
 
 
 def test_a_sweep_without_an_answer_goes_back_and_is_driven_again() -> None:
