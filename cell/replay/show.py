@@ -111,7 +111,10 @@ class Show:
             add_closest(scene, self.closest)
 
     def draw_tour(self, scene: mujoco.MjvScene, t: float) -> None:
-        """All at once: path, every view, all points, the frustum of the present stop, the tightest place."""
+        """All at once: path, every view, all points; of the moment: the frustum, and the tightest pair if it is then.
+
+        The pair belongs to one pose of the arm: with the arm elsewhere it would hang in the air.
+        """
         self.draw_still(scene)
         present = self._row_at(t)
         for row, T in enumerate(self.T_base_scanner):
@@ -120,7 +123,7 @@ class Show:
         marks.add_clouds(scene, self.theatre, range(len(self.theatre.cloud_mesh)), None)
         if present is not None:
             marks.add_frustum(scene, self.theatre, self.T_base_scanner[present])
-        if self.closest is not None:
+        if self.closest is not None and np.allclose(self.timeline.at(t), self.timeline.at(self.closest.time)):
             add_closest(scene, self.closest)
 
     def _row_at(self, t: float) -> int | None:

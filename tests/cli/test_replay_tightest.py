@@ -77,6 +77,29 @@ def test_both_points_and_the_line_are_in_the_picture(show: Show) -> None:
 
 
 @draws
+def test_a_picture_of_another_moment_does_not_have_the_pair(show: Show) -> None:
+    """With the arm elsewhere it would hang in the air: the tour is the same picture with and without."""
+    assert show.closest is not None
+    bare = Show(show.theatre, show.timeline)
+    away = max((stop.begin for stop in show.timeline.stops), key=lambda t: abs(t - show.closest.time))
+    with OffScreen(show.theatre.model, _SIZE) as screen:
+        pictures = {}
+        for moment in (away, show.closest.time):
+            show.pose(moment)
+            camera = show.camera(_SIZE[0] / _SIZE[1], [moment])
+            for name, drawn in (("with", show), ("bare", bare)):
+                pictures[name, moment] = screen.picture(
+                    show.data, camera, lambda scene, drawn=drawn, moment=moment: drawn.draw_tour(scene, moment)
+                )
+    changed = {
+        moment: int((np.abs(pictures["with", moment].astype(int) - pictures["bare", moment]) > 25).any(axis=2).sum())
+        for moment in (away, show.closest.time)
+    }
+    assert changed[away] == 0
+    assert changed[show.closest.time] > 20
+
+
+@draws
 def test_the_command_draws_it(planned: Path, tmp_path: Path, run_cell: Run) -> None:
     """`--tightest --picture` is another picture than that of the tour; with --view it is refused."""
     done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
