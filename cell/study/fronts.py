@@ -222,11 +222,13 @@ def _whole(rows: Sequence[Row]) -> Figure:
         for row in line:
             method, x, y = row["value"], row["processor s"], height(row["error"])
             axes.plot(x, y, _MARKS[method], color=_COLOURS[method], markersize=_SIZES[method])
+            usual = method == DEFAULT  # in the middle of the line that falls to the right: left of it and below is room
             axes.annotate(
-                f"{method}\n{row['views']} views", (x, y), xytext=(7, 5), textcoords="offset points", fontsize=8
-            )
+                f"{method}\n{row['views']} views", (x, y), xytext=(-8, -22) if usual else (7, 5),
+                textcoords="offset points", ha="right" if usual else "left", fontsize=8,
+            )  # fmt: skip
         axes.set_xscale("log")
-        _decimal(axes.xaxis)
+        _decimal(axes.xaxis, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))  # a plan's seconds span less than a decade
         axes.set_title(part, fontsize=10, loc="left")
         _plain(axes)
         low, high = min(row["processor s"] for row in line), max(row["processor s"] for row in line)
@@ -257,9 +259,9 @@ def _with_floor(axes: Axes, errors: Sequence[float]) -> Callable[[float], float]
     return lambda error: error if error > 0 else floor
 
 
-def _decimal(axis: Axis) -> None:
-    """1, 2, 5 and their tenfolds as plain numbers: few of these axes span many decades."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+def _decimal(axis: Axis, between: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Plain numbers at multiples of the powers of ten."""
+    axis.set_major_locator(LogLocator(subs=between))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
