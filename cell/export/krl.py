@@ -143,7 +143,7 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
     yield "; the way to home was not checked: the program goes on only from there"
     yield f"SC_STOP={e6axis(program.q[0])}"
     yield "SC_STAND( )"
-    yield "PTP SC_STOP ; home: block coincidence"
+    yield f"PTP {e6axis(program.q[0])} ; home: block coincidence"
     leg = -1
     begins = {sweep.begin: sweep for sweep in program.sweeps}
     for row in range(1, len(program.q)):
@@ -154,11 +154,11 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
             yield from ("", f"; leg {leg + 1}: {to}")
         if program.kinds[row] is Kind.LIN:
             continue
+        yield f"PTP {e6axis(program.q[row])}"
         if row not in begins and not program.stop[row]:
-            yield f"PTP {e6axis(program.q[row])}"
             continue
+        # Behind the motion, and the motion with its own goal: whichever line is selected, no old stop is driven to.
         yield f"SC_STOP={e6axis(program.q[row])}"
-        yield "PTP SC_STOP"
         if row in begins:
             yield from _sweep(program, begins[row], _slower(program, options))
         else:

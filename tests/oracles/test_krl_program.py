@@ -138,7 +138,7 @@ class Krl:
 
     def _statement(self, line: str) -> None:
         robot = self.robot
-        if match := re.fullmatch(r"(PTP|LIN) (\{.+\}|\w+)", line):
+        if match := re.fullmatch(r"(PTP|LIN) (\{.+\})", line):
             goal = self._value(match[2])
             robot.wait(1.0)
             if match[1] == "PTP":
