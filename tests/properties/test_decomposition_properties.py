@@ -96,7 +96,9 @@ def test_every_point_of_every_triangle_is_in_a_piece(
     corners = part.vertices[part.faces]
     spread = corners[rng.integers(len(corners), size=3_000)]
     inner = np.einsum("pk,pkj->pj", rng.dirichlet((1, 1, 1), len(spread)), spread)
-    points = np.concatenate([rng.permutation(part.vertices[np.unique(part.faces)])[:3_000], spread[:1_000, :2].mean(axis=1), inner])
+    points = np.concatenate(
+        [rng.permutation(part.vertices[np.unique(part.faces)])[:3_000], spread[:1_000, :2].mean(axis=1), inner]
+    )
     rounding = ROUNDING + 1e-14 * np.abs(points).max()
     outside = np.full(len(points), np.inf)
     for piece in pieces:

@@ -201,7 +201,12 @@ blocks = st.sampled_from(registers.BLOCKS)
 
 def values_of(block: registers.Block, draw: st.DrawFn) -> dict[str, registers.Value]:
     """Any values of a block's fields."""
-    ranges = {"u16": numbers, "u32": st.integers(0, 2**32 - 1), "i32": int32, "f32": st.floats(width=32, allow_nan=False)}
+    ranges = {
+        "u16": numbers,
+        "u32": st.integers(0, 2**32 - 1),
+        "i32": int32,
+        "f32": st.floats(width=32, allow_nan=False),
+    }
     values: dict[str, registers.Value] = {}
     for field in block.fields:
         if field.type == "text":
