@@ -80,6 +80,10 @@ def test_a_client_that_goes_away_leaves_a_standing_arm(emulate: Callable[..., An
         assert (state.mode, state.fault_code) == (Mode.FAULT, Fault.WATCHDOG)
         with pytest.raises(RefusedError, match="reset first"):
             driver.move(turned(0.0), 1.0)
+        for _ in range(200):  # the fault is latched when the arm begins to brake
+            if driver.state().standing:
+                break
+            deadline.wait(0.05)
         assert driver.reset().fault_code == 0
 
 
