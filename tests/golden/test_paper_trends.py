@@ -53,7 +53,7 @@ def test_the_paper_s_method_shows_the_paper_s_trends(rows: dict[str, list[Row]])
 
 @pytest.mark.slow
 def test_ours_needs_no_more_views_than_the_paper_s_method_at_its_coverage(rows: dict[str, list[Row]]) -> None:
-    """And measures no less with as many: to one view and one point, for a reduced matrix has some 300 to 900 samples."""
+    """And measures no less with as many, to one view and one point: a reduced matrix has 300 to 900 samples."""
     for row in (row for table in rows.values() for row in table):
         assert row["views ours at visible rays"] <= row["views rays"] + 1, row
         assert row["visible ours at views rays %"] >= row["visible rays %"] - 1.0, row
