@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from cell.scene.scene import load_scene
+from cell.scene.scene import Plan, load_scene
 from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
 from cell.study.paper import TABLES, PaperRow
 from cell.study.study import Row, Study
@@ -169,6 +169,8 @@ def _settings(table: str, row: PaperRow, faces_share: float) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "part": row.part,
         "faces": max(8, round(faces_share * (930 if table == "table5" else row.viewpoints))),
+        # A reduced study has fewer candidates, not a coarser idea of the surface: as many samples as the full one.
+        "samples_per_face": round(Plan().samples_per_face / faces_share),
     }
     if table == "table2":
         settings["standoff_mm"] = row.parameter
@@ -187,14 +189,14 @@ def row(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Both methods on one row.
 
     Args:
-        settings: part and faces, and where the row varies them standoff_mm, fov_deg, resolution_deg and place_mm
-            (null or missing: no robot).
+        settings: part, faces and samples_per_face, and where the row varies them standoff_mm, fov_deg, resolution_deg
+            and place_mm (null or missing: no robot).
 
     Returns:
         The values, and under "seconds" what each step took.
     """
     scanner: dict[str, Any] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2}
-    plan: dict[str, Any] = {"faces": settings["faces"], "rolls_deg": [0.0]}
+    plan: dict[str, Any] = {"rolls_deg": [0.0], **{key: settings[key] for key in ("faces", "samples_per_face")}}
     if "standoff_mm" in settings:
         plan["standoffs_mm"] = [settings["standoff_mm"]]
     if "fov_deg" in settings:

@@ -21,7 +21,10 @@ from cell.study.workers import open_workers
 
 
 def _trials(count: int) -> list[Trial]:
-    return [Trial.of("table-row", {"part": "petanque", "faces": 16 + number}) for number in range(count)]
+    return [
+        Trial.of("table-row", {"part": "petanque", "faces": 16 + number, "samples_per_face": 4})
+        for number in range(count)
+    ]
 
 
 def run(

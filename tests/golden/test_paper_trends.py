@@ -10,7 +10,7 @@ import pytest
 
 from cell.study.run import run
 from cell.study.study import Row
-from cell.study.tables import table_study
+from cell.study.tables import TOLERANCE_POINTS, table_study
 from cell.study.workers import Processes
 
 _SHARE = 0.3
@@ -53,9 +53,9 @@ def test_the_paper_s_method_shows_the_paper_s_trends(rows: dict[str, list[Row]])
 
 @pytest.mark.slow
 def test_ours_needs_no_more_views_than_the_paper_s_method_at_its_coverage(rows: dict[str, list[Row]]) -> None:
-    """And measures no less with as many, to one view and one point: a reduced matrix has 300 to 900 samples."""
+    """And measures no less with as many, to the 0.2 points that count as equal."""
     for row in (row for table in rows.values() for row in table):
-        assert row["views ours at visible rays"] <= row["views rays"] + 1, row
-        assert row["visible ours at views rays %"] >= row["visible rays %"] - 1.0, row
+        assert row["views ours at visible rays"] <= row["views rays"], row
+        assert row["visible ours at views rays %"] >= row["visible rays %"] - TOLERANCE_POINTS, row
         assert row["bound ours"] <= row["views ours"]
         assert row["bound rays"] <= row["views rays"]

@@ -12,7 +12,7 @@ from cell.study.run import run
 from cell.study.trial import Outcome, Trial, compute, sources_digest
 from cell.study.workers import Processes
 
-_SMALL: dict[str, Any] = {"part": "petanque", "faces": 30}
+_SMALL: dict[str, Any] = {"part": "petanque", "faces": 30, "samples_per_face": 4}
 
 
 def _kept(folder: Path, **change: Any) -> Outcome:
