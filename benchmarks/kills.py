@@ -1,8 +1,9 @@
 """kill -9 of the client and of the emulated controller at random moments, then `--resume`: what is lost or doubled.
 
 A plan of a small part is executed over Modbus. Each trial kills one of the two processes at a random moment between
-the first move and the last, restarts what died, resumes until the execution is finished, and compares its scans with
-those of an undisturbed execution, byte by byte. `KILLS` in the environment changes the 50 trials of each kind.
+the start of the execution and its last scan (timed on an undisturbed one), restarts what died, resumes until the
+execution is finished, and compares its scans with those of the undisturbed one, byte by byte. `KILLS` in the
+environment changes the 50 trials of each kind.
 """
 
 from __future__ import annotations
@@ -33,21 +34,19 @@ def run() -> list[dict[str, Any]]:
         base = Path(folder)
         _cell(base, *_PLAN, "--out", "plan")
         shutil.copytree(base / "plan", base / "calm")
-        start = time.monotonic()
         with _Emulator(base / "calm_arm") as emulator:
-            _cell(base, "scan", "calm", "--driver", emulator.url, *_SCAN)
-        calm = time.monotonic() - start
+            span_s = _span_s(base / "calm", _start(base, "scan", "calm", "--driver", emulator.url, *_SCAN))
         wanted = _scans(base / "calm")
-        return [_row(base, victim, count, wanted, calm) for victim in ("client", "controller")]
+        return [_row(base, victim, count, wanted, span_s) for victim in ("client", "controller")]
 
 
-def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], calm: float) -> dict[str, Any]:
+def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], span_s: float) -> dict[str, Any]:
     rng = np.random.default_rng(7)
     same, twice, resumed, after = 0, 0, 0, []
     for trial in range(count):
         name = f"{victim}{trial}"
         shutil.copytree(base / "plan", base / name)
-        scans, times = _disturbed(base, name, victim, rng, calm)
+        scans, times = _disturbed(base, name, victim, rng, span_s)
         after.append(scans)
         resumed += times
         same += _scans(base / name) == wanted
@@ -65,18 +64,14 @@ def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], calm: fl
     }
 
 
-def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, calm: float) -> tuple[int, int]:
+def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, span_s: float) -> tuple[int, int]:
     """Execute, kill, resume; returns the scans that were there at the kill, and how often it was resumed."""
     arm = base / f"{name}_arm"
     emulator = _Emulator(arm)
     try:
         client = _start(base, "scan", name, "--driver", emulator.url, *_SCAN)
-        deadline = time.monotonic() + _PATIENCE_S
-        while not (base / name / "executions/0001/events.jsonl").exists() and client.poll() is None:
-            if time.monotonic() > deadline:
-                raise RuntimeError("the execution did not begin")
-            time.sleep(0.005)
-        time.sleep(float(rng.uniform(0.0, 0.6 * calm)))
+        _begun_s(base / name, client)
+        time.sleep(float(rng.uniform(0.0, span_s)))
         os.kill((client if victim == "client" else emulator.process).pid, signal.SIGKILL)
         client.wait(_PATIENCE_S)
         there = len(_scans(base / name))
@@ -96,6 +91,28 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, cal
         return there, times
     finally:
         emulator.close()
+
+
+def _begun_s(run: Path, client: subprocess.Popen[bytes]) -> float:
+    """The moment at which the execution began to keep its journal, on the monotonic clock."""
+    deadline = time.monotonic() + _PATIENCE_S
+    while not (run / "executions/0001/events.jsonl").exists():
+        if client.poll() is not None or time.monotonic() > deadline:
+            raise RuntimeError("the execution did not begin")
+        time.sleep(0.005)
+    return time.monotonic()
+
+
+def _span_s(run: Path, client: subprocess.Popen[bytes]) -> float:
+    """From the beginning of an undisturbed execution to its last scan."""
+    begun, last, seen = _begun_s(run, client), 0.0, 0
+    while client.poll() is None:
+        if (count := len(_scans(run))) > seen:
+            seen, last = count, time.monotonic()
+        time.sleep(0.01)
+    if client.returncode or not seen:
+        raise RuntimeError(f"the undisturbed execution ended with {client.returncode} and {seen} scans")
+    return last - begun
 
 
 _COMMAND = (sys.executable, "-m", "cell")
