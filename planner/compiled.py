@@ -3,7 +3,7 @@
 Kernels live in modules of their own that are imported only where they are used, because importing numba costs about
 0.3 s and compiling a kernel that is not in the cache costs seconds (`docs/dependencies.md`). Their arguments are int64
 and float64 arrays and numbers, so that one signature is compiled and the result is the same on every machine; never
-`fastmath`.
+`fastmath`. A division by zero gives inf or nan as in NumPy: Python's exception would be compiled into every division.
 """
 
 from collections.abc import Callable
@@ -19,4 +19,4 @@ def compiled(kernel: Kernel) -> Kernel:
 
     numba keeps it in the user's cache folder where the module's own cannot be written; `NUMBA_CACHE_DIR` names another.
     """
-    return cast(Kernel, numba.njit(cache=True)(kernel))
+    return cast(Kernel, numba.njit(cache=True, error_model="numpy")(kernel))

@@ -8,7 +8,8 @@ Worse tours are accepted by simulated annealing.
 
 These are compiled kernels: import this module only where it is used (`planner.compiled`). A tour is cyclic: an array of
 one node per cluster. Random numbers are SplitMix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195), so that
-equal seeds give equal tours on every machine.
+equal seeds give equal tours on every machine. Arrays are copied number by number: a slice assignment, whose error message
+numba compiles as well, costs seconds on the first run.
 """
 
 import numpy as np
@@ -46,7 +47,8 @@ def anneal(
         (m,) nodes in visiting order, and the cost of their tour.
     """
     m = len(first) - 1
-    state = np.array([seed], dtype=np.uint64)
+    state = np.empty(1, dtype=np.uint64)
+    state[0] = seed
     cluster_of = np.empty(len(cost), dtype=np.int64)
     widest = 0
     for k in range(m):
@@ -55,25 +57,27 @@ def anneal(
             cluster_of[v] = k
     value, onward = np.empty(widest), np.empty(widest)
     parent = np.empty((m, widest), dtype=np.int64)
-    best = start.copy()
+    best, tour = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    _copy(start, best)
     best_cost = choose_nodes(cost, back, first, cluster_of, best, value, onward, parent)
-    tour, tour_cost = best.copy(), best_cost
+    _copy(best, tour)
+    tour_cost = best_cost
     trial, removed, order = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     is_out = np.zeros(m, dtype=np.int64)
     longest = min(_STRING, max(1, m // 3))
     most_strings = max(1.0, 4.0 * _REMOVED / (1.0 + longest) - 1.0)
     temperature, cooling = hot, (cold / hot) ** (1.0 / max(1, steps - 1))
     for _ in range(steps):
-        trial[:] = tour
+        _copy(tour, trial)
         left = _ruin(cluster_of, near, trial, removed, is_out, longest, most_strings, state)
         trial_cost = _recreate(cost, back, first, trial, removed, order, is_out, left, state)
         if trial_cost <= tour_cost * _WORTH:
             trial_cost = choose_nodes(cost, back, first, cluster_of, trial, value, onward, parent)
         if trial_cost < tour_cost - temperature * np.log(1.0 - _uniform(state)):
-            tour[:] = trial
+            _copy(trial, tour)
             tour_cost = trial_cost
             if tour_cost < best_cost * (1.0 - 1e-12):
-                best[:] = tour
+                _copy(tour, best)
                 best_cost = tour_cost
         temperature *= cooling
     return best, best_cost
@@ -108,7 +112,7 @@ def choose_nodes(
     if m == 1:
         return 0.0
     best = np.inf
-    chosen = tour.copy()
+    chosen = np.empty(m, dtype=np.int64)
     for s in range(first[root], first[root + 1]):
         k = cluster_of[tour[(anchor + 1) % m]]
         for j in range(first[k + 1] - first[k]):
@@ -139,8 +143,14 @@ def choose_nodes(
                 place = (anchor + step) % m
                 chosen[place] = first[cluster_of[tour[place]]] + at
                 at = parent[step, at]
-    tour[:] = chosen
+    _copy(chosen, tour)
     return best
+
+
+@compiled
+def _copy(source: Ints, target: Ints) -> None:
+    for i in range(len(source)):
+        target[i] = source[i]
 
 
 @compiled

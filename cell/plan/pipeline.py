@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from cell import scanners
+from cell import compile_ahead, scanners
 from cell.commands.narrator import Narrator, ProgressCallback
+from cell.compile_ahead import Ahead
 from cell.errors import FileError, UnreachableError
 from cell.part import workpiece
 from cell.part.mesh_checks import Kind
@@ -124,6 +125,7 @@ def plan(
     Raises:
         CellError: with one sentence and the exit code; the run folder keeps what was finished, its status and stage.
     """
+    ahead = compile_ahead.begin()
     with narrator.stage("load the part"):
         part = workpiece.load(scene.part.source, scene.part.units)
     for finding in part.findings:
@@ -136,11 +138,11 @@ def plan(
     run = Run(folder, narrator, scene.plan.seed, use_cache)
     with folder.kept_on_failure(), _logged(folder.path / "run.log"):
         plan_files.write_scene(folder, scene_path)
-        summary, exit_code = _steps(run, scene, part, settings)
+        summary, exit_code = _steps(run, scene, part, settings, ahead)
     return PlanOutcome(folder.finish(exit_code), exit_code, summary)
 
 
-def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple[dict[str, Any], int]:
+def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: Ahead) -> tuple[dict[str, Any], int]:
     """Steps 2 to 9 and the report; returns the summary and the exit code."""
     reference = part.reference
     scanner = scanners.make(scene.scanner.type, settings.scanner)
@@ -219,6 +221,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings) -> tuple
                 scene.plan, M, candidates, reached, judge, casters, run.rng(_ENSEMBLE), progress=progress
             )
 
+    ahead.wait(run.narrator)
     with run.step("select, order and connect") as progress:
         limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
         costs = seconds_of_views(scene.plan, reached, limits) if scene.plan.cost == "time" else None

@@ -1,6 +1,5 @@
 """Step 5 with its cache: the part-only measurability matrix, calculated once per part, candidates and scanner."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cell import scanners
+from cell import caches, scanners
 from cell.commands.narrator import ProgressCallback
 from cell.errors import FileError, SceneError
 from cell.rays import matrix_cache as measurability_cache
@@ -37,9 +36,8 @@ _KEPT = 4
 
 
 def cache_folder() -> Path:
-    """Where matrices are kept: `$XDG_CACHE_HOME/scan-cell/measurability`, else below ~/.cache."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "scan-cell" / "measurability"
+    """Where matrices are kept."""
+    return caches.folder("measurability")
 
 
 def surface_features(

@@ -9,7 +9,6 @@ import hashlib
 import importlib
 import logging
 import os
-import sys
 import tempfile
 import zipfile
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cell import caches
 from cell.errors import UsageError
 from planner.surface import TriangleMesh
 
@@ -105,15 +105,10 @@ def _cache_path(name: str) -> Path | None:
     try:
         for source in ("__init__", "fields", "mesher", name.replace("-", "_")):
             digest.update((here / f"{source}.py").read_bytes())
-        if sys.platform == "win32":
-            folder = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-        elif sys.platform == "darwin":
-            folder = Path.home() / "Library" / "Caches"
-        else:
-            folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folder = caches.folder("stand_ins")
     except (OSError, RuntimeError):  # sources inside an archive, or a user without a home
         return None
-    return folder / "scan-cell" / "stand_ins" / f"{name}-{digest.hexdigest()[:16]}.npz"
+    return folder / f"{name}-{digest.hexdigest()[:16]}.npz"
 
 
 def _read(path: Path, part: StandIn) -> TriangleMesh | None:

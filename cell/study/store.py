@@ -8,6 +8,7 @@ import json
 import os
 from pathlib import Path
 
+from cell import caches
 from cell.errors import FileError
 from cell.study.trial import Outcome, Trial
 
@@ -15,9 +16,8 @@ SCHEMA = "scan-cell/trial/1"
 
 
 def cache_folder() -> Path:
-    """Where results are kept: `$XDG_CACHE_HOME/scan-cell/studies`, else below ~/.cache."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "scan-cell" / "studies"
+    """Where results are kept."""
+    return caches.folder("studies")
 
 
 def load(trial: Trial, folder: Path) -> Outcome | None:

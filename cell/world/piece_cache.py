@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cell import caches
 from planner.surface import TriangleMesh
 
 FORMAT = 1
@@ -22,9 +23,8 @@ LIMIT_BYTES = 100_000_000
 
 
 def cache_folder() -> Path:
-    """Where pieces are kept: `$XDG_CACHE_HOME/scan-cell/pieces`, else below ~/.cache."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "scan-cell" / "pieces"
+    """Where pieces are kept."""
+    return caches.folder("pieces")
 
 
 def key_of(mesh: TriangleMesh, *settings: float) -> str:

@@ -1,0 +1,110 @@
+"""Kernels compiled ahead, by processes of their own, while the first plan after an installation does other work.
+
+numba compiles a kernel when it is first called and keeps the code on disk: some ten seconds in all, once. A thread
+would not hide them, because numba holds the interpreter while it compiles. `python -m cell.compile_ahead tours` (or
+`distances`) calls the kernels of one group on a toy problem, so that exactly the signatures are compiled that the
+program uses, and leaves a mark beside the code; where all marks are there, nothing is begun.
+"""
+
+import contextlib
+import hashlib
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+import planner
+from cell import caches
+from cell.commands.narrator import Narrator
+
+_PATIENCE_S = 120.0  # after this the kernels are compiled where they are called, which needs nobody's help
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """Processes that compile."""
+
+    processes: tuple[subprocess.Popen[bytes], ...]
+
+    def wait(self, narrator: Narrator) -> None:
+        """Return when all is compiled. Where a process failed, its kernels are compiled when they are first called."""
+        if any(process.poll() is None for process in self.processes):
+            with narrator.stage("compile (once)"):
+                for process in self.processes:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        process.wait(_PATIENCE_S)
+
+
+def begin() -> Ahead:
+    """Begin to compile what is not on disk yet."""
+    missing = [group for group in GROUPS if not any((place / _mark(group)).exists() for place in _places())]
+    return Ahead(tuple(_process(group) for group in missing))
+
+
+def _process(group: str) -> subprocess.Popen[bytes]:
+    silent = subprocess.DEVNULL
+    command = [sys.executable, "-m", "cell.compile_ahead", group]
+    return subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent)
+
+
+def tours() -> None:
+    """Call the kernels that order views."""
+    from planner import generalised_tsp, tour_bound
+
+    at = np.random.default_rng(0).random((8, 2))
+    cost = np.linalg.norm(at[:, None] - at, axis=2)
+    problem = generalised_tsp.instance((cost + cost.T) / 2, np.arange(0, 9, 2))
+    found, _ = generalised_tsp.search(problem, np.arange(0, 8, 2), 0, 1)
+    tour_bound.by_walks(problem.either, problem.first, found, 1000)
+
+
+def distances() -> None:
+    """Call the kernels that measure how far the arm is from the part's triangles."""
+    from cell.world.gjk import BOX
+    from cell.world.triangle_tree import TriangleTree
+    from planner.surface import TriangleMesh
+
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    tree = TriangleTree(TriangleMesh(corners, faces))
+    upright = np.eye(3).ravel()
+    tree.distance(BOX, np.full(3, 0.01), np.full(3, 0.1), upright, np.zeros(3), upright, 9.0)
+
+
+GROUPS = {"tours": tours, "distances": distances}
+"""What one process compiles; two of about equal length."""
+
+_KERNELS = ("../planner/compiled", "../planner/ruin_and_recreate", "../planner/walk_relaxation",
+            "world/gjk", "world/triangle_kernels")  # fmt: skip
+
+
+def _mark(group: str) -> str:
+    """Name of a group's mark: another numba, Python or kernel makes another."""
+    about = [group, sys.version, metadata.version("numba")]
+    digest = hashlib.sha256("\n".join(about).encode())
+    for name in _KERNELS:
+        digest.update((Path(__file__).parent / f"{name}.py").read_bytes())
+    return f"scan_cell_{group}_{digest.hexdigest()[:16]}.compiled"
+
+
+def _places() -> tuple[Path, ...]:
+    """Where a mark may be: like the code beside the modules, or with the user's caches where that is not allowed."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    return (Path(named),) if named else (Path(planner.__file__).parent / "__pycache__", caches.folder("kernels"))
+
+
+def _leave_mark(group: str) -> None:
+    for place in _places():
+        with contextlib.suppress(OSError):
+            place.mkdir(parents=True, exist_ok=True)
+            (place / _mark(group)).touch()
+            return
+
+
+if __name__ == "__main__":
+    GROUPS[sys.argv[1]]()
+    _leave_mark(sys.argv[1])
