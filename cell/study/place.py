@@ -3,9 +3,10 @@
 In four rounds, each with its own trials, so that a stopped search goes on where it was:
 
 1. quick looks (some 200 candidates, coverage alone) at places of a Sobol sequence over the whole range;
-2. full coverage at the best of them;
-3. a compass search about the best ones: steps along each axis that halve where nothing near is better;
-4. views and cycle time of the best places that were seen.
+2. closer looks (some 300 candidates) at the best of them, and a compass search about the best of these: steps along
+   each axis that halve where nothing near is better;
+3. full coverage at the best places that were seen closer;
+4. views and cycle time of the best of these.
 
 Then it says how sure it is: the ten best and their spread, and how far the best is from where nothing is reached and
 from where a twentieth of its coverage is lost.
@@ -34,8 +35,10 @@ Floats = NDArray[np.float64]
 AXES = ("x mm", "y mm", "z mm", "yaw deg")
 LOOKS, CANDIDATES = 256, 200
 """Round 1: places that are looked at, and candidates per look."""
-FULL, CLIMBERS, FINALISTS = 24, 4, 12
-"""Places in round 2, starts of round 3, places in round 4."""
+CLOSER, CLOSER_CANDIDATES, CLIMBERS = 24, 300, 4
+"""Round 2: places that are looked at first, candidates per look, starts of the compass search."""
+FULL, FINALISTS = 16, 10
+"""Places in rounds 3 and 4."""
 FIRST_STEPS = (100.0, 100.0, 100.0, 30.0)
 LAST_STEPS = (12.5, 12.5, 12.5, 3.75)
 """Steps of the compass search [mm, mm, mm, deg]."""
@@ -139,24 +142,24 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
         )
     seen: dict[Place, Look] = {}
 
-    def look_fully(name: str, wanted: Sequence[Place]) -> None:
+    def look_closer(wanted: Sequence[Place]) -> None:
         new = [point for point in dict.fromkeys(wanted) if point not in seen]
-        seen.update(zip(new, look(name, new, None), strict=True))
+        seen.update(zip(new, look("closer looks", new, CLOSER_CANDIDATES), strict=True))
 
-    best_first = sorted(range(len(looks)), key=lambda i: (quick[i].rank, looks[i]))
-    look_fully("full looks", [looks[i] for i in best_first[:FULL]])
-    climbers = _apart(sorted(seen, key=lambda p: (seen[p].rank, p)), CLIMBERS, high - low)
+    look_closer(_best_first(dict(zip(looks, quick, strict=True)))[:CLOSER])
+    climbers = _apart(_best_first(seen), CLIMBERS, high - low)
     steps = [np.array(FIRST_STEPS)] * len(climbers)
     while any((step > np.array(LAST_STEPS) / 2).all() for step in steps):
         around = [_around(p, step, low, high, free) for p, step in zip(climbers, steps, strict=True)]
-        look_fully("search", [point for points in around for point in points])
+        look_closer([point for points in around for point in points])
         for k, points_near in enumerate(around):
             best = min(points_near, key=lambda p: (seen[p].rank, p), default=climbers[k])
             if seen[best].rank < seen[climbers[k]].rank:
                 climbers[k] = best
             else:
                 steps[k] = steps[k] / 2
-    finalists = sorted(seen, key=lambda p: (seen[p].rank, p))[:FINALISTS]
+    hopeful = _best_first(seen)[:FULL]
+    finalists = _best_first(dict(zip(hopeful, look("full looks", hopeful, None), strict=True)))[:FINALISTS]
     wholes = ask("views and time", finalists, what=WHOLE, candidates=None)
     ten = sorted(
         (_row(point, value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
@@ -165,6 +168,10 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
     lost, unreached = _surroundings(ten[0], low, high, lambda points: look("surroundings", points, CANDIDATES))
     shares = [each.coverable for each in quick]
     return Found(ten, list(zip(looks, shares, strict=True)), lost, unreached, places)
+
+
+def _best_first(looks: Mapping[Place, Look]) -> list[Place]:
+    return sorted(looks, key=lambda place: (looks[place].rank, place))
 
 
 def _rounded(point: Floats) -> Place:

@@ -6,6 +6,7 @@ straight joint moves, which ignores what the arm has to go round.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
     T_base_object = world.placed(
         pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
     )
-    candidates, M = _some(bench, settings.get("candidates"))
+    candidates, M = _some(bench, settings["candidates"])
     checker = bench.checker(T_base_object)
     if not checker.free(world.home[None])[0]:
         return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
@@ -78,6 +79,7 @@ def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+@lru_cache(maxsize=4)
 def _some(bench: Bench, count: int | None) -> tuple[Viewpoints, Measurability]:
     """All candidates, or a number of them for a quick look; the same ones at every placement."""
     M = bench.matrix("aimed", bench.zone)
