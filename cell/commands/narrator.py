@@ -22,7 +22,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from cell.plan.pipeline import PlanOutcome
-    from cell.scan.scan import ScanOutcome
+    from cell.scan.work import ScanOutcome
     from cell.study.study import StudyResult
     from cell.why.explain import WhyOutcome
     from cell.world.check import CheckResult

@@ -127,6 +127,7 @@ def scan(
 ) -> None:
     """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
     from cell.commands.narrator import Narrator
+    from cell.scan import post_processing
     from cell.scan import scan as scan_command
     from cell.scan.options import ScanOptions
 
@@ -160,7 +161,7 @@ def scan(
     elif report is None:
         outcome = scan_command.scan(run, wanted, argv=sys.argv[1:], narrator=narrator, ask=ask)
     elif wanted == ScanOptions():
-        outcome = scan_command.report(run, report, narrator)
+        outcome = post_processing.report(run, report, narrator)
     else:
         raise UsageError("--report makes the report of what was scanned; leave the options of a new scan away")
     if as_json:

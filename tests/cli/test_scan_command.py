@@ -20,9 +20,11 @@ from cell.commands.narrator import Narrator
 from cell.errors import DriverFailureError, FileError
 from cell.run import process
 from cell.run.record import RunRecord, open_run
+from cell.scan import post_processing
 from cell.scan import scan as scan_command
 from cell.scan.execution_reader import execution_ids, read_execution, read_scan
 from cell.scan.options import ScanOptions
+from cell.scan.work import ScanOutcome
 from planner.ports import Rejection
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -63,14 +65,14 @@ def _without_schema(folder: Path) -> dict[str, Any]:
     return report
 
 
-def _scan(run: Path, **options: Any) -> scan_command.ScanOutcome:
+def _scan(run: Path, **options: Any) -> ScanOutcome:
     """A scan in this process, at 1 degree where nothing else is said."""
     asked = ScanOptions(**{"resolution_deg": 1.0, **options})
     return scan_command.scan(run, asked, argv=[], narrator=Narrator(quiet_stdout=True))
 
 
 def _remake(run: Path, execution: str = "0001") -> dict[str, Any]:
-    return scan_command.report(run, execution, Narrator(quiet_stdout=True)).summary
+    return post_processing.report(run, execution, Narrator(quiet_stdout=True)).summary
 
 
 def _rewrite(path: Path, **changed: Any) -> None:
@@ -433,7 +435,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
     shutil.rmtree(folder / "scans")
     (folder / "scans").mkdir()
     summary = _remake(copied)
-    assert scan_command.report(copied, "0001", Narrator(quiet_stdout=True)).exit_code == 6
+    assert post_processing.report(copied, "0001", Narrator(quiet_stdout=True)).exit_code == 6
     assert summary["missing_views"] == list(range(1, summary["n_views_planned"] + 1))
     assert summary["coverage"]["visible"] == 0
     assert not list(folder.glob("*.png"))

@@ -174,19 +174,22 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(
     assert (execution / "manifest.json").read_bytes() == kept
 
 
-def test_a_damaged_scan_is_taken_again_and_the_others_are_not(
-    run_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
+@pytest.mark.parametrize(("status", "torn"), [("failed", True), ("finished", True), ("finished", False)])
+def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
+    status: str, torn: bool, run_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
 ) -> None:
-    """The arm drives through the views that are confirmed without scanning them."""
+    """The arm drives through the views that are confirmed without scanning them, however the execution had ended."""
     run_cell("scan", str(run_folder), "--resolution", "2", cwd=run_folder.parent)
     execution = run_folder / "executions" / "0001"
     (execution / "scans" / "0002.npz").write_bytes(b"torn")
+    if not torn:
+        (execution / "scans" / "0002.npz").unlink()
     manifest = json.loads((execution / "manifest.json").read_text())
-    (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
+    (execution / "manifest.json").write_text(json.dumps({**manifest, "status": status}))
     before = len(_events(execution))
     done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
     assert done.returncode == 0, done.stderr
-    assert "0002.npz" in done.stderr
+    assert "0002.npz" in done.stderr or not torn
     assert [event["stop"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
     assert _scans(execution) == undisturbed
 

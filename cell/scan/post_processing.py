@@ -1,0 +1,156 @@
+"""`cell scan`, step 11, and `cell scan --report`: merge, make the surface, measure, report.
+
+`results` shows what is made of the scans on one screen. It reads them from disk, so a report that is made later, or of
+an execution that was stopped, is made by the same lines.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.commands.narrator import Narrator
+from cell.errors import FileError
+from cell.reconstruction import cloud_files
+from cell.reconstruction.deviation import deviation
+from cell.reconstruction.nearest import NearestSurface
+from cell.reconstruction.reconstruct import reconstruct
+from cell.run import process
+from cell.run import reader as run_reader
+from cell.scan import execute, execution_report
+from cell.scan import scene as scan_scene
+from cell.scan.execution_folder import ExecutionFolder
+from cell.scan.execution_reader import RecordedExecution, read_execution
+from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
+from cell.scan.execution_summary import execution_summary
+from cell.scan.scene import ScanScene
+from cell.scan.work import ScanOutcome, Work, finished_plan
+from planner.timing import Motion
+
+_DEVIATION = 12
+"""Stream of randomness of the samples that the deviation is measured on."""
+
+
+def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
+    """Make the report of an execution anew from what is there; what is missing is said.
+
+    Args:
+        run_folder: of a finished plan.
+        execution: its id, or "latest".
+        narrator: is told what goes on.
+
+    Raises:
+        CellError: with one sentence and the exit code.
+    """
+    run = finished_plan(run_folder)
+    recorded = read_execution(run, execution)
+    ended = str(recorded.manifest.get("status", "running"))
+    if ended == "running" and process.lives(recorded.manifest):
+        raise FileError(
+            f"execution {recorded.folder.name} is still running (process {recorded.manifest['pid']}); wait until it "
+            "ends, or stop it with Ctrl-C"
+        )
+    if ended != "finished":
+        narrator.note(
+            f"execution {recorded.folder.name} did not finish (its status is '{ended}'); what is there is used"
+        )
+    folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
+    options = folder.manifest.get("options", {})
+    scene = scan_scene.load(run, options.get("resolution_deg"))
+    # The status tells how the execution ended, not how its report did.
+    status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.get("exit_code")
+    summary = results(Work(run, folder, narrator), scene, run_reader.motion(run), recorded)
+    for sentence in summary["left_out"]:
+        narrator.note(sentence)
+    if summary["missing_views"]:
+        here = summary["n_views"]
+        narrator.note(
+            f"the execution is incomplete: {here} of {here + len(summary['missing_views'])} views are there; "
+            "the report says what is there"
+        )
+        return ScanOutcome(folder.finish(exit_code, status), FileError.exit_code, summary)
+    code = exit_code_of(summary, scene)
+    return ScanOutcome(folder.finish(code if ended == "finished" else exit_code, status), code, summary)
+
+
+def results(work: Work, scene: ScanScene, motion: Motion, recorded: RecordedExecution) -> dict[str, Any]:
+    """Merge, reconstruct, measure and report what the execution has on disk; returns the summary."""
+    run, folder = work.run, work.folder
+    seed, options = int(folder.manifest.get("seed", run.manifest["seed"])), folder.manifest.get("options", {})
+
+    with work.step("merge"):
+        views = run_reader.views(run)
+        scans, left_out = usable(recorded, views)
+        _adopt(folder, scans)
+        nearest = NearestSurface(scene.reference)
+        cloud = merged(scans, nearest, registered=bool(options.get("register")))
+        folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop))
+
+    with work.step("reconstruct"):
+        model = reconstruct(cloud.cloud, close=bool(options.get("close_holes")))
+        for doubt in model.doubts:
+            work.narrator.note(doubt)
+        if model.mesh is None:
+            folder.remove("mesh.ply")
+        else:
+            folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed))
+
+    with work.step("measure"):
+        plan = run_reader.plan_json(run)
+        reached = achieved(scans, views, plan["coverage"]["visible"], cloud.cloud, scene, int(run.manifest["seed"]))
+        off = None
+        if model.mesh is not None:
+            off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
+
+    with work.step("report"):
+        legs = execute.legs_of(motion, options.get("view"))
+        # Of a resumed execution only the time of the last part is known.
+        timed = bool(folder.manifest.get("simulated_time")) and not folder.manifest.get("resumed")
+        summary = execution_summary(
+            scene, options, seed, plan, scans, [leg.stop for leg in legs.legs if leg.stop], left_out, cloud, reached,
+            model, off, legs.planned_seconds, folder.manifest.get("moving_s") if timed else None,
+        )  # fmt: skip
+        folder.write_json("report.json", summary)
+        folder.write_text("report.md", execution_report.markdown(summary))
+        _draw(folder, scene, plan, scans, reached)
+        if model.mesh is None or off is None:
+            folder.remove("deviation.png")
+        else:
+            from cell.reconstruction import deviation_picture
+
+            deviation_picture.draw(folder.path / "deviation.png", model.mesh, off)
+            folder.adopt("deviation.png")
+    return summary
+
+
+def _draw(folder: ExecutionFolder, scene: ScanScene, plan: Any, scans: Sequence[ExecutedScan], reached: Any) -> None:
+    """Part and views, and the cover curve; nothing to draw without a scan."""
+    if not scans:
+        folder.remove("views.png")
+        folder.remove("cover.png")
+        return
+    from cell.plan import pictures
+    from cell.scanners import drawn_opening_deg
+
+    h, v = (float(angle) for angle in np.radians(drawn_opening_deg(scene.scanner_parameters)))
+    poses = np.stack([scan.T_true for scan in scans])
+    pictures.part_and_views(
+        folder.path / "views.png", scene.planning, reached.views_per_face, poses, (h, v), [scan.stop for scan in scans]
+    )  # fmt: skip
+    coverable = float(plan["coverage"]["coverable"])
+    pictures.cover_curve(folder.path / "cover.png", reached.largest_first, coverable, 1.0, int(plan["lower_bound"]))
+    folder.adopt("views.png")
+    folder.adopt("cover.png")
+
+
+def _adopt(folder: ExecutionFolder, scans: Sequence[ExecutedScan]) -> None:
+    """Scans of a killed execution get their sha256 in the manifest, as those of a finished one have."""
+    for scan in scans:
+        folder.adopt(f"scans/{scan_name(scan.stop)}")
+
+
+def exit_code_of(summary: dict[str, Any], scene: ScanScene) -> int:
+    """3 where a whole execution stays below the coverage that the plan requires, else 0."""
+    whole = summary["settings"]["view"] is None
+    return 3 if whole and summary["coverage"]["visible"] < scene.required_visible else 0

@@ -1,0 +1,55 @@
+"""What every way of `cell scan` works on: a finished plan and an execution's folder; and what it leaves."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cell.commands.narrator import Narrator, ProgressCallback
+from cell.errors import FileError
+from cell.run.record import RunRecord, open_run
+from cell.scan.execution_folder import ExecutionFolder
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanOutcome:
+    """What `cell scan` leaves.
+
+    Attributes:
+        folder: of the execution.
+        exit_code: 0; 3 where a whole execution stays below the coverage that the plan requires; 6 where a report was
+            made of an execution that lacks views.
+        summary: content of report.json.
+    """
+
+    folder: Path
+    exit_code: int
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What is worked on, and who is told."""
+
+    run: RunRecord
+    folder: ExecutionFolder
+    narrator: Narrator
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[ProgressCallback]:
+        """Name the step to the person and to the manifest."""
+        with self.narrator.stage(name) as progress, self.folder.stage(name):
+            yield progress
+
+
+def finished_plan(run_folder: Path) -> RunRecord:
+    """The run of a plan that can be executed.
+
+    Raises:
+        FileError: if there is none, or it did not finish.
+    """
+    run = open_run(run_folder)
+    if not run.finished:
+        raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
+    return run
