@@ -8,8 +8,8 @@ Worse tours are accepted by simulated annealing.
 
 These are compiled kernels: import this module only where it is used (`planner.compiled`). A tour is cyclic: an array of
 one node per cluster. Random numbers are SplitMix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195), so that
-equal seeds give equal tours on every machine. Arrays are copied number by number: a slice assignment, whose error message
-numba compiles as well, costs seconds on the first run.
+equal seeds give equal tours on every machine. Arrays are copied number by number: a slice assignment brings its error
+message along, which costs seconds to compile.
 """
 
 import numpy as np

@@ -15,7 +15,9 @@ from cell.plan.view_exchange import Groups
 from cell.world.world import World
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.sweep_line import DEFAULT_SPEED
-from planner.sweep_motion import DrivenSweep, SweepPath, Sweeps, passages_of, sweeps_of
+from planner.sweep_motion import sweeps_of
+from planner.sweep_path import SweepPath, Sweeps, passages_of
+from planner.sweep_timing import DrivenSweep
 from planner.timing import TimedLine
 from planner.tour import Passage, Tour
 from planner.viewpoints import Viewpoints

@@ -35,7 +35,7 @@ from planner.order_overlap import overlapping
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.reach import Reach
 from planner.readonly import readonly
-from planner.sweep_motion import SweepPath
+from planner.sweep_path import SweepPath
 from planner.timing import TimedLine
 from planner.tour import Tour, TourStatus
 from planner.viewpoints import Viewpoints

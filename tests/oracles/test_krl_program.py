@@ -425,7 +425,8 @@ def _sweeping(
     from cell.export import krl
     from cell.export.program import Told, of_motion
     from cell.robot.kinematics import Kr16Kinematics
-    from planner.sweep_motion import DrivenSweep, sweeps_of
+    from planner.sweep_motion import sweeps_of
+    from planner.sweep_timing import DrivenSweep
     from planner.sweeps import straight_poses, turned_poses
     from planner.timing import retime
 

@@ -5,7 +5,9 @@ import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.ports import Floats
-from planner.sweep_motion import TUBE, SweepPath, sweeps_of, timed, times_at
+from planner.sweep_motion import TUBE, sweeps_of
+from planner.sweep_path import SweepPath
+from planner.sweep_timing import timed, times_at
 from planner.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()

@@ -5,7 +5,8 @@ import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.ports import Floats, JointLimits
-from planner.sweep_motion import SweepRefusal, sweeps_of
+from planner.sweep_motion import sweeps_of
+from planner.sweep_path import SweepRefusal
 from planner.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()

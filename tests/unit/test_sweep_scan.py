@@ -25,7 +25,9 @@ from drivers.limits import kr16
 from drivers.setpoints import from_rad
 from planner.ports import Floats
 from planner.surface import TriangleMesh
-from planner.sweep_motion import DrivenSweep, SweepPath, sweeps_of
+from planner.sweep_motion import sweeps_of
+from planner.sweep_path import SweepPath
+from planner.sweep_timing import DrivenSweep
 from planner.sweeps import straight_poses, turned_poses
 from planner.timing import Motion, retime
 

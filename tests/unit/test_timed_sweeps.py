@@ -6,7 +6,9 @@ import pytest
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
 from planner.ports import Floats
-from planner.sweep_motion import DrivenSweep, SweepPath, sweeps_of
+from planner.sweep_motion import sweeps_of
+from planner.sweep_path import SweepPath
+from planner.sweep_timing import DrivenSweep
 from planner.sweeps import straight_poses
 from planner.timing import Motion, jerk_free_duration, move_time, retime
 

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
 from planner.ports import Floats
-from planner.sweep_motion import DrivenSweep, SweepPath, passages_of, sweeps_of
+from planner.sweep_motion import sweeps_of
+from planner.sweep_path import SweepPath, passages_of
+from planner.sweep_timing import DrivenSweep
 from planner.sweeps import straight_poses
 from planner.timing import move_time, retime
 from planner.tour import Passage, TourStatus, plan_motion
