@@ -136,6 +136,8 @@ def scan(
         raise UsageError(
             f"--pose-error {pose_error} must be two numbers, mm and deg, for instance --pose-error 0.5,0.1"
         )
+    if preset is not None and (report is not None or resume is not None):
+        raise UsageError("--preset settles a new scan; leave it away beside --report and --resume")
     if preset is not None and resolution is None:
         from cell.run.record import open_run
         from cell.scan.preset import resolution_deg

@@ -264,3 +264,11 @@ def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_c
     assert done.returncode == 2
     assert "--resume goes on" in done.stderr
     assert np.array_equal(list((run_folder).glob("executions")), [])
+
+
+@pytest.mark.parametrize("what", ["--resume", "--report"])
+def test_a_preset_is_for_a_new_scan(what: str, run_folder: Path, run_cell: Run) -> None:
+    """A preset beside what is there already would be overlooked."""
+    done = run_cell("scan", str(run_folder), what, "latest", "--preset", "balanced", cwd=run_folder.parent)
+    assert done.returncode == 2
+    assert "--preset settles a new scan" in done.stderr
