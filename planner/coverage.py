@@ -77,7 +77,7 @@ def visible(
 
 def sampling_radius(reference: TriangleMesh) -> float:
     """Radius of sampled coverage [m]: 1 % of the diagonal of the part's bounding box."""
-    return RADIUS_SHARE * float(np.linalg.norm(np.ptp(reference.vertices, axis=0)))
+    return RADIUS_SHARE * reference.diagonal
 
 
 def sampled(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Coverage:

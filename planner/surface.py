@@ -5,7 +5,7 @@ Coverage is a sum of the areas of samples of the reference. Object frame (the me
 """
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,12 @@ class TriangleMesh:
     Attributes:
         vertices: (V, 3) [m], object frame.
         faces: (F, 3) int32 indices of vertices, F > 0.
+        diagonal: length of the bounding box's diagonal [m]; tolerances are shares of it.
     """
 
     vertices: Floats
     faces: Ints
+    diagonal: float = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", readonly("vertices", self.vertices, (None, 3)))
@@ -48,6 +50,7 @@ class TriangleMesh:
                 f"faces refers to vertices {self.faces.min()} to {self.faces.max()}; "
                 f"valid are 0 to {len(self.vertices) - 1}"
             )
+        object.__setattr__(self, "diagonal", float(np.linalg.norm(np.ptp(self.vertices, axis=0))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +130,7 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     if face_count >= len(clean.faces):
         return _split(clean, face_count)
     middle = (clean.vertices.min(axis=0) + clean.vertices.max(axis=0)) / 2
-    diagonal = float(np.linalg.norm(np.ptp(clean.vertices, axis=0)))
+    diagonal = clean.diagonal
     fine = TriangleMesh((clean.vertices - middle) / diagonal, clean.faces)
     best = _collapse(fine, face_count)
     if len(best.faces) > face_count + _allowed_miss(face_count):

@@ -127,8 +127,7 @@ def scan(
     kept = codes[pixel] == Rejection.MEASURED
     pixel, normals, distance = pixel[kept], normals[kept], distance[kept]
     points = sources[pixel] + directions[pixel] * distance
-    diagonal = float(np.linalg.norm(np.ptp(part_mesh.vertices, axis=0)))
-    ends = lift(points, normals, diagonal)
+    ends = lift(points, normals, part_mesh.diagonal)
     sensors = np.broadcast_to(R @ scanner.sensor + t, ends.shape)
     blocked = part_caster.blocked(sensors, ends)
     if occluder_caster is not None:

@@ -121,7 +121,7 @@ def dress(
     paint(spec)
     light(spec, centre, size)
     shown = reference if reference is not None else _hull(spec)
-    radius = float(np.linalg.norm(np.ptp(shown.vertices, axis=0))) / 2
+    radius = shown.diagonal / 2
     if reference is not None:
         show_surface(spec, reference)
     add_mesh(spec, "frustum", corners)

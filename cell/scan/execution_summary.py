@@ -95,7 +95,7 @@ def execution_summary(
             "closed_faces": int(model.closed.sum()),
             "spacing_mm": _mm(model.spacing),
             "reach_mm": _mm(REACH * model.spacing),
-            "diagonal_mm": _mm(float(np.linalg.norm(np.ptp(scene.reference.vertices, axis=0)))),
+            "diagonal_mm": _mm(scene.reference.diagonal),
             "grid_mm": _mm(model.grid),
             "outliers": model.outliers,
             "holes": model.holes,

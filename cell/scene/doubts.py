@@ -47,7 +47,7 @@ def off_mesh(features: SurfaceSamples, planning: TriangleMesh) -> float:
     """
     off = features.points - surface.face_centres(planning)[features.planning_face]
     height = np.abs(np.einsum("nj,nj->n", off, surface.face_normals(planning)[features.planning_face]))
-    return float(np.quantile(height, 0.95) / np.linalg.norm(np.ptp(planning.vertices, axis=0)))
+    return float(np.quantile(height, 0.95) / planning.diagonal)
 
 
 def planning_mesh(off: float, faces: int) -> str:

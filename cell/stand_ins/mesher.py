@@ -47,7 +47,7 @@ def to_count(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     Raises:
         ArithmeticError: if the count is missed, which is a mistake in the shape's cell size.
     """
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    diagonal = mesh.diagonal
     vertices, faces = collapse_edges(mesh.vertices / diagonal, mesh.faces, face_count, 7)
     if len(faces) != face_count:
         raise ArithmeticError(f"{len(mesh.faces)} faces were reduced to {len(faces)}, not to {face_count}")

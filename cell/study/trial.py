@@ -20,7 +20,7 @@ from cell.errors import CellError
 from planner.errors import PlannerError
 
 TRIALS = {
-    "table-row": "cell.study.tables:row",
+    "table-row": "cell.study.table_row:row",
     "placement": "cell.study.placed:placement",
     "views": "cell.study.views:views",
     "knob": "cell.study.knobs:turn",

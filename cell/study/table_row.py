@@ -1,0 +1,86 @@
+"""One row of the paper's tables: its method (`rays`, Meta-RaPS) and ours (`aimed`, `auto`) on the same viewpoints.
+
+Both plans are judged on the same samples that neither has seen, and scanned on the same fine grid.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import lru_cache
+from time import perf_counter
+from typing import Any
+
+from cell.scene.scene import load_scene
+from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
+
+FINE_RESOLUTION_DEG = 0.25
+"""Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
+
+
+def row(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Both methods on one row.
+
+    Args:
+        settings: part, faces and samples_per_face, and where the row varies them standoff_mm, fov_deg, resolution_deg
+            and place_mm (null or missing: no robot).
+
+    Returns:
+        The values, and under "seconds" what each step took.
+    """
+    bench = _bench(json.dumps({key: value for key, value in settings.items() if key != "place_mm"}, sort_keys=True))
+    place = settings.get("place_mm")
+    seconds: dict[str, float] = {}
+
+    @contextmanager
+    def timed(name: str) -> Iterator[None]:
+        start = perf_counter()
+        yield
+        seconds[name] = perf_counter() - start
+
+    with timed("reach"):
+        zone, spherical = bench.zone, bench.sphere
+        allowed, sphere_allowed = (
+            None if place is None else bench.reach(candidates, placed_at(place)).reachable
+            for candidates in (zone, spherical)
+        )
+    with timed("rays"):
+        rays = bench.select("rays", zone, allowed, solver="meta-raps")
+    with timed("ours"):
+        ours = bench.select("aimed", zone, allowed, solver="auto")
+    with timed("ours at their coverage"):
+        fewer = fewest_for(bench, zone, allowed, rays.visible)
+    with timed("ours at their views"):
+        enough = len(ours.cover.views) <= len(rays.cover.views) and ours.visible >= rays.visible
+        most = ours if enough else most_with(bench, zone, allowed, len(rays.cover.views))
+    with timed("view sphere"):
+        sphere = bench.select("aimed", spherical, sphere_allowed, solver="auto")
+    with timed("scans"):
+        sampled = [bench.sampled(plan.T_object_scanner) for plan in (rays, ours)]
+    return {
+        "viewpoints": _count(allowed, len(zone)),
+        "rays": {**rays.values(), "sampled": sampled[0]},
+        "ours": {**ours.values(), "sampled": sampled[1]},
+        "ours_at_their_visible": fewer.values(),
+        "ours_at_their_views": most.values(),
+        "sphere": {"viewpoints": _count(sphere_allowed, len(spherical)), **sphere.values()},
+        "seconds": seconds,
+    }
+
+
+@lru_cache(maxsize=1)
+def _bench(settings: str) -> Bench:
+    """The bench of a row, whatever the place: the rows of Table 5 that one process computes share part and matrices."""
+    asked = json.loads(settings)
+    scanner: dict[str, Any] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2}
+    plan: dict[str, Any] = {"rolls_deg": [0.0], **{key: asked[key] for key in ("faces", "samples_per_face")}}
+    if "standoff_mm" in asked:
+        plan["standoffs_mm"] = [asked["standoff_mm"]]
+    if "fov_deg" in asked:
+        scanner["fov_deg"] = [asked["fov_deg"]] * 2
+    if "resolution_deg" in asked:
+        scanner["planning_resolution_deg"] = asked["resolution_deg"]
+    return Bench(load_scene(None, {"part": {"name": asked["part"]}, "scanner": scanner, "plan": plan}))
+
+
+def _count(allowed: Mask | None, total: int) -> int:
+    return total if allowed is None else int(allowed.sum())
