@@ -31,7 +31,7 @@ from cell.scene.scene import Scene, load_scene
 from cell.stand_ins import NAMES
 from cell.study.near_part import configurations
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.gjk import BOX
+from cell.world.triangle_distance import BOX
 from cell.world.triangle_tree import TriangleTree
 from cell.world.world import World
 from cell.world.world import compile as compile_world

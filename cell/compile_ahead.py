@@ -4,6 +4,8 @@ numba compiles a kernel when it is first called and keeps the code on disk: some
 would not hide them, because numba holds the interpreter while it compiles. `python -m cell.compile_ahead tours` (or
 `distances`) calls the kernels of one group on a toy problem, so that exactly the signatures are compiled that the
 program uses, and leaves a mark beside the code; where all marks are there, nothing is begun.
+
+All of this is a matter of time alone: what is not compiled ahead is compiled where it is called.
 """
 
 import contextlib
@@ -11,17 +13,23 @@ import hashlib
 import os
 import subprocess
 import sys
+import time
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+import cell
 import planner
 from cell import caches
-from cell.commands.narrator import Narrator
 
-_PATIENCE_S = 120.0  # after this the kernels are compiled where they are called, which needs nobody's help
+if TYPE_CHECKING:
+    from cell.commands.narrator import Narrator
+
+_PATIENCE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,25 +38,43 @@ class Ahead:
 
     processes: tuple[subprocess.Popen[bytes], ...]
 
-    def wait(self, narrator: Narrator) -> None:
-        """Return when all is compiled. Where a process failed, its kernels are compiled when they are first called."""
+    def wait(self, narrator: "Narrator") -> None:
+        """Return when all is compiled, or a process failed or took too long."""
         if any(process.poll() is None for process in self.processes):
             with narrator.stage("compile (once)"):
+                deadline = time.monotonic() + _PATIENCE_S
                 for process in self.processes:
                     with contextlib.suppress(subprocess.TimeoutExpired):
-                        process.wait(_PATIENCE_S)
+                        process.wait(max(0.0, deadline - time.monotonic()))
 
 
-def begin() -> Ahead:
-    """Begin to compile what is not on disk yet."""
-    missing = [group for group in GROUPS if not any((place / _mark(group)).exists() for place in _places())]
-    return Ahead(tuple(_process(group) for group in missing))
+@contextlib.contextmanager
+def begun(groups: Collection[str]) -> Iterator[Ahead]:
+    """Compile what is not on disk yet; whatever still compiles at the end is stopped.
+
+    Args:
+        groups: of `GROUPS`, those that will be called.
+    """
+    try:
+        missing = [group for group in groups if not any((place / mark(group)).exists() for place in _places())]
+    except (OSError, RuntimeError):  # sources inside an archive, or a user without a home
+        missing = []
+    ahead = Ahead(tuple(_process(group) for group in missing))
+    try:
+        yield ahead
+    finally:
+        for process in ahead.processes:
+            process.terminate()
+            process.wait()
 
 
 def _process(group: str) -> subprocess.Popen[bytes]:
     silent = subprocess.DEVNULL
-    command = [sys.executable, "-m", "cell.compile_ahead", group]
-    return subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent)
+    # -P and the path: the modules of this program, not those of the folder that it was started in.
+    command = [sys.executable, "-P", "-m", "cell.compile_ahead", group]
+    paths = [str(Path(cell.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    return subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent, env=environment)
 
 
 def tours() -> None:
@@ -63,8 +89,8 @@ def tours() -> None:
 
 
 def distances() -> None:
-    """Call the kernels that measure how far the arm is from the part's triangles."""
-    from cell.world.gjk import BOX
+    """Call the kernels that measure how far the arm is from the part's triangles, and whether it is inside."""
+    from cell.world.triangle_distance import BOX
     from cell.world.triangle_tree import TriangleTree
     from planner.surface import TriangleMesh
 
@@ -78,16 +104,18 @@ def distances() -> None:
 GROUPS = {"tours": tours, "distances": distances}
 """What one process compiles; two of about equal length."""
 
-_KERNELS = ("../planner/compiled", "../planner/ruin_and_recreate", "../planner/walk_relaxation",
-            "world/gjk", "world/triangle_kernels")  # fmt: skip
+_SOURCES = {
+    "tours": ("ruin_and_recreate.py", "walk_relaxation.py"),
+    "distances": ("triangle_distance.py", "crossings.py"),
+}
 
 
-def _mark(group: str) -> str:
+def mark(group: str) -> str:
     """Name of a group's mark: another numba, Python or kernel makes another."""
-    about = [group, sys.version, metadata.version("numba")]
-    digest = hashlib.sha256("\n".join(about).encode())
-    for name in _KERNELS:
-        digest.update((Path(__file__).parent / f"{name}.py").read_bytes())
+    folder = Path(planner.__file__).parent if group == "tours" else Path(cell.__file__).parent / "world"
+    digest = hashlib.sha256("\n".join([sys.version, metadata.version("numba")]).encode())
+    for name in _SOURCES[group]:
+        digest.update((folder / name).read_bytes())
     return f"scan_cell_{group}_{digest.hexdigest()[:16]}.compiled"
 
 
@@ -101,7 +129,9 @@ def _leave_mark(group: str) -> None:
     for place in _places():
         with contextlib.suppress(OSError):
             place.mkdir(parents=True, exist_ok=True)
-            (place / _mark(group)).touch()
+            for old in place.glob(f"scan_cell_{group}_*.compiled"):
+                old.unlink()
+            (place / mark(group)).touch()
             return
 
 

@@ -3,7 +3,10 @@
 Kernels live in modules of their own that are imported only where they are used, because importing numba costs about
 0.3 s and compiling a kernel that is not in the cache costs seconds (`docs/dependencies.md`). Their arguments are int64
 and float64 arrays and numbers, so that one signature is compiled and the result is the same on every machine; never
-`fastmath`. A division by zero gives inf or nan as in NumPy: Python's exception would be compiled into every division.
+`fastmath`.
+
+A kernel calls only kernels of its own file. numba builds what is called into the stored code of the caller, and takes
+that code for current as long as the caller's file is unchanged: a kernel of another file could change unnoticed.
 """
 
 from collections.abc import Callable
@@ -19,4 +22,4 @@ def compiled(kernel: Kernel) -> Kernel:
 
     numba keeps it in the user's cache folder where the module's own cannot be written; `NUMBA_CACHE_DIR` names another.
     """
-    return cast(Kernel, numba.njit(cache=True, error_model="numpy")(kernel))
+    return cast(Kernel, numba.njit(cache=True)(kernel))

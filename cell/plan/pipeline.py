@@ -125,21 +125,22 @@ def plan(
     Raises:
         CellError: with one sentence and the exit code; the run folder keeps what was finished, its status and stage.
     """
-    ahead = compile_ahead.begin()
-    with narrator.stage("load the part"):
-        part = workpiece.load(scene.part.source, scene.part.units)
-    for finding in part.findings:
-        narrator.note(finding.sentence)
-    for sentence in doubts.of_scene(scene):
-        narrator.note(sentence)
-    settings = resolve(scene, part)
-    inputs = plan_files.input_hashes(scene, part)
-    folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC))
-    run = Run(folder, narrator, scene.plan.seed, use_cache)
-    with folder.kept_on_failure(), _logged(folder.path / "run.log"):
-        plan_files.write_scene(folder, scene_path)
-        summary, exit_code = _steps(run, scene, part, settings, ahead)
-    return PlanOutcome(folder.finish(exit_code), exit_code, summary)
+    groups = [group for group in compile_ahead.GROUPS if group == "tours" or scene.plan.collision == "exact"]
+    with compile_ahead.begun(groups) as ahead:
+        with narrator.stage("load the part"):
+            part = workpiece.load(scene.part.source, scene.part.units)
+        for finding in part.findings:
+            narrator.note(finding.sentence)
+        for sentence in doubts.of_scene(scene):
+            narrator.note(sentence)
+        settings = resolve(scene, part)
+        inputs = plan_files.input_hashes(scene, part)
+        folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC))
+        run = Run(folder, narrator, scene.plan.seed, use_cache)
+        with folder.kept_on_failure(), _logged(folder.path / "run.log"):
+            plan_files.write_scene(folder, scene_path)
+            summary, exit_code = _steps(run, scene, part, settings, ahead)
+        return PlanOutcome(folder.finish(exit_code), exit_code, summary)
 
 
 def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: Ahead) -> tuple[dict[str, Any], int]:

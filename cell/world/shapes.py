@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 KIND = {6: 0, 5: 1}
-"""MuJoCo's type of a moving shape to that of `cell.world.gjk`: box, cylinder; models/kr16.xml has no other."""
+"""MuJoCo's type of a moving shape to the kind of `cell.world.triangle_distance`; models/kr16.xml has no other."""
 
 POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""

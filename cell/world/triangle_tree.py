@@ -3,7 +3,7 @@
 Triangles are sorted along Morton's curve and split evenly into the leaves of a complete binary tree. A query goes down
 to the nearer child first and leaves out whatever cannot be nearer than what it has found; the bound of a node is that
 of two upright boxes, then a few steps of GJK. The result is a lower bound within 1e-8 m of the true distance
-(`cell.world.gjk`).
+(`cell.world.triangle_distance`).
 
 A surface has no depth: bodies that touch or cut it are 0 apart. Where the mesh is closed, a body that floats wholly
 inside is found by counting crossings of a ray, and its distance is negative. Lengths in metres.
@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.world.crossings import crossings
 from cell.world.decomposition import is_closed
-from cell.world.triangle_kernels import crossings, nearest_triangle
+from cell.world.triangle_distance import nearest_triangle
 from planner.surface import TriangleMesh
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class TriangleTree:
         """Distance of a body from the part.
 
         Args:
-            kind: `cell.world.gjk.BOX` or `CYLINDER`.
+            kind: `cell.world.triangle_distance.BOX` or `CYLINDER`.
             size: (3,) half sides; radius, half length [m].
             position: (3,) its middle, base frame [m].
             rotation: (9,) its axes, row by row, base frame.

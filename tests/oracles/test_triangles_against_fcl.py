@@ -15,7 +15,7 @@ import trimesh
 
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
-from cell.world import gjk
+from cell.world import triangle_distance as gjk
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.triangle_tree import TriangleTree
 from cell.world.world import compile as compile_world

@@ -1,4 +1,4 @@
-"""Distance of a box or cylinder from a triangle or an upright box: GJK with a certified lower bound, compiled.
+"""Distance of a box or cylinder from triangles in a tree: GJK with a certified lower bound, compiled.
 
 GJK (Gilbert, Johnson and Keerthi 1988, doi:10.1109/56.2083) walks towards the point v of the difference A - B that is
 nearest to the origin. At each step the support point w of A - B against v gives
@@ -10,13 +10,20 @@ is what is returned, so a walk that is cut short or stalls on a degenerate simpl
 nearest point of a simplex is looked for among all its faces: slower than Johnson's recursion by a little, and without
 its cases where cancelled digits choose the wrong face.
 
+`nearest_triangle` walks through the tree that `cell.world.triangle_tree` builds.
+
 These are kernels: import this module only where they are used (`planner.compiled`). They are written number by number,
 because arrays made inside a kernel take most of its time, and array expressions most of the time to compile it. One
 frame for everything, metres.
 """
 
+import numpy as np
+from numpy.typing import NDArray
+
 from planner.compiled import compiled
 from planner.ports import Floats
+
+Ints = NDArray[np.int64]
 
 BOX, CYLINDER = 0, 1
 """Kinds of A: half sides; radius and half length along z."""
@@ -35,8 +42,98 @@ POINT, WAY = 11, 9
 _TOUCHING = 1e-12  # m; |v| below this is contact
 _INFINITE = 1e300
 
+# As int64: numba would compile GJK anew for each constant that it is called with.
+_NODE_STEPS = 6  # of GJK for the bound of a node: most of what the walk would find, for a third of its time
+_FULL_STEPS = 64
+_DEPTH = 128  # nodes that wait at most: two for each level
+
 # Rows of the scratch array: four corners of A - B, their points of A, weights, and single vectors.
 _A, _WEIGHT, _V, _W, _P, _OF_B = 4, 8, 9, 10, 11, 12
+
+
+@compiled
+def nearest_triangle(
+    kind: int,
+    size: Floats,
+    position: Floats,
+    rotation: Floats,
+    part_position: Floats,
+    part_rotation: Floats,
+    triangles: Floats,
+    first: Ints,
+    bounds: Floats,
+    reach: float,
+    any_nearer: bool,
+    points: Floats,
+) -> float:
+    """Distance of a body from the triangles, `reach` where it is more; see `TriangleTree.distance`."""
+    R, p, extent = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    for i in range(3):  # into the object frame
+        for k in range(3):
+            p[i] += part_rotation[3 * k + i] * (position[k] - part_position[k])
+            for j in range(3):
+                R[i, j] += part_rotation[3 * k + i] * rotation[3 * k + j]
+    for i in range(3):
+        if kind == BOX:
+            extent[i] = abs(R[i, 0]) * size[0] + abs(R[i, 1]) * size[1] + abs(R[i, 2]) * size[2]
+        else:
+            extent[i] = size[0] * np.sqrt(max(0.0, 1 - R[i, 2] * R[i, 2])) + abs(R[i, 2]) * size[1]
+    leaves = len(first) - 1
+    waiting, lower_of = np.empty(_DEPTH, dtype=np.int64), np.empty(_DEPTH)
+    waiting[0], lower_of[0], count, best = 1, 0.0, 1, reach
+    s, nearest, found = np.zeros((WORK, 4)), np.zeros((2, 3)), False
+    while count:
+        count -= 1
+        node = waiting[count]
+        if lower_of[count] >= best:
+            continue
+        if node >= leaves:
+            for t in range(first[node - leaves], first[node - leaves + 1]):
+                apart = distance(
+                    kind, size, R, p, int(np.int64(TRIANGLE)), triangles[t], best, int(np.int64(_FULL_STEPS)), s
+                )
+                if apart < best:
+                    best, found = apart, True
+                    for i in range(3):
+                        nearest[0, i], nearest[1, i] = s[POINT, i], s[POINT, i] - s[WAY, i]
+                    if any_nearer or best <= 0.0:
+                        count = 0
+                        break
+            continue
+        one, two = 2 * node, 2 * node + 1
+        lower_one = _node_bound(kind, size, R, p, extent, bounds[one], best, s)
+        lower_two = _node_bound(kind, size, R, p, extent, bounds[two], best, s)
+        if lower_one < lower_two:
+            one, two, lower_one, lower_two = two, one, lower_two, lower_one
+        if lower_one < best:
+            waiting[count], lower_of[count] = one, lower_one
+            count += 1
+        if lower_two < best:
+            waiting[count], lower_of[count] = two, lower_two
+            count += 1
+    if found:
+        for k in range(2):
+            for i in range(3):
+                points[k, i] = part_position[i]
+                for j in range(3):
+                    points[k, i] += part_rotation[3 * i + j] * nearest[k, j]
+    return best
+
+
+@compiled
+def _node_bound(
+    kind: int, size: Floats, R: Floats, p: Floats, extent: Floats, box: Floats, enough: float, s: Floats
+) -> float:
+    """A lower bound on the distance of the body from an upright box."""
+    squared = 0.0
+    for i in range(3):
+        gap = max(box[0, i] - p[i] - extent[i], p[i] - extent[i] - box[1, i])
+        if gap > 0:
+            squared += gap * gap
+    rough: float = squared**0.5
+    if rough >= enough:
+        return rough
+    return max(rough, distance(kind, size, R, p, int(np.int64(BOUNDS)), box, enough, int(np.int64(_NODE_STEPS)), s))
 
 
 @compiled
