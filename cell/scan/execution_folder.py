@@ -22,6 +22,7 @@ from cell.run.record import RunRecord
 from cell.scan.execution_reader import FOLDER
 
 EVENTS = "events.jsonl"
+MOTION = "motion.npz"
 EXECUTING = "execute and scan"
 """The stage that a report made later does not repeat."""
 
@@ -101,8 +102,11 @@ class ExecutionFolder(RunFolder):
             "driver": driver,
             "after": self.manifest.get("status", ""),
         }
-        for name in ("exit_code", "finished", "error"):
+        for name in ("exit_code", "finished", "reason"):
             self.manifest.pop(name, None)
+        for name in [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]:
+            self.remove(name)  # a report of what was there before
+        self.note(artefacts=dict(sorted(self._artefacts.items())))
         self.note(status="running", resumed=[*self.manifest.get("resumed", []), again], **process.this_process())
 
     def note(self, **entries: Any) -> None:

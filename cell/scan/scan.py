@@ -1,6 +1,6 @@
 """`cell scan`, step 10: execute the plan of a run folder, from its beginning or from where it was stopped, and scan.
 
-What is made of the scans stands in `cell.scan.report`.
+What is made of the scans stands in `cell.scan.post_processing`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ from cell.scan import driver as scan_driver
 from cell.scan import execute, safety
 from cell.scan import scene as scan_scene
 from cell.scan.execute import Legs
-from cell.scan.execution_folder import EXECUTING, ExecutionFolder
+from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.execution_reader import RecordedExecution, read_execution
 from cell.scan.execution_results import usable
 from cell.scan.options import ScanOptions
@@ -103,8 +103,7 @@ def resume(
     run = finished_plan(run_folder)
     recorded = read_execution(run, execution)
     scans, left_out = usable(recorded, run_reader.views(run))
-    recorded_scans = sum(name.startswith("scans/") for name in recorded.manifest.get("artefacts", {}))
-    begun = resumable(run, recorded, damaged=len(scans) < recorded_scans)
+    begun = resumable(run, recorded)
     now = options or ScanOptions(driver="")
     settled = replace(
         begun, driver=now.driver or begun.driver, realtime=now.realtime, confirm_motion=now.confirm_motion,
@@ -113,8 +112,11 @@ def resume(
     motion = run_reader.motion(run)
     scene = scan_scene.load(run, begun.resolution_deg)
     seed = int(recorded.manifest["seed"])
+    legs, done = execute.legs_of(motion, begun.view), {scan.stop for scan in scans}
+    if recorded.manifest.get("status") == "finished" and done >= {leg.stop for leg in legs.legs if leg.stop}:
+        raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
-        narrator.note(f"{sentence}; that view is scanned again")
+        narrator.note(sentence)
     driver, clock = scan_driver.prepare(settled, motion, scene.speed, factory.of_run(run))
     with ExitStack() as connected:
         with _drivers_errors_as_ours():
@@ -122,8 +124,7 @@ def resume(
             if ask is None:  # nobody will agree later: leave the arm alone
                 _allowed_speed(driver, settled, scene, ask)
             state = safety.ready(driver, reset=settled.reset, stop_first=True)
-            done = {scan.stop for scan in scans}
-            rest = rest_of(execute.legs_of(motion, begun.view), done, state, run, motion, seed)
+            rest = rest_of(legs, done, state, run, motion, seed)
             for sentence in _told(rest, len(done)):
                 narrator.note(sentence)
             speed = _allowed_speed(driver, settled, scene, ask)  # whoever agrees has read which way the arm goes
@@ -135,21 +136,13 @@ def resume(
         )
 
 
-def resumable(run: RunRecord, recorded: RecordedExecution, *, damaged: bool) -> ScanOptions:
+def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
     """The options that an execution was begun with, if it can be gone on with.
-
-    Args:
-        run: the plan's.
-        recorded: the execution.
-        damaged: whether scans that it had are gone or cannot be used, so that even a finished one can be gone on with.
 
     Raises:
         FileError: if it runs, or its manifest is damaged, or it is of another plan.
-        UsageError: if it is finished.
     """
     name, manifest = recorded.folder.name, recorded.manifest
-    if manifest.get("status") == "finished" and not damaged:
-        raise UsageError(f"execution {name} is finished; there is nothing to resume")
     if process.lives(manifest):
         raise FileError(f"execution {name} is still running (process {manifest['pid']}); stop it with Ctrl-C first")
     if manifest.get("plan") != run.manifest.get("artefacts", {}).get("plan.json", ""):
@@ -160,9 +153,13 @@ def resumable(run: RunRecord, recorded: RecordedExecution, *, damaged: bool) -> 
         return ScanOptions(**{key: value for key, value in options.items() if key in known})
 
 
+_NAMED = 10  # views named in a sentence
+
+
 def _told(rest: Rest, done: int) -> Iterator[str]:
     """What a resumed execution is going to do."""
-    yield f"{done} views are scanned already; {len(rest.stops)} are left"
+    left = ", ".join(str(stop) for stop in rest.stops[:_NAMED]) + (", ..." if len(rest.stops) > _NAMED else "")
+    yield f"{done} views are scanned already; {len(rest.stops)} are left" + (f" ({left})" if left else "")
     if rest.way is not None:
         goal = f"view {rest.stops[0]}" if rest.stops else "home"
         yield (
@@ -209,9 +206,9 @@ _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")
 
 
 def _write_motion(folder: ExecutionFolder, motion: Motion) -> None:
-    """`motion.npz`: what is driven where that is not the plan's motion, so that it can be replayed."""
+    """What is driven where that is not the plan's motion, so that it can be replayed."""
     folder.write_arrays(
-        "motion.npz",
+        MOTION,
         **{
             name: getattr(motion, name)
             for name in ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")

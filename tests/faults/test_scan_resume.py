@@ -183,13 +183,18 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     execution = run_folder / "executions" / "0001"
     (execution / "scans" / "0002.npz").write_bytes(b"torn")
     if not torn:
-        (execution / "scans" / "0002.npz").unlink()
+        (execution / "scans" / "0002.npz").rename(
+            execution / "scans" / "0099.npz"
+        )  # none of its own
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": status}))
     before = len(_events(execution))
     done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
     assert done.returncode == 0, done.stderr
-    assert "0002.npz" in done.stderr or not torn
+    assert ("0002.npz" if torn else "0099.npz") in done.stderr
+    assert "1 are left (2)" in done.stderr
+    (execution / "scans" / "0099.npz").unlink(missing_ok=True)
+    assert run_cell("scan", str(run_folder), "--report", "latest", cwd=run_folder.parent).returncode == 0
     assert [event["stop"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
     assert _scans(execution) == undisturbed
 
@@ -236,11 +241,10 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
-        ({"status": "finished"}, 2, "nothing to resume"),
         ({"status": "failed", "plan": "another"}, 6, "not of the plan"),
         ({"status": "failed", "options": None}, 6, "manifest.json"),
     ],
-    ids=["finished", "other plan", "damaged"],
+    ids=["other plan", "damaged"],
 )
 def test_what_cannot_be_resumed_says_why(
     change: dict[str, Any], code: int, words: str, run_folder: Path, run_cell: Run
@@ -272,3 +276,23 @@ def test_a_preset_is_for_a_new_scan(what: str, run_folder: Path, run_cell: Run) 
     done = run_cell("scan", str(run_folder), what, "latest", "--preset", "balanced", cwd=run_folder.parent)
     assert done.returncode == 2
     assert "--preset settles a new scan" in done.stderr
+
+
+def test_a_finished_execution_of_one_view_is_taken_up_where_that_view_is_lost(run_folder: Path, run_cell: Run) -> None:
+    """All scans lost; and what a report had made of them is not left beside an execution that runs."""
+    run_cell("scan", str(run_folder), "--resolution", "2", "--view", "2", cwd=run_folder.parent)
+    execution = run_folder / "executions" / "0001"
+    (kept,) = _scans(execution).values()
+    again = ("scan", str(run_folder), "--resume", "latest")
+    assert run_cell(*again, cwd=run_folder.parent).returncode == 2
+    (execution / "scans" / "0002.npz").unlink()
+    done = run_cell(*again, "--driver", "modbus://127.0.0.1:1", "--confirm-motion", cwd=run_folder.parent)
+    assert done.returncode == 5, done.stderr
+    assert (execution / "report.json").exists()
+    done = run_cell(*again, cwd=run_folder.parent)
+    assert done.returncode == 0, done.stderr
+    assert _scans(execution) == {"0002.npz": kept}
+    manifest = json.loads((execution / "manifest.json").read_text())
+    assert manifest["status"] == "finished"
+    assert "reason" not in manifest
+    assert all((execution / name).exists() for name in manifest["artefacts"])
