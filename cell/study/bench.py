@@ -27,8 +27,9 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner import cover, coverage, reach, surface
+from planner.columns import pick_measurability, pick_viewpoints
 from planner.cover import Cover
-from planner.cover.most_coverage import MostCoverage, most_coverage
+from planner.cover.most_coverage import most_coverage
 from planner.measurability import Measurability
 from planner.ports import Floats, Scanner
 from planner.reach import Reach
@@ -37,9 +38,12 @@ from planner.viewpoints import Viewpoints
 
 Mask = NDArray[np.bool_]
 
+DENSER = 4
+"""Times as many samples per face where a plan that covers all usual ones is not enough."""
+
 _RAISES = 6  # of a target; one or two close the gap that the held-out samples show
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
-_DENSITIES = (1, 4)  # of the matrix's samples: the second where all of the first are covered and it is not enough
+_SUBSET = 5  # the stream of randomness that the candidates of a quick look are drawn from
 _FEATURES = 0  # the stream of randomness that `cell plan` draws its samples from
 
 
@@ -51,11 +55,13 @@ class Judged:
         cover: the selection and what is proven of it.
         T_object_scanner: (n, 1, 4, 4) its poses [m].
         visible: share of the surface that it measures, on samples that the optimiser did not see.
+        density: times as many samples per face as the scene has, that the optimiser saw.
     """
 
     cover: Cover
     T_object_scanner: Floats
     visible: float
+    density: int = 1
 
     def values(self) -> dict[str, Any]:
         """For the result of a trial."""
@@ -64,6 +70,7 @@ class Judged:
             "lower_bound": self.cover.lower_bound,
             "status": self.cover.status.name.lower(),
             "visible": self.visible,
+            "density": self.density,
         }
 
 
@@ -82,6 +89,7 @@ class Bench:
         self.scanner: Scanner = scanners.make(scene.scanner.type, settings.scanner)
         self.settings: Settings = replace(settings, scanner=scanners.settled(settings.scanner, self.scanner))
         self._n_samples = samples
+        self._some: dict[int, tuple[Viewpoints, Measurability]] = {}
         self._matrices: dict[tuple[str, int, int], tuple[Viewpoints, SurfaceSamples, Measurability]] = {}
 
     @cached_property
@@ -157,6 +165,20 @@ class Bench:
             self._matrices[fill, id(candidates), density] = known
         return known[2]
 
+    def some(self, count: int | None) -> tuple[Viewpoints, Measurability]:
+        """The scene's candidates, or a number of them for a quick look, with their `aimed` matrix.
+
+        The same ones at every placement; a greater number holds the smaller one's.
+        """
+        if count is None or count >= len(self.zone):
+            return self.zone, self.matrix("aimed", self.zone)
+        if count not in self._some:
+            rng = np.random.default_rng([self.scene.plan.seed, _SUBSET])
+            which = np.sort(rng.permutation(len(self.zone))[:count])
+            M = pick_measurability(self.matrix("aimed", self.zone), which)
+            self._some[count] = pick_viewpoints(self.zone, which), M
+        return self._some[count]
+
     def select(
         self,
         fill: str,
@@ -180,7 +202,7 @@ class Bench:
         M = self.matrix(fill, candidates, density)
         rng = np.random.default_rng(self.scene.plan.seed)
         found = cover.solve(M.matrix(), M.features.areas, allowed, rng=rng, coverage=share, solver=solver)
-        return self.judged(found, candidates)
+        return replace(self.judged(found, candidates), density=density)
 
     def judged(self, found: Cover, candidates: Viewpoints) -> Judged:
         """A selection with its visible coverage on the held-out samples."""
@@ -212,58 +234,55 @@ class Bench:
 
 
 def fewest_for(
-    bench: Bench, candidates: Viewpoints, allowed: Mask | None, visible: float, *, solver: str = "auto"
+    bench: Bench, candidates: Viewpoints, allowed: Mask | None, visible: float, full: Judged, *, solver: str = "auto"
 ) -> Judged:
-    """The fewest views (`aimed`) that measure at least a share of the surface, on the held-out samples.
+    """Few views (`aimed`) that measure at least a share of the surface, on the held-out samples.
 
-    The target on the matrix's samples is raised by what the held-out ones show to be missing.
+    The target on the matrix's samples is raised by what the held-out ones show to be missing, until it is enough. Where
+    covering all of them is not, the matrix gets `DENSER` times as many samples.
 
     Args:
         bench: the part and the scanner.
         candidates: viewpoints.
         allowed: (V,) which may be used; None: all.
         visible: share of the surface.
+        full: the plan that covers all usual samples.
         solver: a name of `planner.cover.SOLVERS`.
 
     Returns:
-        The selection; it measures less than was asked for only if all candidates do.
+        The selection; it measures less than was asked for only where covering all of the denser samples does.
     """
-    found: Judged | None = None
-    for density in _DENSITIES:
-        M = bench.matrix("aimed", candidates, density)
-        by_row = M.matrix().tocsr() if allowed is None else M.matrix().tocsr()[:, allowed]
-        coverable = float(M.features.areas[np.diff(by_row.indptr) > 0].sum() / M.features.areas.sum())
-        share = min(1.0, visible / coverable) if coverable > 0 else 1.0
-        for attempt in range(_RAISES + 1):
-            share = 1.0 if attempt == _RAISES else share
-            found = bench.select("aimed", candidates, allowed, solver=solver, share=share, density=density)
-            if found.visible >= visible:
-                return found
-            if share >= 1.0:
-                break
-            share = min(1.0, share + (visible - found.visible) / coverable + _STEP)
-    assert found is not None
-    return found
+    density = 1 if full.visible >= visible else DENSER
+    M = bench.matrix("aimed", candidates, density)
+    by_row = M.matrix().tocsr() if allowed is None else M.matrix().tocsr()[:, allowed]
+    coverable = float(M.features.areas[np.diff(by_row.indptr) > 0].sum() / M.features.areas.sum())
+    share = min(1.0, visible / coverable) if coverable > 0 else 1.0
+    for _ in range(_RAISES):
+        found = bench.select("aimed", candidates, allowed, solver=solver, share=share, density=density)
+        if found.visible >= visible or share >= 1.0:
+            return found
+        share = min(1.0, share + (visible - found.visible) / coverable + _STEP)
+    return full if density == 1 else bench.select("aimed", candidates, allowed, solver=solver, density=density)
 
 
-def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views: int) -> Judged:
-    """The most coverage (`aimed`) with at most so many views; where they cover all samples, that of denser ones.
+def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views: int, full: Judged) -> Judged:
+    """The most coverage (`aimed`) with at most so many views, on the held-out samples.
+
+    Where so many views cover all samples of the matrix, it gets `DENSER` times as many, and the better plan counts.
 
     Args:
         bench: the part and the scanner.
         candidates: viewpoints.
         allowed: (V,) which may be used; None: all.
         views: how many at most.
+        full: the plan that covers all usual samples.
     """
-    found: MostCoverage | None = None
-    for density in _DENSITIES:
-        M = bench.matrix("aimed", candidates, density)
-        rng = np.random.default_rng(bench.scene.plan.seed)
-        found = most_coverage(M.matrix(), M.features.areas, allowed, rng=rng, max_views=views)
-        if found.cover.covered_area < found.cover.coverable_area:
-            break
-    assert found is not None
-    return bench.judged(found.cover, candidates)
+    enough = len(full.cover.views) <= views
+    M = bench.matrix("aimed", candidates, DENSER if enough else 1)
+    rng = np.random.default_rng(bench.scene.plan.seed)
+    most = most_coverage(M.matrix(), M.features.areas, allowed, rng=rng, max_views=views)
+    found = replace(bench.judged(most.cover, candidates), density=DENSER if enough else 1)
+    return full if enough and full.visible >= found.visible else found
 
 
 def placed_at(position_mm: Sequence[float]) -> Floats:

@@ -86,6 +86,7 @@ class Found:
             infinite where it is not within the looks.
         unreached_mm: distance at which nothing is reached any more [mm]; likewise.
         places: how many places were looked at in each round.
+        n_places: how many in all; a place may be looked at in several rounds.
     """
 
     ten: Sequence[Row]
@@ -93,6 +94,7 @@ class Found:
     lost_mm: float
     unreached_mm: float
     places: Mapping[str, int]
+    n_places: int
 
 
 def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress | None = None) -> Found:
@@ -112,6 +114,7 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
     base = scene_settings(scene)
     _, b, c = scene.placement.abc_deg
     places: dict[str, int] = {}
+    asked: set[Place] = set()
 
     def ask(name: str, points: Sequence[Place], **what: Any) -> list[Mapping[str, Any]]:
         trials = [
@@ -124,6 +127,7 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
                 progress(name, done, total)
 
         places[name] = places.get(name, 0) + len(trials)
+        asked.update(points)
         return [outcome.values for outcome in run(trials, workers, told=told)]
 
     def look(name: str, points: Sequence[Place], candidates: int | None) -> list[Look]:
@@ -150,7 +154,10 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
     climbers = _apart(_best_first(seen), CLIMBERS, high - low)
     steps = [np.array(FIRST_STEPS)] * len(climbers)
     while any((step > np.array(LAST_STEPS) / 2).all() for step in steps):
-        around = [_around(p, step, low, high, free) for p, step in zip(climbers, steps, strict=True)]
+        around = [
+            _around(p, step, low, high, free) if (step > np.array(LAST_STEPS) / 2).all() else []
+            for p, step in zip(climbers, steps, strict=True)
+        ]
         look_closer([point for points in around for point in points])
         for k, points_near in enumerate(around):
             best = min(points_near, key=lambda p: (seen[p].rank, p), default=climbers[k])
@@ -158,8 +165,9 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
                 climbers[k] = best
             else:
                 steps[k] = steps[k] / 2
-    hopeful = _best_first(seen)[:FULL]
-    finalists = _best_first(dict(zip(hopeful, look("full looks", hopeful, None), strict=True)))[:FINALISTS]
+    hopeful = _best_and_others(list(dict.fromkeys([*climbers, *_best_first(seen)])), FULL, high - low)
+    full = _best_first(dict(zip(hopeful, look("full looks", hopeful, None), strict=True)))
+    finalists = _best_and_others(full, FINALISTS, high - low)
     wholes = ask("views and time", finalists, what=WHOLE, candidates=None)
     ten = sorted(
         (_row(point, value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
@@ -167,7 +175,7 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
     )[:10]
     lost, unreached = _surroundings(ten[0], low, high, lambda points: look("surroundings", points, CANDIDATES))
     shares = [each.coverable for each in quick]
-    return Found(ten, list(zip(looks, shares, strict=True)), lost, unreached, places)
+    return Found(ten, list(zip(looks, shares, strict=True)), lost, unreached, places, len(asked))
 
 
 def _best_first(looks: Mapping[Place, Look]) -> list[Place]:
@@ -181,12 +189,31 @@ def _rounded(point: Floats) -> Place:
 
 def _apart(points: Sequence[Place], count: int, extent: Floats) -> list[Place]:
     """The first points that are at least a tenth of the range apart, so that not all climb the same hill."""
-    chosen: list[Place] = []
+    return [hill[0] for hill in _hills(points, extent)][:count]
+
+
+def _best_and_others(points: Sequence[Place], count: int, extent: Floats) -> list[Place]:
+    """So many of the points: the first half, and by turns the first of every hill, the second of each, and so on.
+
+    Places of equal coverage differ in their views, and neighbours differ little.
+    """
+    hills = _hills(points, extent)
+    by_turns = [hill[turn] for turn in range(len(points)) for hill in hills if turn < len(hill)]
+    return list(dict.fromkeys([*points[: count // 2], *by_turns]))[:count]
+
+
+def _hills(points: Sequence[Place], extent: Floats) -> list[list[Place]]:
+    """Points within a tenth of the range of an earlier one are of its hill."""
+    hills: list[list[Place]] = []
     scale = np.where(extent > 0, extent, 1.0)
     for point in points:
-        if all(np.linalg.norm((np.array(point) - np.array(other)) / scale) > 0.1 for other in chosen):
-            chosen.append(point)
-    return chosen[:count]
+        for hill in hills:
+            if np.linalg.norm((np.array(point) - np.array(hill[0])) / scale) <= 0.1:
+                hill.append(point)
+                break
+        else:
+            hills.append([point])
+    return hills
 
 
 def _around(point: Place, step: Floats, low: Floats, high: Floats, free: NDArray[np.int64]) -> list[Place]:
@@ -252,7 +279,7 @@ def sentences(found: Found) -> list[str]:
         f"{_within(found.lost_mm)} of the best a twentieth of its coverage is lost; "
         f"{_within(found.unreached_mm).lower()} nothing can be reached any more."
     )
-    said.append(f"Looked at {sum(found.places.values())} places; another seed looks at others.")
+    said.append(f"Looked at {found.n_places} places; another seed looks at others.")
     return said
 
 

@@ -6,25 +6,19 @@ straight joint moves, which ignores what the arm has to go round.
 """
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
-from cell.study.bench import Bench
 from cell.study.scenes import bench_of
 from planner import cover, coverage, measurability, reach
 from planner.columns import pick_measurability, pick_viewpoints
-from planner.measurability import Measurability
 from planner.order import sequence
 from planner.timing import scaled
-from planner.viewpoints import Viewpoints
 
 COVERAGE_ONLY, WHOLE = "coverage", "whole"
-
-_SUBSET = 5  # stream of randomness of the candidates that a quick look is taken at
 
 
 def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -44,7 +38,7 @@ def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
     T_base_object = world.placed(
         pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
     )
-    candidates, M = _some(bench, settings["candidates"])
+    candidates, M = bench.some(settings["candidates"])
     checker = bench.checker(T_base_object)
     if not checker.free(world.home[None])[0]:
         return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
@@ -77,14 +71,3 @@ def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
         "visible": coverage.visible(poses, bench.samples, bench.scanner, (bench.caster, in_the_way)).fraction,
         "cycle_s": tour.duration if np.isfinite(tour.duration) else None,
     }
-
-
-@lru_cache(maxsize=4)
-def _some(bench: Bench, count: int | None) -> tuple[Viewpoints, Measurability]:
-    """All candidates, or a number of them for a quick look; the same ones at every placement."""
-    M = bench.matrix("aimed", bench.zone)
-    if count is None or count >= len(bench.zone):
-        return bench.zone, M
-    rng = np.random.default_rng([bench.scene.plan.seed, _SUBSET])
-    which = np.sort(rng.choice(len(bench.zone), count, replace=False))
-    return pick_viewpoints(bench.zone, which), pick_measurability(M, which)

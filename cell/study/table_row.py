@@ -48,10 +48,10 @@ def row(settings: Mapping[str, Any]) -> dict[str, Any]:
     with timed("ours"):
         ours = bench.select("aimed", zone, allowed, solver="auto")
     with timed("ours at their coverage"):
-        fewer = fewest_for(bench, zone, allowed, rays.visible)
+        fewer = fewest_for(bench, zone, allowed, rays.visible, ours)
     with timed("ours at their views"):
         enough = len(ours.cover.views) <= len(rays.cover.views) and ours.visible >= rays.visible
-        most = ours if enough else most_with(bench, zone, allowed, len(rays.cover.views))
+        most = ours if enough else most_with(bench, zone, allowed, len(rays.cover.views), ours)
     with timed("view sphere"):
         sphere = bench.select("aimed", spherical, sphere_allowed, solver="auto")
     with timed("scans"):

@@ -183,9 +183,7 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     execution = run_folder / "executions" / "0001"
     (execution / "scans" / "0002.npz").write_bytes(b"torn")
     if not torn:
-        (execution / "scans" / "0002.npz").rename(
-            execution / "scans" / "0099.npz"
-        )  # none of its own
+        (execution / "scans" / "0002.npz").rename(execution / "scans" / "0099.npz")  # none of its own
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": status}))
     before = len(_events(execution))
