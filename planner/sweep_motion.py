@@ -14,9 +14,10 @@ from planner.errors import PlannerError
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.s_curve import Profile
 from planner.setpoints import from_steps, to_steps
+from planner.sweep_arm import ScannerArm, axes_named, follow
 from planner.sweep_line import DEFAULT_SPEED, SweepLine, SweepSpeed, line_through, rotation_vectors
 from planner.sweep_path import Refused, SweepPath, SweepRefusal, Sweeps
-from planner.sweep_proof import ScannerArm, axes_named, follow, prove
+from planner.sweep_proof import prove
 
 TUBE = 5e-5
 """Largest distance [m] of the scanner frame on the joint-linear segments between vertices from the line."""

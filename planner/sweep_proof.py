@@ -1,10 +1,8 @@
 """A line followed on one joint branch, proven between its samples: no singularity, no jump, no limit exceeded.
 
 The scanner frame follows a line (`planner.sweep_line`) whose twist xi is constant in its parameter u. With J the
-Jacobian of the scanner frame, the joints follow q' = J^-1 xi and q'' = -J^-1 (J' q'), primes by u. J is had from
-`Kinematics.forward` alone: turning one revolute axis by +-90 deg moves the frame by exactly
-
-    (p+ - p-) / 2 = z x (p - o)        (R+ - R-) R^T / 2 = [z]x
+Jacobian of the scanner frame (`planner.sweep_arm`), the joints follow q' = J^-1 xi and q'' = -J^-1 (J' q'), primes by
+u.
 
 *Between two samples.* Linear rows of J and xi are divided by R, which no axis' distance from the frame exceeds; each
 column's derivative by an axis then has a norm of at most sqrt(2), |J'| <= H |q'| with H = sqrt(51) (36 linear and 15
@@ -33,7 +31,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ports import Floats, JointLimits, Kinematics
+from planner.ports import Floats, JointLimits
+from planner.sweep_arm import SLACK, ScannerArm, axes_named, derivatives, follow
 from planner.sweep_line import SweepLine
 from planner.sweep_path import Refused, SweepRefusal
 
@@ -42,40 +41,7 @@ SLOWEST = 4.0
 
 _FIRST, _HALVINGS, _MOST = 32, 7, 3000  # intervals at first, rounds of halving, samples at most
 _H, _H2, _H3 = float(np.sqrt(51.0)), float(np.sqrt(432.0)), float(np.sqrt(2592.0))
-_SLACK = 1.1  # R over the largest distance at a sample; what the distance may grow in between is checked
 _LEAST_SIGMA = 1e-4  # below this the arm stands in a singularity, to within what a set-point resolves
-
-
-class ScannerArm:
-    """Forward kinematics of the scanner frame, and its Jacobian."""
-
-    def __init__(self, kinematics: Kinematics, T_flange_scanner: Floats) -> None:
-        self.kinematics, self.mount = kinematics, T_flange_scanner
-        self._unmount = np.linalg.inv(T_flange_scanner)
-
-    def flange(self, T_base_scanner: Floats) -> Floats:
-        """(n, 4, 4) T_base_flange of scanner poses."""
-        T: Floats = T_base_scanner @ self._unmount
-        T[:, 3] = (0.0, 0.0, 0.0, 1.0)
-        return T
-
-    def scanner(self, q: Floats) -> Floats:
-        """(n, 4, 4) T_base_scanner."""
-        T: Floats = self.kinematics.forward(q) @ self.mount
-        return T
-
-    def jacobian(self, q: Floats) -> tuple[Floats, Floats]:
-        """(n, 3, 6) linear [m/rad] and (n, 3, 6) angular columns."""
-        turned = np.repeat(q[:, None], 12, axis=1)
-        for axis in range(6):
-            turned[:, axis, axis] += 0.5 * np.pi
-            turned[:, 6 + axis, axis] -= 0.5 * np.pi
-        T = self.scanner(turned.reshape(-1, 6)).reshape(len(q), 12, 4, 4)
-        linear = 0.5 * (T[:, :6, :3, 3] - T[:, 6:, :3, 3])
-        R = self.scanner(q)[:, None, :3, :3]
-        cross = 0.5 * (T[:, :6, :3, :3] - T[:, 6:, :3, :3]) @ np.swapaxes(R, -1, -2)
-        angular = np.stack([cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0]], axis=-1)
-        return np.swapaxes(linear, 1, 2), np.swapaxes(angular, 1, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +80,7 @@ def prove(line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, cr
         for end, (y1, y2, y3, _, followed) in zip(ends, bounds, strict=True):
             rho = 2.0 * r * y1
             good &= followed & (steps <= rho + 1e-12) & (_H * rho <= 0.5 * sigma[end])
-            good &= np.sqrt(6.0) * _SLACK * y1 * r <= _SLACK - 1.0  # no axis' lever outgrows R
+            good &= np.sqrt(6.0) * SLACK * y1 * r <= SLACK - 1.0  # no axis' lever outgrows R
             speeds, curves = np.abs(first[end]) + (r * y2)[:, None], np.abs(second[end]) + (r * y3)[:, None]
             jolts = np.minimum(y3[:, None], mean + (2.0 * r * y4)[:, None])
             need = np.maximum(need, _time_needed(line, speeds, curves, jolts, limits).max(axis=1))
@@ -135,12 +101,6 @@ def prove(line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, cr
         return _too_fast(branch, first[worst], limits)
     jump = np.abs(np.diff(q, axis=0)[worst]) > 0.1
     return Refused(branch, SweepRefusal.SINGULAR, axes_named(jump if jump.any() else np.abs(weak[worst]) > 0.4))
-
-
-def follow(line: SweepLine, branch: int, arm: ScannerArm, u: Floats) -> Floats:
-    """(n, 6) joint angles of a branch along the line [rad], without jumps of whole turns; NaN out of reach."""
-    q: Floats = np.array(arm.kinematics.inverse(arm.flange(line.at(u)))[:, branch])
-    return q if np.isnan(q).any() else np.unwrap(q, axis=0)
 
 
 def _too_fast(branch: int, first: Floats, limits: JointLimits) -> Refused:
@@ -183,32 +143,3 @@ def _time_needed(line: SweepLine, speeds: Floats, curves: Floats, jolts: Floats,
     g, h = 1.0 / rising, 1.0 / (rising * easing)
     time: Floats = np.maximum(speeds / limits.velocity, np.sqrt((curves + speeds * g) / limits.acceleration))
     return np.maximum(time, np.cbrt((jolts + 3.0 * curves * g + speeds * h) / limits.jerk))
-
-
-def derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floats, Floats, Floats, float, Floats]:
-    """First and second derivative by u (n, 6), singular value (n,), |xi|, and the direction that is weakest (n, 6)."""
-    linear, angular = arm.jacobian(q)
-    lever = _SLACK * float(np.linalg.norm(linear, axis=1).max())
-    xi = np.concatenate([line.displacement / lever, line.turn])
-    left, sigma, right = np.linalg.svd(np.concatenate([linear / lever, angular], axis=1))
-    safe = np.maximum(sigma, 1e-12)
-
-    def solve(sides: Floats) -> Floats:
-        inner = (np.swapaxes(left, 1, 2) @ sides[:, :, None])[:, :, 0] / safe
-        found: Floats = (np.swapaxes(right, 1, 2) @ inner[:, :, None])[:, :, 0]
-        return found
-
-    first = solve(np.repeat(xi[None], len(q), axis=0))
-    z, arms = np.swapaxes(angular, 1, 2), np.swapaxes(linear, 1, 2)  # (n, 6 axes, 3)
-    spin = z * first[:, :, None]
-    before = np.cumsum(spin, axis=1) - spin
-    bend = (np.cross(2.0 * before + spin, arms) * first[:, :, None]).sum(axis=1) / lever
-    twist = (np.cross(before, z) * first[:, :, None]).sum(axis=1)
-    second = -solve(np.concatenate([bend, twist], axis=1))
-    return first, second, sigma[:, -1], float(np.linalg.norm(xi)), right[:, -1]
-
-
-def axes_named(which: NDArray[np.bool_]) -> str:
-    """The names of some axes: "A4 and A6"."""
-    names = [f"A{axis + 1}" for axis in np.flatnonzero(which)]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

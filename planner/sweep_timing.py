@@ -6,8 +6,8 @@ import numpy as np
 
 from planner.ports import Floats, Kinematics
 from planner.s_curve import sample
+from planner.sweep_arm import ScannerArm, derivatives, follow
 from planner.sweep_path import SweepPath
-from planner.sweep_proof import ScannerArm, derivatives, follow
 
 
 def timed(
