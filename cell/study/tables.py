@@ -168,7 +168,8 @@ def _picture(rows: Sequence[Row]) -> Figure:
     above.plot(x + 0.27, bounds, linestyle="none", marker="_", color="#111111", markersize=10)
     least = min(row[c] for row in rows for c in ("coverage paper %", "visible rays %", "visible ours %"))
     below.set_ylim(max(0.0, least - 5), 100)
-    below.set_xticks(x, [f"{row['part']}\n{row[PARAMETER]}" for row in rows], fontsize=7)
+    below.set_xticks(x, [f"{row['part']}\n{row[PARAMETER]}" for row in rows], fontsize=6.5)
+    below.set_xlim(-0.6, len(rows) - 0.4)
     figure.suptitle(f"Table {rows[0]['table']}: {_VARIED[rows[0]['table']]} (bars), fewest provable for ours (strokes)")
     return figure
 
