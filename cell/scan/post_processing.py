@@ -67,7 +67,7 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
         here = summary["n_views"]
         narrator.note(
             f"the execution is incomplete: {here} of {here + len(summary['missing_views'])} views are there; "
-            "the report says what is there"
+            "the report says what is there; cell scan --resume takes the others"
         )
         return ScanOutcome(folder.finish(exit_code, status), FileError.exit_code, summary)
     code = exit_code_of(summary, scene)
