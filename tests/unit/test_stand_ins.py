@@ -28,7 +28,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return shape(stand_ins.STAND_INS[name])
 
     monkeypatch.setattr(stand_ins, "_make", make)
-    monkeypatch.setattr(stand_ins.sys, "platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     return made
 

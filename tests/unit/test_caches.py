@@ -1,0 +1,30 @@
+"""Where caches are kept on each system."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from cell import caches
+
+
+@pytest.mark.parametrize(
+    ("platform", "environment", "below"),
+    [
+        ("linux", {}, ".cache/scan-cell/pieces"),
+        ("darwin", {}, "Library/Caches/scan-cell/pieces"),
+        ("win32", {}, "AppData/Local/scan-cell/pieces"),
+        ("win32", {"LOCALAPPDATA": "{home}/elsewhere"}, "elsewhere/scan-cell/pieces"),
+        ("linux", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/pieces"),
+        ("win32", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/pieces"),
+    ],
+)
+def test_the_folder_is_where_the_system_keeps_caches_unless_named(platform, environment, below, tmp_path, monkeypatch):
+    """A name that is given counts everywhere."""
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value.format(home=tmp_path))
+    assert caches.folder("pieces") == tmp_path / below
