@@ -104,10 +104,12 @@ class ExecutionFolder(RunFolder):
         }
         for name in ("exit_code", "finished", "reason"):
             self.manifest.pop(name, None)
-        for name in [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]:
-            self.remove(name)  # a report of what was there before
-        self.note(artefacts=dict(sorted(self._artefacts.items())))
-        self.note(status="running", resumed=[*self.manifest.get("resumed", []), again], **process.this_process())
+        outdated = [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]
+        kept = {name: sha for name, sha in sorted(self._artefacts.items()) if name not in outdated}
+        resumed = [*self.manifest.get("resumed", []), again]
+        self.note(status="running", resumed=resumed, artefacts=kept, **process.this_process())
+        for name in outdated:  # a report of what was there before; the manifest no longer promises it
+            self.remove(name)
 
     def note(self, **entries: Any) -> None:
         """Put entries into the manifest."""
