@@ -31,11 +31,14 @@ from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
-from planner import cover, coverage, measurability, reach, surface
+from planner import cover
 from planner.cover import Cover
-from planner.measurability import Measurability
-from planner.reach import Reach
-from planner.viewpoints import Viewpoints
+from planner.measurability import coverage
+from planner.measurability.matrix import Measurability, fill, measured, occlude
+from planner.reach import reach
+from planner.reach.reach import Reach
+from planner.surface import surface
+from planner.viewpoints.viewpoints import Viewpoints
 
 GENERATORS = ("optimal-scanning-zone", "view-sphere", "targeted")
 _RUNS = 2
@@ -127,8 +130,8 @@ class _Bench:
         return reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
 
     def measure(self, views: Viewpoints) -> Measurability:
-        M = measurability.fill(views, self.features, self.scanner, self.casters[0])
-        return measurability.occlude(M, views, self.scanner, self.casters[1])
+        M = fill(views, self.features, self.scanner, self.casters[0])
+        return occlude(M, views, self.scanner, self.casters[1])
 
     def plan(self, generator: str) -> tuple[Viewpoints, Reach, Measurability, Cover, float]:
         """Candidates, reach, M, selection, and the seconds that they took."""
@@ -160,9 +163,7 @@ def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:
     zone_area = found["optimal-scanning-zone"][3].covered_area
     rows = []
     for generator, (views, reached, M, chosen, _) in found.items():
-        seen = measurability.measured(
-            views.T_object_scanner[chosen.views], bench.held_out, bench.scanner, bench.casters, each=True
-        )
+        seen = measured(views.T_object_scanner[chosen.views], bench.held_out, bench.scanner, bench.casters, each=True)
         curve = 100 * np.logical_or.accumulate(seen, axis=1).mean(axis=0)
         reachable = views.T_object_scanner[reached.reachable]
         coverable = coverage.visible(reachable, bench.held_out, bench.scanner, bench.casters).fraction

@@ -70,7 +70,8 @@ def part_visibility(part: str, fov_deg: float, count: int = 1500) -> Any:
     from cell.scanners.laser_area import LaserArea
     from cell.scene.resolve import resolve
     from cell.scene.scene import load_scene
-    from planner import measurability, surface
+    from planner.measurability.matrix import fill
+    from planner.surface import surface
 
     tables = {
         "part": {"name": part},
@@ -85,7 +86,7 @@ def part_visibility(part: str, fov_deg: float, count: int = 1500) -> Any:
     features = surface_features(scene, piece.reference, planning, np.random.default_rng([0, 0]))
     views = candidates.first(scene, settings, piece, planning)
     caster = EmbreeRayCaster(piece.reference.vertices, piece.reference.faces)
-    return measurability.fill(views, features, LaserArea(**settings.scanner), caster).matrix()
+    return fill(views, features, LaserArea(**settings.scanner), caster).matrix()
 
 
 def displaced_sphere(n_samples: int, n_views: int, half_angle: float, rng: np.random.Generator) -> Any:

@@ -56,7 +56,7 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
     from planner.cover.curve import coverage_curve
     from planner.cover.overlap import Overlap, overlap_cover
     from planner.cover.robust import robust_cover
-    from planner.pose_ensemble import PoseError, probability_layer, times_measured
+    from planner.measurability.pose_ensemble import PoseError, probability_layer, times_measured
 
     M, views, scanner, caster, samples = _matrix(part)
     areas, size = M.features.areas, f"{M.shape[0]} x {M.shape[1]}"
@@ -126,7 +126,8 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.scanners.laser_area import LaserArea
     from cell.scene.resolve import resolve
     from cell.scene.scene import load_scene
-    from planner import measurability, surface
+    from planner.measurability.matrix import fill
+    from planner.surface import surface
 
     tables = {"part": {"name": part}, "placement": {"position_mm": [1200.0, 500.0, 0.0]}, "plan": {"rolls_deg": [0.0]}}
     scene = load_scene(None, tables)
@@ -138,4 +139,4 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     scanner = LaserArea(**settings.scanner)
     caster = EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces)
     samples = surface.sample(loaded.reference, planning, 5_000, np.random.default_rng(1))
-    return measurability.fill(views, features, scanner, caster), views, scanner, caster, samples
+    return fill(views, features, scanner, caster), views, scanner, caster, samples

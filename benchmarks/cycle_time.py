@@ -6,7 +6,7 @@ order and connect the same cover, with certified paths and jerk-limited moves:
 - before: the frozen order of `benchmarks.frozen_order`, with the lazy search of moves as it was then;
 - RoboTSP: a tour through the scanner's positions, best joint solutions along it by dynamic programming (Suarez-Ruiz,
   Lembono and Pham 2018, doi:10.1109/ICRA.2018.8460581). Its tour is given 10,000 steps of our own search;
-- now: today's ordering after the exchange of views (`planner.equivalent_views`), as `cell plan` runs it.
+- now: today's ordering after the exchange of views (`planner.order.equivalent_views`), as `cell plan` runs it.
 
 The bounds are on straight moves: before on the cover's own views, now on all views that may stand in at the end.
 
@@ -25,9 +25,13 @@ from cell.errors import SceneError
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.scene.scene import Scene
 from cell.study.bench import Bench
-from planner import cover, equivalent_views, generalised_tsp, measurability, order, reach
-from planner.tour import Tour, plan_motion
-from planner.tour_search import DEFAULT_BUDGET, MotionBudget
+from planner import cover
+from planner.measurability.matrix import Measurability, occlude
+from planner.order import equivalent_views, generalised_tsp
+from planner.order import orderings as order
+from planner.order.tour import Tour, plan_motion
+from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget
+from planner.reach import reach
 
 _BEFORE = MotionBudget(rounds=60, quick=10, looks=0, before_settling=1_000_000, polish=0, guesses=((1.1, 0.35),))
 """How the frozen order was searched: one tour looked at in each of 60 rounds, a lower guess, no polish."""
@@ -107,7 +111,7 @@ def _row(number: int) -> dict[str, Any]:
     }
 
 
-def _covered(number: int) -> tuple[Bench, reach.Reach, measurability.Measurability, cover.Cover]:
+def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cover]:
     """The first draw of a scene that can be and of which enough candidates are reachable, with its cover."""
     for draw in range(40):
         tables = content(number, draw)
@@ -126,7 +130,7 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, measurability.Measurabili
             continue
         M = bench.matrix("aimed", candidates)
         caster = caster_of(occluder_triangles(world))
-        M = measurability.occlude(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
+        M = occlude(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
         chosen = cover.solve(M.matrix(), M.features.areas, reached.reachable, rng=np.random.default_rng(number))
         if len(chosen.views) >= 2:
             return bench, reached, M, chosen
@@ -134,7 +138,7 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, measurability.Measurabili
 
 
 def task_space(configurations: Any, home: Any, limits: Any, **arguments: Any) -> order.Sequence:
-    """RoboTSP's ordering, with the signature of `planner.order.sequence`."""
+    """RoboTSP's ordering, with the signature of `planner.order.orderings.sequence`."""
     poses, home_pose = arguments["T_base_scanner"], arguments["T_base_home"]
     positions = np.concatenate((home_pose[None, :3, 3], poses[:, :3, 3]))
     lengths = np.linalg.norm(positions[:, None] - positions, axis=2)

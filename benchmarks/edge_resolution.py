@@ -2,9 +2,9 @@
 
 Straight moves between reachable set-points of seeded scenes are looked at every millimetre of travel for the truth: in
 contact, nearer than the clearance, or free. A fixed step checks every so many degrees of the joint that turns most; as
-usual it looks for contact, or for the clearance as our checks do. `planner.edge.certify` takes as many steps as the
-bound on travel asks for. Time is checks times the measured time of one check; a check that finds something ends the
-move for both.
+usual it looks for contact, or for the clearance as our checks do. `planner.path.certified_edge.certify` takes as many
+steps as the bound on travel asks for. Time is checks times the measured time of one check; a check that finds something
+ends the move for both.
 """
 
 from time import process_time
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.seeded_scenes import SeededCell, usable
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
-from planner.edge import certify
+from planner.path.certified_edge import certify
 from planner.ports import Floats
 
 _SCENES, _MOVES = 4, 60

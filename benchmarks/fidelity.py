@@ -35,7 +35,8 @@ from cell.world.triangle_distance import BOX
 from cell.world.triangle_tree import TriangleTree
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner import reach, surface
+from planner.reach import reach
+from planner.surface import surface
 
 FIDELITIES = ("hull", "decomposed", "exact")
 _CANDIDATES, _NEAR = 250, 250  # configurations of each kind, per part

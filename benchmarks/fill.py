@@ -25,12 +25,13 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.study.claims import claim
-from planner import coverage, surface
-from planner.closest import closest_face
-from planner.measurability import Measurability, fill
+from planner.measurability import coverage
+from planner.measurability.matrix import Measurability, fill
 from planner.ports import RayCaster
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.surface import surface
+from planner.surface.closest import closest_face
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 RESOLUTIONS_DEG = (4.0, 2.0, 1.0, 0.5)
 SAMPLES_PER_FACE = (1, 2, 4, 8)

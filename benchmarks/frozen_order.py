@@ -1,9 +1,10 @@
 """The ordering of views as it was before generalised tours were searched by ruin and recreate: frozen for comparison.
 
-Copied from the commit 279c889 (planner/generalised_tsp.py and planner/order.py) and cut to what `cell plan` ran then: a
-Christofides tour in task space, improved by an iterated local search (2-opt and or-opt, each order with its own best
-joint solutions, double-bridge kicks), or the exact dynamic programme for few views. Only the bound that could end the
-local search early is left out. Not changed since; used by `benchmarks.cycle_time` alone. Times of moves are today's.
+Copied from the commit 279c889 (planner/order/generalised_tsp.py and planner/order/orderings.py) and cut to what `cell
+plan` ran then: a Christofides tour in task space, improved by an iterated local search (2-opt and or-opt, each order
+with its own best joint solutions, double-bridge kicks), or the exact dynamic programme for few views. Only the bound
+that could end the local search early is left out. Not changed since; used by `benchmarks.cycle_time` alone. Times of
+moves are today's.
 """
 
 from functools import lru_cache
@@ -13,8 +14,8 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from planner.order import OrderStatus, Sequence, node_offsets
-from planner.timing import move_time
+from planner.order.orderings import OrderStatus, Sequence, node_offsets
+from planner.timing.motion import move_time
 
 _BLOCKED = 1e7
 EVALUATIONS = 10_000
@@ -53,7 +54,7 @@ def frozen(
     times: Any = None,
     **_: Any,
 ) -> Sequence:
-    """Order the views as it was done then; arguments as in `planner.order.sequence`."""
+    """Order the views as it was done then; arguments as in `planner.order.orderings.sequence`."""
     nodes = np.concatenate([home[None], *configurations])
     cost = move_time(nodes[:, None], nodes, limits) if times is None else times.copy()
     for (a, b), time in (edge_time or {}).items():

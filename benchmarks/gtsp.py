@@ -22,8 +22,10 @@ from benchmarks import gtsplib
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.scene.scene import Scene
 from cell.study.bench import Bench, placed_at
-from planner import cover, equivalent_views, generalised_tsp, measurability, tour_bound
-from planner.timing import move_time
+from planner import cover
+from planner.measurability.matrix import occlude
+from planner.order import equivalent_views, generalised_tsp, tour_bound
+from planner.timing.motion import move_time
 
 STEPS = (500, 2_000, 10_000, 40_000)
 _SEEDS = 3
@@ -62,9 +64,7 @@ def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
     world, candidates = bench.world, bench.zone
     reached = bench.reach(candidates, placed_at((1200, 500, 0)))
     M = bench.matrix("aimed", candidates)
-    M = measurability.occlude(
-        M, candidates, bench.scanner, caster_of(occluder_triangles(world)), ray_caster=bench.caster
-    )
+    M = occlude(M, candidates, bench.scanner, caster_of(occluder_triangles(world)), ray_caster=bench.caster)
     rng = np.random.default_rng(0)
     chosen = cover.solve(M.matrix(), M.features.areas, reached.reachable, rng=rng)
     matrix = equivalent_views.Matrix(M.matrix(), M.features.areas, np.asarray(reached.reachable))

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.edge import certify
-from planner.order import sequence
-from planner.path import PathStatus, connect
+from planner.order.orderings import sequence
+from planner.path.certified_edge import certify
+from planner.path.path import PathStatus, connect
 from planner.ports import JointLimits
 
 Floats = NDArray[np.float64]

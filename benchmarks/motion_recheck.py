@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.seeded_scenes import SeededCell, usable
 from benchmarks.triangle_cell import TriangleCell
-from planner.timing import Motion, jerk_free_duration, retime
-from planner.tour import plan_motion
+from planner.order.tour import plan_motion
+from planner.timing.motion import Motion, jerk_free_duration, retime
 
 _STEP = 1e-3  # s
 _VIEWS = 10

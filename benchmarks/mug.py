@@ -16,10 +16,12 @@ from cell.part import workpiece
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from planner import cover, coverage, surface
-from planner.closest import closest_face
-from planner.measurability import Measurability, fill
-from planner.viewpoints import optimal_scanning_zone
+from planner import cover
+from planner.measurability import coverage
+from planner.measurability.matrix import Measurability, fill
+from planner.surface import surface
+from planner.surface.closest import closest_face
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 RESOLUTIONS_DEG = (4.0, 2.0, 1.0, 0.5, 0.25, 0.2)
 STANDOFF = 0.3

@@ -1,10 +1,10 @@
 """Collision-free paths on seeded scenes: where RRT-Connect finds one, beside ompl over the same certified edges.
 
 In each scene two pairs of reachable set-points are drawn between which the straight move is blocked: any two, and two
-out of the twelve (more where that is too few) that are nearest to something. `planner.path.connect` searches with its
-default budget, then, where that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and sampling, edges
-certified by `planner.edge` as ours) searches for `_SECONDS` where ours failed, and on every fifth scene for comparison.
-ompl is no dependency of the project: `pip install ompl`.
+out of the twelve (more where that is too few) that are nearest to something. `planner.path.path.connect` searches with
+its default budget, then, where that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and sampling, edges
+certified by `planner.path.certified_edge` as ours) searches for `_SECONDS` where ours failed, and on every fifth scene
+for comparison. ompl is no dependency of the project: `pip install ompl`.
 
 SCAN_CELL_SCENES (default 20) is the number of scenes; with SCAN_CELL_PATHS=FILE finished scenes are kept as lines of
 JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes.
@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.seeded_scenes import SeededCell, usable
-from planner.edge import certify
-from planner.path import PathStatus, connect, path_time
+from planner.path.certified_edge import certify
+from planner.path.path import PathStatus, connect, path_time
 from planner.ports import Floats
 
 _LONG = 1_000_000  # checks

@@ -19,10 +19,12 @@ from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner import reach, surface, viewpoints
-from planner.reach import Reach
-from planner.surface import TriangleMesh
-from planner.viewpoints import Viewpoints
+from planner.reach import reach
+from planner.reach.reach import Reach
+from planner.surface import surface
+from planner.surface.surface import TriangleMesh
+from planner.viewpoints import viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 PARTS = ("mseke", "mug", "robinet", "petanque", "humerus", "st-jean")
 

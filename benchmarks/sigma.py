@@ -19,12 +19,12 @@ from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
-from planner import surface
-from planner.measurability import fill
+from planner.measurability.matrix import fill
+from planner.measurability.quality import sigma_layer
 from planner.ports import Floats
-from planner.quality import sigma_layer
-from planner.surface import face_normals
-from planner.viewpoints import optimal_scanning_zone
+from planner.surface import surface
+from planner.surface.surface import face_normals
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 PARTS = ("mseke", "mug", "humerus")
 VIEWS = 5

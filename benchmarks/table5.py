@@ -18,7 +18,11 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
-from planner import cover, coverage, reach, surface, viewpoints
+from planner import cover
+from planner.measurability import coverage
+from planner.reach import reach
+from planner.surface import surface
+from planner.viewpoints import viewpoints
 
 # robot position [mm], viewpoints, views, cover % of the paper's rows
 PAPER = (

@@ -13,7 +13,7 @@ import ruckig
 
 from cell.robot import model as robot
 from planner.ports import Floats, JointLimits
-from planner.timing import jerk_free, move_time
+from planner.timing.motion import jerk_free, move_time
 
 _REPEATS, _COMPARED = 5, 500
 

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.readonly import readonly
+from planner.values import readonly
 
 Floats = NDArray[np.float64]
 
@@ -256,6 +256,7 @@ class CollisionChecker(Protocol):
         Returns:
             (N,) length [m], a bound in proportion: between two configurations of the segment that are a share f of it
             apart, no point is displaced by more than f times the length. A bound on speed along the segment gives
-            this, a bound on displacement alone would not; certifying a segment rests on it (`planner.edge`).
+            this, a bound on displacement alone would not; certifying a segment rests on it
+            (`planner.path.certified_edge`).
         """
         ...

@@ -23,11 +23,11 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, arrays, artefact, open_run, understood
 from cell.scan.scene import kinematics_of
+from planner.path.sweeps.line import rotation_vectors
 from planner.ports import Floats, JointLimits
-from planner.readonly import readonly
-from planner.setpoints import STEPS_PER_DEGREE, to_steps
-from planner.sweep_line import rotation_vectors
-from planner.timing import Motion
+from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
+from planner.timing.motion import Motion
+from planner.values import readonly
 
 LONGEST_NAME = 24
 """Characters of a name in KRL."""
@@ -278,8 +278,8 @@ def angles_deg(q: Floats) -> list[float]:
 def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:
     """The line of a sweep, its speed told by the times at which its poses are passed.
 
-    The ramps take half a step each, four fifths of it to rise and one to ease (`planner.sweep_line`): a speed of a step
-    in the time d needs the acceleration step / (0.8 d^2).
+    The ramps take half a step each, four fifths of it to rise and one to ease (`planner.path.sweeps.line`): a speed of
+    a step in the time d needs the acceleration step / (0.8 d^2).
     """
     own = np.flatnonzero(motion.line == number)
     begin, end = int(own[0]) - 1, int(own[-1])

@@ -2,8 +2,8 @@
 
 `targeted` begins with its base set, made before reach and measurability are asked, like the other generators'
 candidates. `grow` then goes round: it takes a spread of the open features (those that no reachable candidate measures),
-makes views of each over the whole family (`planner.targeted.aimed_at`), keeps those that measure their feature past the
-part and the occluders and that the arm reaches, and appends the few that measure most of what is open.
+makes views of each over the whole family (`planner.viewpoints.targeted.aimed_at`), keeps those that measure their
+feature past the part and the occluders and that the arm reaches, and appends the few that measure most of what is open.
 
 It stops when every open feature has been aimed at, when a round makes nothing coverable, or after `ROUNDS` rounds. Each
 round aims at `TARGETS` features at most, spread over the open surface, so a round in vain says that what is left lies
@@ -21,13 +21,14 @@ from cell.errors import SceneError
 from cell.part.workpiece import Workpiece
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
-from planner import columns, targeted, viewpoints
-from planner.legs import Targets
-from planner.measurability import Measurability
+from planner.measurability import columns
+from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Scanner
-from planner.reach import Reach
-from planner.surface import TriangleMesh
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.surface.surface import TriangleMesh
+from planner.viewpoints import targeted, viewpoints
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.viewpoints import Viewpoints
 
 TARGETS = 96
 """Open features that are aimed at in one round."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from cell.world.clearance import MotionClearance, moment
 from planner.errors import PlannerError
-from planner.timing import Motion
+from planner.timing.motion import Motion
 
 
 def clearance_summary(measured: MotionClearance, motion: Motion, collision: str) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from cell.plan.pictures import save
 from cell.plan.request import Request, Selected
 from cell.run.folder import RunFolder
 from planner.cover.curve import CoverageCurve, coverage_curve
-from planner.measurability import Measurability
-from planner.reach import Reach
+from planner.measurability.matrix import Measurability
+from planner.reach.reach import Reach
 
 ASKED = (0.9, 0.95, 0.98, 0.99, 0.995, 1.0)
 """Shares of the coverable area for which the fewest views are read off."""

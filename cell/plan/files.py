@@ -19,13 +19,13 @@ from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.world import World
-from planner.measurability import Measurability
+from planner.measurability.matrix import Measurability
+from planner.order.tour import Tour
 from planner.ports import Floats
-from planner.reach import Reach
-from planner.surface import TriangleMesh
-from planner.timing import Motion
-from planner.tour import Tour
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.surface.surface import TriangleMesh
+from planner.timing.motion import Motion
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:

@@ -17,8 +17,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
 
 from planner.ports import Floats, JointLimits
-from planner.reach import Verdict
-from planner.surface import TriangleMesh, face_normals
+from planner.reach.reach import Verdict
+from planner.surface.surface import TriangleMesh, face_normals
 
 _UNSEEN = "#b03a2e"
 _UNKNOWN = (0.75, 0.75, 0.75)

@@ -42,11 +42,13 @@ from cell.scene.scene import Scene
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
-from planner import measurability, reach, surface, timing
-from planner.measurability import Measurability
+from planner.measurability.matrix import Measurability, occlude
 from planner.ports import Scanner
-from planner.reach import Reach
-from planner.viewpoints import Viewpoints
+from planner.reach import reach
+from planner.reach.reach import Reach
+from planner.surface import surface
+from planner.timing.motion import retime, scaled
+from planner.viewpoints.viewpoints import Viewpoints
 
 log = logging.getLogger(__name__)
 
@@ -195,7 +197,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: A
                 scene, settings, reference, planning, features, views, casters[0],
                 narrator=run.narrator, use_cache=run.use_cache, progress=progress,
             )  # fmt: skip
-            M = measurability.occlude(M, views, scanner, casters[1], ray_caster=casters[0], progress=progress)
+            M = occlude(M, views, scanner, casters[1], ray_caster=casters[0], progress=progress)
             most = scene.plan.max_sigma_mm
             if most is None:
                 return M, scanner
@@ -224,7 +226,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: A
 
     ahead.wait(run.narrator)
     with run.step("select, order and connect") as progress:
-        limits = timing.scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
+        limits = scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
         costs = seconds_of_views(scene.plan, reached, limits) if scene.plan.cost == "time" else None
         request = Request(scene.plan, costs, layer)
         chosen = select_and_connect(
@@ -238,7 +240,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: A
         require_no_contact(measured)
         chosen = replace(chosen, tour=replace(tour, clearance=measured.distance, between=measured.between))
         tour = chosen.tour
-        motion = timing.retime(tour.via, tour.segment, chosen.via_candidate, limits, pose=tour.pose, lines=chosen.lines)
+        motion = retime(tour.via, tour.segment, chosen.via_candidate, limits, pose=tour.pose, lines=chosen.lines)
         plan_files.write_motion(run.folder, motion, chosen.tour, measured)
 
     answers = further(run, scene, request, reached, prediction, chosen)

@@ -13,12 +13,18 @@ import numpy as np
 from cell.commands.narrator import ProgressCallback
 from cell.rays.prediction import Prediction
 from cell.scene.scene import Plan
-from planner.measurability import Measurability, measured
+from planner.measurability.matrix import Measurability, measured
+from planner.measurability.pose_ensemble import (
+    PoseError,
+    ProbabilityLayer,
+    credited,
+    probability_layer,
+    times_measured,
+)
 from planner.ports import Floats, RayCaster, Scanner
-from planner.pose_ensemble import PoseError, ProbabilityLayer, credited, probability_layer, times_measured
-from planner.reach import Reach
-from planner.surface import SurfaceSamples
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.surface.surface import SurfaceSamples
+from planner.viewpoints.viewpoints import Viewpoints
 
 EXECUTIONS = 200
 """Simulated executions."""

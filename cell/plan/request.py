@@ -22,12 +22,12 @@ from planner.cover import Cover
 from planner.cover.most_coverage import MostCoverage, most_coverage
 from planner.cover.overlap import Overlap, OverlapCover, OverlapStatus, overlap_cover
 from planner.cover.robust import RobustCover, robust_cover, views_for_promise
-from planner.measurability import Measurability
+from planner.measurability.matrix import Measurability
+from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.ports import Floats, JointLimits
-from planner.pose_ensemble import ProbabilityLayer
-from planner.reach import Reach, Verdict
-from planner.timing import move_time
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach, Verdict
+from planner.timing.motion import move_time
+from planner.viewpoints.viewpoints import Viewpoints
 
 _RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge

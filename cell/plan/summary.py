@@ -15,12 +15,12 @@ from cell.run.folder import RunFolder
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
 from cell.world.world import World
-from planner.measurability import Measurability
+from planner.measurability.matrix import Measurability
 from planner.ports import Floats
-from planner.reach import Reach
-from planner.surface import TriangleMesh, face_areas
-from planner.timing import Motion, jerk_free_duration
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.surface.surface import TriangleMesh, face_areas
+from planner.timing.motion import Motion, jerk_free_duration
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 def plan_summary(
@@ -184,7 +184,7 @@ def _at_target(target: float, asked: float) -> str:
 
 def _sigma(M: Measurability, views: NDArray[np.int64], limit_mm: float | None) -> dict[str, Any]:
     """Expected standard deviation of the plan's points, over the samples of the matrix that it measures [mm]."""
-    from planner.quality import best_sigma
+    from planner.measurability.quality import best_sigma
 
     best = 1000 * best_sigma(M, views)
     median, most = np.quantile(best[np.isfinite(best)], [0.5, 0.95])

@@ -1,8 +1,8 @@
 """The sweeps that can be driven of each candidate that is asked about, looked at once and kept.
 
 Reach asks whether every pose of a column can be taken up; here it is asked whether the way through all of them can be
-driven on one joint branch (`planner.sweep_motion`). A candidate whose sweep cannot be driven is no view of the plan.
-Base frame, metres, radians.
+driven on one joint branch (`planner.path.sweeps.motion`). A candidate whose sweep cannot be driven is no view of the
+plan. Base frame, metres, radians.
 """
 
 from collections import Counter
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from cell.plan.view_exchange import Groups
 from cell.world.world import World
+from planner.order.tour import Passage, Tour
+from planner.path.sweeps.line import DEFAULT_SPEED
+from planner.path.sweeps.motion import sweeps_of
+from planner.path.sweeps.path import SweepPath, Sweeps, passages_of
+from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
-from planner.sweep_line import DEFAULT_SPEED
-from planner.sweep_motion import sweeps_of
-from planner.sweep_path import SweepPath, Sweeps, passages_of
-from planner.sweep_timing import DrivenSweep
-from planner.timing import TimedLine
-from planner.tour import Passage, Tour
-from planner.viewpoints import Viewpoints
+from planner.timing.motion import TimedLine
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 class SweepSolutions:

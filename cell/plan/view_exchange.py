@@ -1,4 +1,4 @@
-"""Views exchanged for others that measure as much, between selection and motion (`planner.equivalent_views`).
+"""Views exchanged for others that measure as much, between selection and motion (`planner.order.equivalent_views`).
 
 The cover's views go in; groups of candidates come out, one for each view of the plan. The motion picks one joint
 solution of one member of each group, and what it picked becomes the plan. The number of views and the lower bound on it
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from cell.rays.prediction import Prediction
 from cell.rays.self_shading import OwnArm
 from planner.cover import Cover, CoverStatus
-from planner.equivalent_views import Exchange, Matrix, exchange
-from planner.measurability import Measurability
+from planner.measurability.matrix import Measurability
+from planner.order.equivalent_views import Exchange, Matrix, exchange
+from planner.order.tour import Tour
 from planner.ports import Floats, JointLimits
-from planner.tour import Tour
-from planner.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 log = logging.getLogger(__name__)
 

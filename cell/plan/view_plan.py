@@ -25,20 +25,20 @@ from cell.plan.sweep_solutions import SweepSolutions
 from cell.rays.prediction import Prediction
 from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from cell.world.world import World
-from planner import tour
 from planner.cover import Cover
 from planner.cover.overlap import OverlapCover
-from planner.coverage import Coverage
-from planner.measurability import Measurability
-from planner.order import Ordering
-from planner.order_overlap import overlapping
+from planner.measurability.coverage import Coverage
+from planner.measurability.matrix import Measurability
+from planner.order import tour
+from planner.order.order_overlap import overlapping
+from planner.order.orderings import Ordering
+from planner.order.tour import Tour, TourStatus
+from planner.path.sweeps.path import SweepPath
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
-from planner.reach import Reach
-from planner.readonly import readonly
-from planner.sweep_path import SweepPath
-from planner.timing import TimedLine
-from planner.tour import Tour, TourStatus
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.timing.motion import TimedLine
+from planner.values import readonly
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from cell.errors import FileError
 from cell.plant.tool import Tool
 from cell.robot import model as robot
 from planner.ports import Floats
-from planner.readonly import readonly
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

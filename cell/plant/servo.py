@@ -27,7 +27,7 @@ from cell.plant import dynamics
 from cell.plant.dynamics import Integrator
 from cell.plant.tool import Tool
 from planner.ports import Floats
-from planner.readonly import readonly
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

@@ -14,7 +14,7 @@ import numpy as np
 
 from cell.errors import SceneError
 from planner.ports import Floats
-from planner.readonly import readonly
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

@@ -30,7 +30,7 @@ HAIR = 2e-6
 
 1 um for a part of 0.3 m at 0.3 m. Legs to points of a convex surface under up to 75 degrees are blocked by their own
 surface in 65 % of cases with 0, in 0.3 % with 2.5e-7 and in none of 10^7 with 1e-6 or more; 2e-6 keeps a factor of two.
-At a larger grazing angle the target has to be lifted off its surface as well, see `planner.legs`.
+At a larger grazing angle the target has to be lifted off its surface as well, see `planner.viewpoints.lines_of_sight`.
 """
 
 _SPLIT_ABOVE = 20_000  # rays; about 3 ms of tracing, against 0.1 ms that starting a thread costs

@@ -14,13 +14,14 @@ from cell.rays import matrix_cache as measurability_cache
 from cell.rays.matrix_cache import Hashes
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
-from planner import measurability, quality, surface
-from planner.closest import closest_face
-from planner.columns import join_measurability, pick_measurability, pick_viewpoints
-from planner.measurability import Measurability
+from planner.measurability import quality
+from planner.measurability.columns import join_measurability, pick_measurability, pick_viewpoints
+from planner.measurability.matrix import Measurability, fill
 from planner.ports import RayCaster, Scanner
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints import Viewpoints
+from planner.surface import surface
+from planner.surface.closest import closest_face
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
     from cell.commands.narrator import Narrator
@@ -93,7 +94,7 @@ def part_matrix(
     hashes = measurability_cache.column_hashes(candidates)
 
     def calculated(views: Viewpoints) -> Measurability:
-        return measurability.fill(
+        return fill(
             views, features, scanner, caster, method=method, part=reference, row_of_face=row_of_face, progress=progress
         )
 

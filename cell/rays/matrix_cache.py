@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
-from planner.measurability import Measurability
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints import Viewpoints
+from planner.measurability.matrix import Measurability
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints
 
 FORMAT = 2
 """Version of the file and of the calculation: raised with every change of what M holds for the same inputs."""

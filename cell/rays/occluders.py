@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.model import LINKS
 from cell.world.world import World
-from planner.readonly import readonly
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

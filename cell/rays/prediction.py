@@ -1,4 +1,4 @@
-"""Predicted coverage of a plan on samples that the optimiser has not seen (definitions: planner/coverage.py)."""
+"""Predicted coverage of a plan on samples that the optimiser has not seen (planner/measurability/coverage.py)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import coverage, surface
-from planner.coverage import Coverage
-from planner.measurability import measured
+from planner.measurability import coverage
+from planner.measurability.coverage import Coverage
+from planner.measurability.matrix import measured
 from planner.ports import Floats, RayCaster, Scanner
-from planner.surface import SurfaceSamples, TriangleMesh
+from planner.surface import surface
+from planner.surface.surface import SurfaceSamples, TriangleMesh
 
 HELD_OUT_STREAM = 1
 """Stream of randomness of the held-out samples: plan, execution and `cell why` speak of the same ones."""

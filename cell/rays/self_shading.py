@@ -20,11 +20,11 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import Occluder, arm_triangles
 from cell.rays.prediction import Prediction
 from cell.world.world import World
-from planner.legs import Indices, Targets, legs_free
-from planner.measurability import Measurability, measured
+from planner.measurability.matrix import Measurability, measured
 from planner.ports import Floats, RayCaster, Scanner
-from planner.reach import Reach
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.viewpoints.lines_of_sight import Indices, Targets, legs_free
+from planner.viewpoints.viewpoints import Viewpoints
 
 SHADED_SHARE = 0.01
 """Share of what a view alone is needed for that its own arm may hide; more, and it is not kept as it is."""

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
-from planner.legs import flat_poses, lift
 from planner.ports import Floats, RayCaster, Rejection, Scanner
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
+from planner.surface.surface import TriangleMesh
+from planner.values import readonly
+from planner.viewpoints.lines_of_sight import flat_poses, lift
 
 
 @dataclass(frozen=True, slots=True, eq=False)

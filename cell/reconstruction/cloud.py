@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from cell.reconstruction import kdtree
 from planner.errors import PlannerError
-from planner.readonly import readonly
+from planner.values import readonly
 
 Floats = NDArray[np.float64]
 

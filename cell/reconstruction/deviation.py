@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
-from planner.readonly import readonly
-from planner.surface import TriangleMesh, face_areas
+from planner.surface.surface import TriangleMesh, face_areas
+from planner.values import readonly
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.readonly import readonly
+from planner.values import readonly
 
 Floats = NDArray[np.float64]
 

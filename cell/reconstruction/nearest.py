@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from cell.reconstruction import kdtree
 from cell.reconstruction.face_blocks import FaceBlocks
-from planner.closest import squared_distance
-from planner.readonly import readonly
-from planner.surface import TriangleMesh, face_normals
+from planner.surface.closest import squared_distance
+from planner.surface.surface import TriangleMesh, face_normals
+from planner.values import readonly
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

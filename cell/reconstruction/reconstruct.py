@@ -19,8 +19,8 @@ from cell.reconstruction.cloud import PointCloud, point_spacing
 from cell.reconstruction.holes import close_holes
 from cell.reconstruction.implicit import FieldValues, ImplicitSurface
 from planner.errors import PlannerError
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
+from planner.surface.surface import TriangleMesh
+from planner.values import readonly
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -20,8 +20,8 @@ from cell.reconstruction.freedom import FreeMotion, name, shape_of, split
 from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingScan
 from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
+from planner.surface.surface import TriangleMesh
+from planner.values import readonly
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from cell.replay import marks
 from cell.replay.timeline import Timeline
 from planner.ports import Floats
-from planner.readonly import readonly
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.robot import model as robot
 from planner.ports import Floats
-from planner.surface import TriangleMesh, decimate
+from planner.surface.surface import TriangleMesh, decimate
 
 if TYPE_CHECKING:
     import mujoco

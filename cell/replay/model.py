@@ -21,8 +21,8 @@ from cell.replay.marks import GLYPH_SHARE
 from cell.robot import model as robot
 from cell.run.record import RunRecord, artefact, understood
 from planner.ports import Floats
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
+from planner.surface.surface import TriangleMesh
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

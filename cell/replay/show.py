@@ -13,7 +13,7 @@ from cell.replay.model import Theatre
 from cell.replay.timeline import Timeline
 from cell.robot import model as robot
 from planner.ports import Floats
-from planner.readonly import readonly
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

@@ -13,8 +13,8 @@ import numpy as np
 
 from cell.scan.execution_reader import RecordedExecution, RecordedScan
 from planner.ports import Floats
-from planner.readonly import readonly
-from planner.timing import Motion
+from planner.timing.motion import Motion
+from planner.values import readonly
 
 REST = 0.6
 """How long the show rests at a stop [s]."""

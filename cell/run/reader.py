@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from cell.run.record import RunRecord, arrays, artefact, artefact_json, understood
 from planner.ports import Floats, JointLimits
-from planner.reach import Reach
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
-from planner.timing import Motion
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.surface.surface import TriangleMesh
+from planner.timing.motion import Motion
+from planner.values import readonly
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)

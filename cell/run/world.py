@@ -15,8 +15,8 @@ from cell.scene.scene import Scene
 from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.ports import Floats
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
+from planner.surface.surface import TriangleMesh
+from planner.values import readonly
 
 
 def scene_of(run: RunRecord, resolved: Mapping[str, Any], *, without: Collection[str] = ()) -> Scene:

@@ -13,7 +13,7 @@ from drivers.plant import PlantFactory
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_deg
 from drivers.sim import SimDriver
-from planner.timing import Motion
+from planner.timing.motion import Motion
 
 
 def prepare(

@@ -26,7 +26,7 @@ from drivers.contract import Driver, RobotState
 from drivers.limits import refuse
 from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
 from planner.ports import Floats, Rejection
-from planner.timing import Motion, retime
+from planner.timing.motion import Motion, retime
 
 POSE, NOISE = 10, 11
 """Streams of randomness; a stop has its own of each, so that one view alone is disturbed as in the whole execution."""

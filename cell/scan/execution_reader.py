@@ -17,8 +17,8 @@ from cell.run.reader import motion_of
 from cell.run.record import RunRecord, file_bytes, npz, read_manifest, understood
 from planner.errors import PlannerError
 from planner.ports import Floats
-from planner.readonly import readonly
-from planner.timing import Motion
+from planner.timing.motion import Motion
+from planner.values import readonly
 
 FOLDER = "executions"
 

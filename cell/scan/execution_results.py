@@ -20,10 +20,11 @@ from cell.run.reader import RecordedView
 from cell.run.record import file_bytes, understood
 from cell.scan.execution_reader import RecordedExecution, RecordedScan
 from cell.scan.scene import ScanScene
-from planner import coverage, measurability
+from planner.measurability import coverage
+from planner.measurability import matrix as measurability
 from planner.ports import Floats, Rejection
-from planner.readonly import readonly
-from planner.surface import SurfaceSamples
+from planner.surface.surface import SurfaceSamples
+from planner.values import readonly
 
 _CLOUD_SAMPLES = 40_000  # points whose distance to the reference stands for that of all
 

@@ -26,7 +26,7 @@ from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_nam
 from cell.scan.execution_summary import execution_summary
 from cell.scan.scene import ScanScene
 from cell.scan.work import ScanOutcome, Work, finished_plan
-from planner.timing import Motion
+from planner.timing.motion import Motion
 
 _DEVIATION = 12
 """Stream of randomness of the samples that the deviation is measured on."""

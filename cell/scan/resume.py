@@ -18,9 +18,9 @@ from cell.scan.execute import Leg, Legs, stands_at
 from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import RobotState
 from drivers.setpoints import text
-from planner import path
-from planner.path import PathResult
-from planner.timing import Motion
+from planner.path import path
+from planner.path.path import PathResult
+from planner.timing.motion import Motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)

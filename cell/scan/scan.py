@@ -30,7 +30,7 @@ from cell.scan.work import ScanOutcome, Work, finished_plan
 from drivers.clock import Clock
 from drivers.contract import Driver
 from drivers.errors import DriverError
-from planner.timing import Motion
+from planner.timing.motion import Motion
 
 
 def scan(

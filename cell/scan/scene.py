@@ -19,10 +19,10 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import box, floor_square, prism
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, understood
+from planner.measurability.quality import Limited
 from planner.ports import Floats, Scanner
-from planner.quality import Limited
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
+from planner.surface.surface import TriangleMesh
+from planner.values import readonly
 
 if TYPE_CHECKING:
     from cell.robot.kinematics import Kr16Kinematics

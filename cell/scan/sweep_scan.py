@@ -6,7 +6,7 @@ these lines are interpolated between the reported ones (position linearly, orien
 first and the last one by half a step, as the sweep is driven: `lines_between` of them share each cell equally.
 
 What is approximated: the arm stands where the real one passes; between two reported poses it is taken to be on the line
-through them, from which the planned one is off by less than `planner.sweep_motion.TUBE`. Object frame, metres.
+through them, from which the planned one is off by less than `planner.path.sweeps.motion.TUBE`. Object frame, metres.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ from cell.rays import virtual_scan
 from cell.rays.virtual_scan import Scan
 from cell.scan.pose_error import Disturbance
 from cell.scan.scene import ScanScene
+from planner.path.sweeps.line import rotation_vectors, rotations
 from planner.ports import Floats
-from planner.sweep_line import rotation_vectors, rotations
 
 LINE_STEP, LINE_ANGLE = 0.001, float(np.radians(0.25))
 """Lines are at most so far apart [m] and turned against each other by at most so much [rad], up to `_ROUNDING`."""

@@ -20,7 +20,7 @@ from planner.ports import Scanner
 
 if TYPE_CHECKING:
     from cell.scene.scene import Scene
-    from planner.viewpoints import Viewpoints
+    from planner.viewpoints.viewpoints import Viewpoints
 
 GROUP = "cell.scanners"
 
@@ -151,7 +151,7 @@ def swept(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
     T_view_scanner = getattr(scanner, "T_view_scanner", None)
     if T_view_scanner is None:
         return viewpoints
-    from planner.sweeps import swept as sweeps_of
+    from planner.viewpoints.sweeps import swept as sweeps_of
 
     return sweeps_of(viewpoints, T_view_scanner)
 

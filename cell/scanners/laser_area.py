@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from cell.errors import SceneError
 from planner.ports import Floats, Rejection
-from planner.readonly import readonly
+from planner.values import readonly
 
 TOLERANCE = 1e-9
 

@@ -1,4 +1,4 @@
-"""`laser-line`: a triangulation sensor with one laser sheet, swept along a path or turned (planner/sweeps.py).
+"""`laser-line`: a triangulation sensor with one laser sheet, swept along a path or turned (planner.viewpoints.sweeps).
 
 The sheet is the plane x = 0 of the scanner frame: the fan opens by `fan_deg` about z within it, along y, and the
 baseline (x) is perpendicular to it, as in real line sensors, where the camera looks at the line from the side. The
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from cell.errors import SceneError
 from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea
 from planner.ports import Floats, Rejection
-from planner.readonly import readonly
-from planner.sweeps import straight_poses, turned_poses
+from planner.values import readonly
+from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 _ACROSS_DEG = 179.0  # opening of the law across the sheet where the slab decides instead: never narrower than a slab
 _NO_LIMIT_MM = (0.0, 1e9)  # the law's distance from the source, where the depth decides instead

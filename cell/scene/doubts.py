@@ -6,8 +6,8 @@ The numbers are the borders of the maps of docs/stability.md, which read them fr
 import numpy as np
 
 from cell.scene.scene import Scene
-from planner import surface
-from planner.surface import SurfaceSamples, TriangleMesh
+from planner.surface import surface
+from planner.surface.surface import SurfaceSamples, TriangleMesh
 
 STEEPEST_GRAZING_DEG = 77.0
 """Surface at more than this to the rays counts as measured up to 90 degrees, but a scan hardly has a point on it."""

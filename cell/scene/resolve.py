@@ -13,7 +13,7 @@ from cell.errors import SceneError
 from cell.part.workpiece import Workpiece
 from cell.scene.presets import PRESETS
 from cell.scene.scene import Scene
-from planner.viewpoints import enclosing_radius
+from planner.viewpoints.viewpoints import enclosing_radius
 
 # part: planning faces, standoff [mm], baseline [mm]; the faces are the paper's (Tables 1 and 2), changed only with a
 # line in CHANGELOG.md.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.stand_ins.fields import Field
-from planner.surface import TriangleMesh, collapse_edges
+from planner.surface.surface import TriangleMesh, collapse_edges
 
 Grid = NDArray[np.float32]
 

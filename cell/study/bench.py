@@ -26,15 +26,18 @@ from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner import cover, coverage, reach, surface
-from planner.columns import pick_measurability, pick_viewpoints
+from planner import cover
 from planner.cover import Cover
 from planner.cover.most_coverage import most_coverage
-from planner.measurability import Measurability
+from planner.measurability import coverage
+from planner.measurability.columns import pick_measurability, pick_viewpoints
+from planner.measurability.matrix import Measurability
 from planner.ports import Floats, Scanner
-from planner.reach import Reach
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints import Viewpoints
+from planner.reach import reach
+from planner.reach.reach import Reach
+from planner.surface import surface
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints
 
 Mask = NDArray[np.bool_]
 

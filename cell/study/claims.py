@@ -1,18 +1,19 @@
 """What a measurability matrix claims for its plan, and what samples that it has not seen say of that plan.
 
 The error of a fill: the greedy plan of a matrix, the share of area that the matrix says the plan measures, and visible
-coverage by its definition (planner/coverage.py).
+coverage by its definition (planner/measurability/coverage.py).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from planner import cover, coverage
-from planner.measurability import Measurability
+from planner import cover
+from planner.measurability import coverage
+from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Scanner
-from planner.surface import SurfaceSamples
-from planner.viewpoints import Viewpoints
+from planner.surface.surface import SurfaceSamples
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Straight joint moves between configurations of a cell, looked at every millimetre: what a coarser look misses.
 
-A fixed step checks every so many degrees of the joint that turns most; `planner.edge.certify` takes as many steps as
-the bound on travel asks for. Radians, metres.
+A fixed step checks every so many degrees of the joint that turns most; `planner.path.certified_edge.certify` takes as
+many steps as the bound on travel asks for. Radians, metres.
 """
 
 from dataclasses import dataclass

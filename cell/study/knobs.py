@@ -16,7 +16,7 @@ from cell.scene.scene import Plan, Scanner
 from cell.study import turned, turned_engine
 from cell.study.scenes import bench_of
 from cell.study.turned import Turn
-from planner.generalised_tsp import STEPS
+from planner.order.generalised_tsp import STEPS
 
 Value = float | int | str
 OfPreset = Callable[[str], Value]

@@ -13,10 +13,13 @@ import numpy as np
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
 from cell.study.scenes import bench_of
-from planner import cover, coverage, measurability, reach
-from planner.columns import pick_measurability, pick_viewpoints
-from planner.order import sequence
-from planner.timing import scaled
+from planner import cover
+from planner.measurability import coverage
+from planner.measurability.columns import pick_measurability, pick_viewpoints
+from planner.measurability.matrix import occlude
+from planner.order.orderings import sequence
+from planner.reach import reach
+from planner.timing.motion import scaled
 
 COVERAGE_ONLY, WHOLE = "coverage", "whole"
 
@@ -50,7 +53,7 @@ def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
         return values
     in_the_way = caster_of(occluder_triangles(world, T_base_object))
     M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
-    M = measurability.occlude(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
+    M = occlude(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
     measured = np.diff(M.indptr) > 0
     values["coverable"] = float(M.features.areas[measured].sum() / M.features.areas.sum())
     if settings["what"] == COVERAGE_ONLY or not measured.any():

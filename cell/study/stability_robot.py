@@ -20,11 +20,11 @@ from cell.study.stability_map import Map, Seen
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner.edge import certify, quantise
-from planner.path import connect
+from planner.path.certified_edge import certify, quantise
+from planner.path.path import connect
 from planner.ports import Floats
-from planner.reach import Verdict
-from planner.setpoints import STEPS_PER_DEGREE, setpoints
+from planner.reach.reach import Verdict
+from planner.reach.setpoints import STEPS_PER_DEGREE, setpoints
 
 _HALF_STEP = np.radians(0.5 / STEPS_PER_DEGREE)
 _INNER = 0.95  # of the joint range: questions about singularities and edges keep off the limits

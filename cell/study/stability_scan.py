@@ -18,8 +18,8 @@ from cell.reconstruction.reconstruct import Reconstruction, reconstruct
 from cell.study.clouds import eight_scans, noisy
 from cell.study.stability_body import body
 from cell.study.stability_map import Map, Seen
-from planner import surface
 from planner.ports import Floats
+from planner.surface import surface
 
 _FINEST_DEG = 1.0
 _NEAR = 0.01  # of the diagonal: surface so near to a place counts as found there

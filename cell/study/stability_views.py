@@ -21,12 +21,15 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene import doubts
 from cell.study.stability_body import body
 from cell.study.stability_map import Map, Seen
-from planner import cover, coverage, measurability, surface
+from planner import cover
 from planner.cover import CoverStatus
-from planner.legs import Targets, in_view
+from planner.measurability import coverage
+from planner.measurability.matrix import fill, measured
 from planner.ports import Floats
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.surface import surface
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.lines_of_sight import Targets, in_view
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 _FACES, _VIEWS = 400, 40  # of the part that is asked about in float64, and about as many views
 _AWAY = np.array([0.8, -0.5, 0.33])  # direction of an offset
@@ -95,7 +98,7 @@ def size(line: str, metres: float, count: int) -> Seen:
     part = _part()
     loaded = workpiece.from_mesh("part", part.vertices * metres, part.faces.astype(np.int64), "m", "")
     scanner, features, views = _question(metres, count)
-    M = measurability.fill(views, features, scanner, EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces))
+    M = fill(views, features, scanner, EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces))
     agreeing = _agreeing(M.matrix().toarray(), _truth(count))
     says = " ".join(f.sentence for f in loaded.findings if f.kind is workpiece.Kind.UNITS)
     return Seen(agreeing, 100 * (1 - agreeing), says)
@@ -121,7 +124,7 @@ def offset(line: str, sizes: float, count: int) -> Seen:
     T = np.array(views.T_object_scanner)
     T[..., :3, 3] += shift
     views = Viewpoints(T, views.face, views.standoff, views.roll)
-    M = measurability.fill(views, there, scanner, EmbreeRayCaster(mesh.vertices, mesh.faces))
+    M = fill(views, there, scanner, EmbreeRayCaster(mesh.vertices, mesh.faces))
     return Seen(_agreeing(M.matrix().toarray(), _truth(count)), off, says)
 
 
@@ -153,7 +156,7 @@ def grazing(line: str, angle_deg: float, count: int) -> Seen:
     step = float(line.removesuffix(" deg"))
     scanner = LaserArea(resolution_deg=(step, step), grazing_max_deg=90.0)
     samples = surface.sample(plate, plate, count, np.random.default_rng(0))
-    predicted = measurability.measured(np.eye(4)[None, None], samples, scanner, [caster])
+    predicted = measured(np.eye(4)[None, None], samples, scanner, [caster])
     points = virtual_scan.scan(scanner, np.eye(4), caster, plate).points
     found = np.zeros(count, dtype=np.bool_)
     if len(points):
@@ -184,7 +187,7 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
     planning, scanner = surface.decimate(mesh, faces), LaserArea()
     views = optimal_scanning_zone(planning, [_STANDOFF_M], _ROLLS)
     features = surface.sample(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
-    M = measurability.fill(views, features, scanner, caster)
+    M = fill(views, features, scanner, caster)
     plan = cover.solve(M.matrix(), features.areas, rng=np.random.default_rng(0), solver="greedy", budget=0)
     visible = coverage.visible(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction
     return visible, len(plan.views), len(planning.faces), doubts.off_mesh(features, planning)

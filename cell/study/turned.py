@@ -18,17 +18,18 @@ from cell.scanners.laser_area import LaserArea
 from cell.study.bench import Bench
 from cell.study.claims import claim
 from cell.study.timed import timed
-from planner import cover, measurability, surface
-from planner.closest import closest_face
+from planner import cover
 from planner.cover import DEFAULT_WORK
-from planner.generalised_tsp import STEPS
-from planner.measurability import Measurability, measured
-from planner.order import sequence
+from planner.measurability.matrix import Measurability, fill, measured
+from planner.order.generalised_tsp import STEPS
+from planner.order.orderings import sequence
 from planner.ports import Floats
-from planner.reach import Reach
-from planner.surface import TriangleMesh
-from planner.timing import scaled
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach
+from planner.surface import surface
+from planner.surface.closest import closest_face
+from planner.surface.surface import TriangleMesh
+from planner.timing.motion import scaled
+from planner.viewpoints.viewpoints import Viewpoints
 
 FINEST = 4
 """Candidates of so many times the default planning faces stand for all that there could be."""
@@ -67,7 +68,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> Turned:
         rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
         count = bench.scene.plan.samples_per_face * len(planning.faces)
         features = surface.sample(bench.part.reference, planning, count, rng)
-        M = measurability.fill(candidates, features, bench.scanner, bench.caster)
+        M = fill(candidates, features, bench.scanner, bench.caster)
         rng = np.random.default_rng([bench.scene.plan.seed, _SELECTION])
         return candidates, cover.solve(M.matrix(), features.areas, rng=rng)
 
@@ -82,7 +83,7 @@ def samples(bench: Bench, per_face: int, repeats: int) -> Turned:
     planning, candidates = bench.planning, bench.zone
     rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
     features = surface.sample(bench.part.reference, planning, per_face * len(planning.faces), rng)
-    M, seconds = timed(lambda: measurability.fill(candidates, features, bench.scanner, bench.caster), repeats)
+    M, seconds = timed(lambda: fill(candidates, features, bench.scanner, bench.caster), repeats)
     return _claimed(bench, M, seconds)
 
 
@@ -91,7 +92,7 @@ def rays(bench: Bench, step_deg: float, repeats: int) -> Turned:
     faces, row_of_face = _face_rows(bench)
     scanner = LaserArea(**{**bench.settings.scanner, "resolution_deg": (step_deg, step_deg)})
     M, seconds = timed(
-        lambda: measurability.fill(
+        lambda: fill(
             bench.zone, faces, scanner, bench.caster, method="rays", part=bench.part.reference, row_of_face=row_of_face
         ),
         repeats,

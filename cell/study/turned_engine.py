@@ -21,9 +21,9 @@ from cell.study.turned import Turned, reached
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner import coverage
-from planner.edge import certify
 from planner.errors import PlannerError
+from planner.measurability import coverage
+from planner.path.certified_edge import certify
 from planner.ports import Floats
 
 CERTIFIED = "certified"

@@ -23,7 +23,7 @@ from cell.scene.presets import PRESETS
 from cell.study.bench import Bench
 from cell.study.scenes import scene_of
 from cell.study.turned import FINEST
-from planner import coverage
+from planner.measurability import coverage
 
 PAPER = "paper's method"
 

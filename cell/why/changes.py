@@ -1,6 +1,6 @@
 """The single changes that `cell why` tries for what a plan leaves open; docs/why.md lists them.
 
-Each becomes a `planner.what_if.WhatIf`: candidates that the arm reaches under the change (inverse kinematics and
+Each becomes a `planner.why.what_if.WhatIf`: candidates that the arm reaches under the change (inverse kinematics and
 collision asked again), the scanner's law and the casters under it. Nothing is estimated. Object frame, metres.
 """
 
@@ -20,12 +20,13 @@ from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
-from planner import reach, what_if
-from planner.legs import Indices, Targets
+from planner.measurability.quality import Limited
 from planner.ports import Floats, RayCaster, Scanner
-from planner.quality import Limited
-from planner.viewpoints import Viewpoints
-from planner.what_if import Kind, WhatIf
+from planner.reach import reach
+from planner.viewpoints.lines_of_sight import Indices, Targets
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.why import what_if
+from planner.why.what_if import Kind, WhatIf
 
 _ROLLS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 _STANDOFFS = (0.9, 1.1, 0.8, 1.2, 0.7, 1.3, 0.6, 1.4, 0.5, 1.5)  # of the present one, inside the range

@@ -1,7 +1,7 @@
 """`cell why`: why parts of the surface stay open in a finished plan, and the smallest single change that measures them.
 
 `answer_of` shows the whole on one screen: the held-out samples that the plan's views leave open get a reason each
-(`planner.why`), samples of one reason make a group and connected ones a patch, changes are tried on representatives
+(`planner.why.why`), samples of one reason make a group and connected ones a patch, changes are tried on representatives
 (`cell.why.changes`), and those that are named are asked about every sample that they are named for. The plan is never
 touched; files go to `why/` in the run folder. Object frame, metres.
 """
@@ -28,15 +28,16 @@ from cell.why import files as why_files
 from cell.why.changes import Changes, one_caster
 from cell.why.groups import detail, grouped
 from cell.why.search import Named, search
-from planner import coverage, why
-from planner.legs import Indices, Targets
+from planner.measurability import coverage
+from planner.measurability.quality import Limited
 from planner.ports import Scanner
-from planner.quality import Limited
-from planner.reasons import OF_VERDICT, Reason
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints import Viewpoints
-from planner.what_if import WhatIf
-from planner.why import Diagnosis
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.lines_of_sight import Indices, Targets
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.why import why
+from planner.why.reasons import OF_VERDICT, Reason
+from planner.why.what_if import WhatIf
+from planner.why.why import Diagnosis
 
 if TYPE_CHECKING:
     from cell.commands.narrator import Narrator

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run.folder import SCHEMA, json_text
-from planner.reasons import Reason
-from planner.surface import face_normals
+from planner.surface.surface import face_normals
+from planner.why.reasons import Reason
 
 if TYPE_CHECKING:
     from cell.run.record import RunRecord
@@ -95,8 +95,8 @@ def write(run: RunRecord, answer: Answer, content: dict[str, Any]) -> Path:
 def ply(answer: Answer) -> bytes:
     """The held-out samples as points: mm, object frame, coloured by group, with the numbers of why.json.
 
-    Properties: `reason` (a `planner.why.Reason`, 0 measured), `group` (from 1, 0 measured), `gained` (1 where the first
-    change that is named for its group measures the point).
+    Properties: `reason` (a `planner.why.reasons.Reason`, 0 measured), `group` (from 1, 0 measured), `gained` (1 where
+    the first change that is named for its group measures the point).
     """
     samples = answer.samples
     points = np.zeros(

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.legs import Indices
 from planner.ports import Floats
-from planner.reasons import Reason
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.why import Diagnosis
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.lines_of_sight import Indices
+from planner.why.reasons import Reason
+from planner.why.why import Diagnosis
 
 
 @dataclass(frozen=True, slots=True, eq=False)

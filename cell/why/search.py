@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from cell.commands.narrator import ProgressCallback
 from cell.why.changes import Changes, ladder_masks
 from cell.why.groups import OpenGroup
-from planner import what_if
-from planner.legs import Indices, Targets
 from planner.ports import Floats
-from planner.reasons import Reason
-from planner.surface import SurfaceSamples
-from planner.what_if import Kind, WhatIf
+from planner.surface.surface import SurfaceSamples
+from planner.viewpoints.lines_of_sight import Indices, Targets
+from planner.why import what_if
+from planner.why.reasons import Reason
+from planner.why.what_if import Kind, WhatIf
 
 _REPRESENTATIVES = 700
 _FEWEST = 8  # representatives of a group

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from planner.ports import Floats
-from planner.readonly import readonly
+from planner.values import readonly
 
 TOLERANCE = 2e-4
 """How far the true minimum may be below the one that is said [m], where it is near."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from cell.world.shapes import quaternion
 from cell.world.world import World
-from planner.readonly import readonly
+from planner.values import readonly
 
 FILE_NAME = "cell.xml"
 

@@ -21,8 +21,8 @@ from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
 from planner.ports import JointLimits
-from planner.readonly import readonly
-from planner.surface import TriangleMesh
+from planner.surface.surface import TriangleMesh
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco

@@ -22,7 +22,7 @@ import numpy as np
 from planner.cover.budget import STEP_WORK, Budget
 from planner.cover.interrupts import interruptible
 from planner.cover.problem import CoverProblem, Floats, Ints
-from planner.readonly import readonly
+from planner.values import readonly
 
 ROUNDING = 1e-6
 """Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""

@@ -20,7 +20,7 @@ from planner.cover.budget import Budget
 from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import Floats, Ints
 from planner.errors import PlannerError
-from planner.readonly import readonly
+from planner.values import readonly
 
 CURVE_WORK = 2_500_000_000
 """Default budget: some five seconds for a thousand candidates and four thousand samples."""

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from planner.cover.problem import CoverProblem, Floats, Ints
-from planner.readonly import readonly
+from planner.values import readonly
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,7 @@ from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import Floats, Ints
 from planner.cover.selection import Cover, CoverStatus, beginning, solve
 from planner.errors import PlannerError
-from planner.readonly import readonly
+from planner.values import readonly
 
 OVERLAP_WORK = 1_000_000_000
 """Default budget: two to five seconds."""

@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.readonly import readonly
+from planner.values import readonly
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """Views that keep their promise although the robot is not exactly where it says (Scott 2009).
 
-Sample i is measured by view j with probability p_ij (`planner.pose_ensemble`). With errors that are independent from
-view to view (an assumption: an error of calibration that all views share is not that), the plan C misses it with
-probability prod (1 - p_ij). It counts as robustly covered where that is at most alpha:
+Sample i is measured by view j with probability p_ij (`planner.measurability.pose_ensemble`). With errors that are
+independent from view to view (an assumption: an error of calibration that all views share is not that), the plan C
+misses it with probability prod (1 - p_ij). It counts as robustly covered where that is at most alpha:
 
     sum_{j in C} -log(1 - p_ij) >= -log(alpha)
 
@@ -29,8 +29,8 @@ from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import TARGET_SLACK, Floats, Ints
 from planner.cover.selection import Cover, beginning, solve
 from planner.errors import PlannerError
-from planner.pose_ensemble import ProbabilityLayer, credited
-from planner.readonly import readonly
+from planner.measurability.pose_ensemble import ProbabilityLayer, credited
+from planner.values import readonly
 
 ALPHA = 0.05
 """Default: a sample counts where the plan measures it with a probability of at least 95 %."""

@@ -16,7 +16,7 @@ from planner.cover.problem import Candidates, CoverProblem, Floats, Ints, candid
 from planner.cover.reductions import reduce, take
 from planner.cover.solvers import BOUND_SHARE, SOLVERS
 from planner.errors import PlannerError
-from planner.readonly import readonly
+from planner.values import readonly
 
 PRICE_ROUNDING = 1e-4
 """Costs that are not whole numbers are rounded: "proven cheapest" means that none saves more than this share."""

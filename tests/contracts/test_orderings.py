@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.order import ORDERINGS, OrderStatus, Sequence
+from planner.order.orderings import ORDERINGS, OrderStatus, Sequence
 from planner.ports import JointLimits
-from planner.timing import move_time
+from planner.timing.motion import move_time
 
 LIMITS = JointLimits(
     lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.arange(1.0, 7.0), acceleration=np.arange(2.0, 8.0)

@@ -8,7 +8,9 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
-from planner import reach, surface, viewpoints
+from planner.reach import reach
+from planner.surface import surface
+from planner.viewpoints import viewpoints
 
 
 @pytest.mark.slow

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from planner import generalised_tsp as gtsp
-from planner.order import sequence
+from planner.order import generalised_tsp as gtsp
+from planner.order.orderings import sequence
 from planner.ports import Floats, JointLimits
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.ones(6), np.full(6, 2.0))
@@ -63,7 +63,7 @@ def test_a_one_way_ring_is_found_in_its_direction() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_sweeps_are_entered_at_one_end_and_left_at_the_other(seed: int) -> None:
     """Views with two ends each, driven either way: the time is the least over orders and directions, stays counted."""
-    from planner.timing import move_time
+    from planner.timing.motion import move_time
 
     rng = np.random.default_rng(seed)
     ends = rng.uniform(-1, 1, (4, 2, 6))

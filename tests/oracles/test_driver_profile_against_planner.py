@@ -6,10 +6,10 @@ import pytest
 from drivers.limits import kr16
 from drivers.profile import Reference, interpolate
 from drivers.setpoints import from_rad, to_rad
-from planner.edge import quantise
+from planner.path.certified_edge import quantise
 from planner.ports import JointLimits
-from planner.setpoints import from_steps, to_steps
-from planner.timing import move_time, retime
+from planner.reach.setpoints import from_steps, to_steps
+from planner.timing.motion import move_time, retime
 
 
 def limits(speed: float) -> JointLimits:

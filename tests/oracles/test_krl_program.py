@@ -425,10 +425,10 @@ def _sweeping(
     from cell.export import krl
     from cell.export.program import Told, of_motion
     from cell.robot.kinematics import Kr16Kinematics
-    from planner.sweep_motion import sweeps_of
-    from planner.sweep_timing import DrivenSweep
-    from planner.sweeps import straight_poses, turned_poses
-    from planner.timing import retime
+    from planner.path.sweeps.motion import sweeps_of
+    from planner.path.sweeps.timing import DrivenSweep
+    from planner.timing.motion import retime
+    from planner.viewpoints.sweeps import straight_poses, turned_poses
 
     kinematics, mount = Kr16Kinematics.load(), np.eye(4)
     mount[:3, 3] = (0.02, -0.03, 0.12)

@@ -7,9 +7,9 @@ import trimesh
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
-from planner.measurability import Measurability, fill, measured, occlude
-from planner.surface import SurfaceSamples
-from planner.viewpoints import Viewpoints
+from planner.measurability.matrix import Measurability, fill, measured, occlude
+from planner.surface.surface import SurfaceSamples
+from planner.viewpoints.viewpoints import Viewpoints
 
 HEIGHT = 0.3
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0])

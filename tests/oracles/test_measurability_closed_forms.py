@@ -7,8 +7,8 @@ from scipy.spatial import ConvexHull
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from planner.measurability import measured
-from planner.surface import SurfaceSamples, TriangleMesh, sample
+from planner.measurability.matrix import measured
+from planner.surface.surface import SurfaceSamples, TriangleMesh, sample
 
 RADIUS = 0.1
 

@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planner.edge import STEP
+from planner.order.tour import MotionBudget, Tour, TourStatus, plan_motion
+from planner.path.certified_edge import STEP
 from planner.ports import JointLimits
-from planner.timing import Motion, move_time, retime
-from planner.tour import MotionBudget, Tour, TourStatus, plan_motion
+from planner.timing.motion import Motion, move_time, retime
 
 LIMITS = JointLimits(
     lower=np.radians([-185, -155, -130, -350, -130, -350]),

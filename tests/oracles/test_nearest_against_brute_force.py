@@ -8,8 +8,8 @@ import trimesh
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.face_blocks import FaceBlocks
 from cell.reconstruction.nearest import NearestSurface
-from planner.closest import squared_distance
-from planner.surface import TriangleMesh
+from planner.surface.closest import squared_distance
+from planner.surface.surface import TriangleMesh
 
 
 def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:

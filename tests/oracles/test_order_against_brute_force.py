@@ -5,11 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from planner import generalised_tsp as gtsp
-from planner import tour_bound
-from planner.order import OrderStatus, sequence
+from planner.order import generalised_tsp as gtsp
+from planner.order import tour_bound
+from planner.order.orderings import OrderStatus, sequence
 from planner.ports import JointLimits
-from planner.timing import move_time
+from planner.timing.motion import move_time
 
 LIMITS = JointLimits(
     lower=np.radians([-185, -155, -130, -350, -130, -350]),

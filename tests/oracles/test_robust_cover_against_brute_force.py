@@ -11,7 +11,7 @@ from planner.cover.budget import Budget
 from planner.cover.demand_bound import lower_bound
 from planner.cover.demands import DemandProblem
 from planner.cover.robust import DEMAND, loads, robust_cover, views_for_promise
-from planner.pose_ensemble import ProbabilityLayer, credited
+from planner.measurability.pose_ensemble import ProbabilityLayer, credited
 
 
 def small(seed, members=32):

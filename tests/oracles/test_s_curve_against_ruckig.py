@@ -9,8 +9,8 @@ import pytest
 import ruckig
 
 from planner.ports import JointLimits
-from planner.s_curve import Profile, fastest, sample
-from planner.timing import MARGIN, jerk_free, move_time, retime
+from planner.timing.motion import MARGIN, jerk_free, move_time, retime
+from planner.timing.s_curve import Profile, fastest, sample
 
 LIMITS = JointLimits(
     np.full(6, -7.0),

@@ -14,7 +14,9 @@ from cell.study.bench import DENSER, Bench, fewest_for, most_with
 from cell.study.placed import placement
 from cell.study.scenes import bench_of, scene_of, scene_settings
 from cell.study.tables import not_beaten
-from planner import coverage, measurability, reach
+from planner.measurability import coverage
+from planner.measurability.matrix import occlude
+from planner.reach import reach
 
 _TABLES = {
     "part": {"name": "petanque"},
@@ -129,7 +131,7 @@ def test_a_placement_s_numbers_are_those_of_its_steps() -> None:
         bench.zone, placed, bench.world.T_flange_scanner, bench.kinematics, bench.checker(placed)
     ).reachable
     casters = caster_of(occluder_triangles(bench.world, placed))
-    M = measurability.occlude(bench.matrix("aimed", bench.zone), bench.zone, bench.scanner, casters).matrix()
+    M = occlude(bench.matrix("aimed", bench.zone), bench.zone, bench.scanner, casters).matrix()
     measured = M.toarray()[:, reached].any(axis=1)
     areas = bench.matrix("aimed", bench.zone).features.areas
     assert 0.1 < values["coverable"] < 1.0

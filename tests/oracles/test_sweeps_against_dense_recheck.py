@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
+from planner.path.sweeps.motion import TUBE, sweeps_of
+from planner.path.sweeps.path import SweepPath
+from planner.path.sweeps.timing import timed, times_at
 from planner.ports import Floats
-from planner.sweep_motion import TUBE, sweeps_of
-from planner.sweep_path import SweepPath
-from planner.sweep_timing import timed, times_at
-from planner.sweeps import straight_poses, turned_poses
+from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from planner.ports import JointLimits
-from planner.timing import move_time, retime
+from planner.timing.motion import move_time, retime
 
 LIMITS = JointLimits(
     lower=np.full(6, -7.0),

@@ -19,8 +19,8 @@ from cell.world import triangle_distance as gjk
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.triangle_tree import TriangleTree
 from cell.world.world import compile as compile_world
-from planner.path import connect
-from planner.surface import TriangleMesh
+from planner.path.path import connect
+from planner.surface.surface import TriangleMesh
 
 REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)
 ZERO, UPRIGHT = np.zeros(3), np.eye(3).ravel()

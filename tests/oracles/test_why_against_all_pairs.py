@@ -7,12 +7,12 @@ import trimesh
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner import why
-from planner.legs import Targets
 from planner.ports import Rejection
-from planner.reasons import Reason
-from planner.surface import TriangleMesh, decimate, sample
-from planner.viewpoints import optimal_scanning_zone
+from planner.surface.surface import TriangleMesh, decimate, sample
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.viewpoints import optimal_scanning_zone
+from planner.why import why
+from planner.why.reasons import Reason
 
 
 def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[int], trimesh.Trimesh]) -> None:

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from planner.legs import Targets, flat_poses, in_view
-from planner.measurability import fill, measured, occlude
+from planner.measurability.matrix import fill, measured, occlude
 from planner.ports import Rejection
-from planner.surface import TriangleMesh, sample
-from planner.viewpoints import Viewpoints
+from planner.surface.surface import TriangleMesh, sample
+from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view
+from planner.viewpoints.viewpoints import Viewpoints
 
 seeds = st.integers(0, 2**32 - 1)
 few = settings(max_examples=15, deadline=None, derandomize=True)  # knife-edge pairs exist: the same examples every time
@@ -219,9 +219,9 @@ def test_the_size_of_bundles_does_not_matter(seed, bundle):
     keys = {"method": "rays", "part": part, "row_of_face": np.arange(len(part.faces)) % len(features)}
     usual = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planner.measurability.BUNDLE", bundle)
-        patch.setattr("planner.raygrid.BUNDLE", bundle)
-        patch.setattr("planner.measurability._OPEN_BUNDLE", bundle)
+        patch.setattr("planner.measurability.matrix.BUNDLE", bundle)
+        patch.setattr("planner.measurability.raygrid.BUNDLE", bundle)
+        patch.setattr("planner.measurability.matrix._OPEN_BUNDLE", bundle)
         other = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
         predicted = measured(views.T_object_scanner, features, scanner, [caster])
     for a, b in zip(usual, other, strict=True):

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from planner.edge import quantise, quantise_inside, subdivide
+from planner.path.certified_edge import quantise, quantise_inside, subdivide
 from planner.ports import JointLimits
-from planner.timing import RESOLUTION, move_time, retime
+from planner.timing.motion import RESOLUTION, move_time, retime
 
 BOUND = 13.0
 angles = arrays(float, 6, elements=st.floats(-BOUND, BOUND))

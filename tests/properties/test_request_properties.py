@@ -11,7 +11,7 @@ from planner.cover.curve import coverage_curve
 from planner.cover.most_coverage import most_coverage
 from planner.cover.overlap import Overlap, OverlapStatus, joined_columns, overlap_cover
 from planner.cover.robust import DEMAND, loads, robust_cover
-from planner.pose_ensemble import ProbabilityLayer
+from planner.measurability.pose_ensemble import ProbabilityLayer
 
 WORK = 300_000
 matrices = hnp.arrays(bool, st.tuples(st.integers(0, 12), st.integers(0, 9)))

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from planner.ports import JointLimits
-from planner.s_curve import Profile, fastest, sample
-from planner.timing import RESOLUTION, jerk_free, move_time, retime, scaled
+from planner.timing.motion import RESOLUTION, jerk_free, move_time, retime, scaled
+from planner.timing.s_curve import Profile, fastest, sample
 
 angles = arrays(float, 6, elements=st.floats(-13.0, 13.0))
 positive = arrays(float, 6, elements=st.floats(0.01, 50.0))

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner import surface
-from planner.measurability import measured
+from planner.measurability.matrix import measured
+from planner.measurability.quality import Limited
 from planner.ports import Rejection
-from planner.quality import Limited
-from planner.surface import TriangleMesh
-from planner.viewpoints import optimal_scanning_zone
+from planner.surface import surface
+from planner.surface.surface import TriangleMesh
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 _ANGLE = st.floats(5, 85)
 _LIMITS = st.fixed_dictionaries({

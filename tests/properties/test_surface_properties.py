@@ -5,8 +5,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.closest import closest_face, squared_distance
-from planner.surface import TriangleMesh, decimate, face_normals, sample
+from planner.surface.closest import closest_face, squared_distance
+from planner.surface.surface import TriangleMesh, decimate, face_normals, sample
 
 
 @given(st.integers(0, 2**32 - 1))

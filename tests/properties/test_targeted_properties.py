@@ -10,10 +10,13 @@ from cell.plan import candidates as growing
 from cell.plan.candidates import grow
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner import columns, coverage, measurability, surface, targeted, viewpoints
-from planner.legs import Targets
-from planner.reach import Reach, Verdict
-from planner.viewpoints import Viewpoints
+from planner.measurability import columns, coverage
+from planner.measurability.matrix import Measurability, fill
+from planner.reach.reach import Reach, Verdict
+from planner.surface import surface
+from planner.viewpoints import targeted, viewpoints
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.viewpoints import Viewpoints
 
 STANDOFF = 0.1
 
@@ -50,7 +53,7 @@ def _grown(mug, reach_of=_from_above, normals=20, casters=None):
         return reach_of(views)
 
     def measure(views):
-        return measurability.fill(views, features, scanner, caster)
+        return fill(views, features, scanner, caster)
 
     M = measure(base)
     grown = grow(
@@ -129,7 +132,7 @@ def test_seeing_the_own_point_equals_the_matrix(mug):
         features.points[rows], features.normals[rows], features.planning_face[rows], STANDOFF, within
     )
     seen = targeted.sees_its_point(views, targets, rows[owner], scanner, [caster])
-    M = measurability.fill(views, features, scanner, caster).matrix().toarray()
+    M = fill(views, features, scanner, caster).matrix().toarray()
     assert (seen == M[rows[owner], np.arange(len(views))]).all()
     assert 0 < seen.mean() < 1
     assert (targeted.measured_rows(views, targets, rows, scanner, [caster]) == M[rows]).all()
@@ -145,7 +148,7 @@ def test_growing_only_adds_and_makes_more_coverable(mug):
     assert views.T_object_scanner[:n].tobytes() == base.T_object_scanner.tobytes()
     assert reached.reachable[n:].all()
     assert (reached.verdict == _from_above(views).verdict).all()
-    assert (both.matrix() != measurability.fill(views, features, scanner, caster).matrix()).nnz == 0
+    assert (both.matrix() != fill(views, features, scanner, caster).matrix()).nnz == 0
     before = M.matrix()[:, _from_above(base).reachable].sum(axis=1) > 0
     new = both.matrix()[:, n:].toarray()
     assert (new & ~before[:, None]).any(axis=0).all()
@@ -192,7 +195,7 @@ def test_sweeps_are_refused(mug):
     """Viewpoints of several poses cannot be aimed here; the sentence says what can."""
     _, _, features, scanner, caster = mug
     views = Viewpoints(np.tile(np.eye(4), (2, 3, 1, 1)), [-1, -1], [1.0, 1.0], [0.0, 0.0])
-    M = measurability.Measurability([0] * 601, [], features, 2)
+    M = Measurability([0] * 601, [], features, 2)
     with pytest.raises(SceneError, match=r"this scanner sweeps; choose"):
         grow(
             views, _reach(views, np.array([True, True])), M, standoff=0.1, scanner=scanner, casters=[caster],
@@ -209,7 +212,7 @@ def test_columns_are_joined_and_picked_alike():
     for block in dense:
         indptr = np.concatenate([[0], np.cumsum(block.sum(axis=1))])
         sigma = (np.nonzero(block)[1] + 1 + len(parts) * 10).astype(np.float32)
-        parts.append(measurability.Measurability(indptr, np.nonzero(block)[1], features, block.shape[1], sigma))
+        parts.append(Measurability(indptr, np.nonzero(block)[1], features, block.shape[1], sigma))
     joined = columns.join_measurability(parts)
     assert (joined.matrix().toarray() == np.hstack(dense)).all()
     expected = np.hstack([np.where(block, np.arange(block.shape[1]) + 1 + 10 * i, 0) for i, block in enumerate(dense)])

@@ -22,10 +22,11 @@ from cell.why import files as why_files
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner import coverage, reach
-from planner.reasons import Reason
-from planner.viewpoints import Viewpoints, optimal_scanning_zone
-from planner.what_if import Kind
+from planner.measurability import coverage
+from planner.reach import reach
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.why.reasons import Reason
+from planner.why.what_if import Kind
 
 _SCENE = """
 [[fixtures]]

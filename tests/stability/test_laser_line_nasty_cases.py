@@ -8,10 +8,10 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
 from planner.errors import PlannerError
-from planner.measurability import fill, occlude
+from planner.measurability.matrix import fill, occlude
 from planner.ports import Rejection
-from planner.surface import SurfaceSamples, TriangleMesh, sample
-from planner.viewpoints import Viewpoints, view_sphere
+from planner.surface.surface import SurfaceSamples, TriangleMesh, sample
+from planner.viewpoints.viewpoints import Viewpoints, view_sphere
 
 _MESH = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
 _BALL = TriangleMesh(_MESH.vertices, _MESH.faces.astype(np.int32))

@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from planner.edge import quantise
 from planner.errors import PlannerError
-from planner.path import PathStatus, connect
+from planner.order.tour import DropReason, MotionBudget, Tour, TourStatus, plan_motion
+from planner.path.certified_edge import quantise
+from planner.path.path import PathStatus, connect
 from planner.ports import JointLimits
-from planner.timing import move_time, retime
-from planner.tour import DropReason, MotionBudget, Tour, TourStatus, plan_motion
+from planner.timing.motion import move_time, retime
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 LIMITS = JointLimits(

@@ -9,12 +9,12 @@ from collections.abc import Sequence as Many
 import numpy as np
 import pytest
 
-from planner import generalised_tsp as gtsp
-from planner import tour_bound
 from planner.errors import PlannerError
-from planner.order import OrderStatus, Sequence, sequence
+from planner.order import generalised_tsp as gtsp
+from planner.order import tour_bound
+from planner.order.orderings import OrderStatus, Sequence, sequence
 from planner.ports import JointLimits
-from planner.timing import move_time
+from planner.timing.motion import move_time
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 LIMITS = JointLimits(

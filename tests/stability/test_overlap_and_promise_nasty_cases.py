@@ -11,7 +11,7 @@ from planner.cover.most_coverage import most_coverage
 from planner.cover.overlap import Overlap, OverlapStatus, overlap_cover
 from planner.cover.robust import robust_cover
 from planner.errors import PlannerError
-from planner.pose_ensemble import ProbabilityLayer
+from planner.measurability.pose_ensemble import ProbabilityLayer
 
 
 def joined(M, areas, overlap, **options):

@@ -10,9 +10,9 @@ from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner.edge import STEP, along, certify, quantise
-from planner.path import PathStatus, connect
-from planner.tour import DropReason, plan_motion
+from planner.order.tour import DropReason, plan_motion
+from planner.path.certified_edge import STEP, along, certify, quantise
+from planner.path.path import PathStatus, connect
 
 BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part that is out of the way
 FORWARD = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])  # the flange looks along the base's x

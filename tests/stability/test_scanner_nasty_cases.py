@@ -8,9 +8,9 @@ from cell.errors import SceneError
 from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner.measurability import measured
+from planner.measurability.matrix import measured
 from planner.ports import Rejection
-from planner.surface import SurfaceSamples, TriangleMesh
+from planner.surface.surface import SurfaceSamples, TriangleMesh
 
 BACK = np.array([[0.0, 0.0, -1.0]])
 AHEAD = np.array([[0.0, 0.0, 0.3]])

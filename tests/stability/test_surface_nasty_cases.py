@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.closest import squared_distance
-from planner.surface import TriangleMesh, decimate, face_areas, face_features, face_normals, sample
-from planner.viewpoints import optimal_scanning_zone
+from planner.surface.closest import squared_distance
+from planner.surface.surface import TriangleMesh, decimate, face_areas, face_features, face_normals, sample
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 
 def sliver_cylinder() -> trimesh.Trimesh:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
+from planner.path.sweeps.motion import sweeps_of
+from planner.path.sweeps.path import SweepRefusal
 from planner.ports import Floats, JointLimits
-from planner.sweep_motion import sweeps_of
-from planner.sweep_path import SweepRefusal
-from planner.sweeps import straight_poses, turned_poses
+from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

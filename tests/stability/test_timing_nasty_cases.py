@@ -7,8 +7,8 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.ports import JointLimits
-from planner.s_curve import Profile
-from planner.timing import jerk_free, jerk_free_duration, move_time, retime, scaled
+from planner.timing.motion import jerk_free, jerk_free_duration, move_time, retime, scaled
+from planner.timing.s_curve import Profile
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 SPEED = np.radians([156.0, 156, 156, 330, 330, 615])

@@ -5,10 +5,10 @@ import pytest
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner import coverage
 from planner.errors import PlannerError
-from planner.surface import SurfaceSamples, TriangleMesh, sample
-from planner.viewpoints import optimal_scanning_zone
+from planner.measurability import coverage
+from planner.surface.surface import SurfaceSamples, TriangleMesh, sample
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(1, 1))
 

@@ -13,9 +13,10 @@ from cell.rays.matrix import cache_folder, part_matrix
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
-from planner import measurability, surface
-from planner.columns import pick_viewpoints
-from planner.viewpoints import optimal_scanning_zone
+from planner.measurability import matrix as measurability
+from planner.measurability.columns import pick_viewpoints
+from planner.surface import surface
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import pytest
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
-from planner.measurability import Measurability, fill, measured, occlude
-from planner.surface import SurfaceSamples, TriangleMesh, face_features, sample
-from planner.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.measurability.matrix import Measurability, fill, measured, occlude
+from planner.surface.surface import SurfaceSamples, TriangleMesh, face_features, sample
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(2, 2))
 

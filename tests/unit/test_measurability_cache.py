@@ -8,9 +8,9 @@ import pytest
 from cell.errors import FileError
 from cell.rays.matrix_cache import FORMAT, column_hashes, load, row_key, save
 from cell.scanners.laser_area import LaserArea
-from planner.measurability import Measurability
-from planner.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints import Viewpoints
+from planner.measurability.matrix import Measurability
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from planner import generalised_tsp as gtsp
-from planner import order as orders
-from planner.order_overlap import grown, keeps, overlapping
+from planner.order import generalised_tsp as gtsp
+from planner.order import orderings as orders
+from planner.order.order_overlap import grown, keeps, overlapping
 from planner.ports import JointLimits
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.0), np.full(6, 2.0))

@@ -3,11 +3,19 @@
 import numpy as np
 import pytest
 
-from planner.edge import STEP, certify, certify_many, clearance_along, quantise, quantise_inside, subdivide
 from planner.errors import PlannerError
-from planner.path import PathStatus, connect, path_time, shorten
+from planner.path.certified_edge import (
+    STEP,
+    certify,
+    certify_many,
+    clearance_along,
+    quantise,
+    quantise_inside,
+    subdivide,
+)
+from planner.path.path import PathStatus, connect, path_time, shorten
 from planner.ports import JointLimits
-from planner.timing import move_time
+from planner.timing.motion import move_time
 
 LIMITS = JointLimits(
     lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.full(6, 2.0), acceleration=np.full(6, 4.0)

@@ -6,9 +6,8 @@ from scipy.sparse import csr_array
 
 from cell.scan.pose_error import Disturbance
 from planner.errors import PlannerError
-from planner.measurability import fill
-from planner.ports import Hits, Rejection
-from planner.pose_ensemble import (
+from planner.measurability.matrix import fill
+from planner.measurability.pose_ensemble import (
     PoseError,
     ProbabilityLayer,
     credited,
@@ -16,8 +15,9 @@ from planner.pose_ensemble import (
     rotations,
     times_measured,
 )
-from planner.surface import SurfaceSamples
-from planner.viewpoints import Viewpoints
+from planner.ports import Hits, Rejection
+from planner.surface.surface import SurfaceSamples
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 class Cone:

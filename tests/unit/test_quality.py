@@ -6,13 +6,13 @@ import trimesh
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner import surface
 from planner.errors import PlannerError
-from planner.measurability import Measurability, fill, measured
+from planner.measurability.matrix import Measurability, fill, measured
+from planner.measurability.quality import Limited, best_sigma, sigma_layer, within
 from planner.ports import Rejection
-from planner.quality import Limited, best_sigma, sigma_layer, within
-from planner.surface import TriangleMesh
-from planner.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.surface import surface
+from planner.surface.surface import TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 SCANNER = LaserArea(range_mm=(50, 400), baseline_mm=40)
 

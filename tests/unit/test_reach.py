@@ -6,8 +6,8 @@ import pytest
 from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.reach import Reach, Verdict, solve
-from planner.viewpoints import Viewpoints
+from planner.reach.reach import Reach, Verdict, solve
+from planner.viewpoints.viewpoints import Viewpoints
 
 KINEMATICS = Kr16Kinematics.load()
 T_FLANGE_SCANNER = pose_from_kuka_abc([0.0, 0.01, 0.12], np.deg2rad([30.0, 5.0, 0.0]))

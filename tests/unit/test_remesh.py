@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.remesh import contract_short_edges, split_long_edges, stout
-from planner.surface import TriangleMesh, decimate
+from planner.surface.remesh import contract_short_edges, split_long_edges, stout
+from planner.surface.surface import TriangleMesh, decimate
 
 
 def needles() -> trimesh.Trimesh:

@@ -13,7 +13,7 @@ from cell.replay.frames import frame_times
 from cell.replay.viewer import SPEEDS, Player
 from cell.scan.execution_reader import RecordedExecution, RecordedScan
 from planner.ports import JointLimits
-from planner.timing import Motion, retime
+from planner.timing.motion import Motion, retime
 
 _LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.ones(6), np.ones(6))
 _VIEWS = (7, 3, 9)

@@ -13,7 +13,7 @@ from drivers.contract import Mode, RobotState
 from drivers.limits import kr16
 from drivers.setpoints import from_rad, to_rad
 from planner.ports import JointLimits
-from planner.timing import Motion, retime
+from planner.timing.motion import Motion, retime
 
 HOME = to_rad(from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])))
 LIMITS = JointLimits(to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration, kr16().jerk)

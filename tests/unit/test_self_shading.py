@@ -13,11 +13,11 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import Scene
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner import surface
-from planner.measurability import Measurability, fill
-from planner.reach import Reach, Verdict
-from planner.surface import TriangleMesh
-from planner.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.measurability.matrix import Measurability, fill
+from planner.reach.reach import Reach, Verdict
+from planner.surface import surface
+from planner.surface.surface import TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 BALL = trimesh.creation.icosphere(2, 0.05)
 PART = TriangleMesh(BALL.vertices, BALL.faces)

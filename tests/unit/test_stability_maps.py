@@ -17,7 +17,7 @@ from cell.scene.scene import Scene
 from cell.study.stability import MAPS, broken_promises, sentences, stability_study
 from cell.study.stability_body import body
 from cell.study.trial import Outcome, Trial
-from planner import surface
+from planner.surface import surface
 
 _NUMBERS = [
     (name, line, border, outward)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.closest import squared_distance
 from planner.errors import PlannerError
-from planner.surface import (
+from planner.surface.closest import squared_distance
+from planner.surface.surface import (
     TriangleMesh,
     decimate,
     face_areas,

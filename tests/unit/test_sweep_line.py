@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from planner.path.sweeps.line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
 from planner.ports import Floats
-from planner.sweep_line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
-from planner.sweeps import straight_poses, turned_poses
+from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 
 def _somewhere(seed: int) -> Floats:
@@ -65,7 +65,7 @@ def test_a_sweep_without_length_stands() -> None:
 @pytest.mark.parametrize("length", [1e-3, 0.15, 2.0])
 def test_the_ramps_end_before_the_first_pose_and_keep_the_acceleration(count: int, length: float) -> None:
     """Between the first and the last pose the speed is constant, and at most what was asked for."""
-    from planner.s_curve import sample
+    from planner.timing.s_curve import sample
 
     line = line_through(straight_poses(length, count))
     assert line is not None

@@ -23,13 +23,13 @@ from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
 from drivers.limits import kr16
 from drivers.setpoints import from_rad
+from planner.path.sweeps.motion import sweeps_of
+from planner.path.sweeps.path import SweepPath
+from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import Floats
-from planner.surface import TriangleMesh
-from planner.sweep_motion import sweeps_of
-from planner.sweep_path import SweepPath
-from planner.sweep_timing import DrivenSweep
-from planner.sweeps import straight_poses, turned_poses
-from planner.timing import Motion, retime
+from planner.surface.surface import TriangleMesh
+from planner.timing.motion import Motion, retime
+from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])

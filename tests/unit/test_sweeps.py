@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.sweeps import straight_poses, straight_sweep, swept, turned_poses, turned_sweep
-from planner.viewpoints import Viewpoints, view_sphere
+from planner.viewpoints.sweeps import straight_poses, straight_sweep, swept, turned_poses, turned_sweep
+from planner.viewpoints.viewpoints import Viewpoints, view_sphere
 
 
 def _views() -> Viewpoints:

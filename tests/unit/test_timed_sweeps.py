@@ -5,12 +5,12 @@ import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
+from planner.path.sweeps.motion import sweeps_of
+from planner.path.sweeps.path import SweepPath
+from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import Floats
-from planner.sweep_motion import sweeps_of
-from planner.sweep_path import SweepPath
-from planner.sweep_timing import DrivenSweep
-from planner.sweeps import straight_poses
-from planner.timing import Motion, jerk_free_duration, move_time, retime
+from planner.timing.motion import Motion, jerk_free_duration, move_time, retime
+from planner.viewpoints.sweeps import straight_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

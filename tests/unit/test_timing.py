@@ -5,7 +5,7 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.ports import JointLimits
-from planner.timing import move_time, retime, scaled
+from planner.timing.motion import move_time, retime, scaled
 
 LIMITS = JointLimits(
     lower=np.full(6, -7.0),

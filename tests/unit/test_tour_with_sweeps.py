@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
+from planner.order.tour import Passage, TourStatus, plan_motion
+from planner.path.sweeps.motion import sweeps_of
+from planner.path.sweeps.path import SweepPath, passages_of
+from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import Floats
-from planner.sweep_motion import sweeps_of
-from planner.sweep_path import SweepPath, passages_of
-from planner.sweep_timing import DrivenSweep
-from planner.sweeps import straight_poses
-from planner.timing import move_time, retime
-from planner.tour import Passage, TourStatus, plan_motion
+from planner.timing.motion import move_time, retime
+from planner.viewpoints.sweeps import straight_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

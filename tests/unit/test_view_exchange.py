@@ -9,8 +9,8 @@ import scipy.sparse as sp
 from cell.plan.view_exchange import Groups, settled, shorter
 from planner import cover
 from planner.cover import CoverStatus
+from planner.order.tour import Tour, plan_motion
 from planner.ports import JointLimits
-from planner.tour import Tour, plan_motion
 
 RANGE = np.full(6, 3.0)
 LIMITS = JointLimits(-RANGE, RANGE, np.full(6, 2.0), np.full(6, 4.0))

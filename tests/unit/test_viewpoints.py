@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.errors import PlannerError
-from planner.surface import TriangleMesh, face_centres, face_normals
-from planner.viewpoints import Viewpoints, enclosing_radius, optimal_scanning_zone, view_sphere
+from planner.surface.surface import TriangleMesh, face_centres, face_normals
+from planner.viewpoints.viewpoints import Viewpoints, enclosing_radius, optimal_scanning_zone, view_sphere
 
 
 def ball(subdivisions: int = 2) -> TriangleMesh:

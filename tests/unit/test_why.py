@@ -5,12 +5,12 @@ import pytest
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner import what_if, why
 from planner.errors import PlannerError
-from planner.legs import Targets
-from planner.reasons import Reason
-from planner.viewpoints import Viewpoints, looking_at
-from planner.what_if import Kind, WhatIf, choose
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.viewpoints import Viewpoints, looking_at
+from planner.why import what_if, why
+from planner.why.reasons import Reason
+from planner.why.what_if import Kind, WhatIf, choose
 
 _FAR = EmbreeRayCaster(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
 """Something that is never in the way."""
@@ -202,7 +202,7 @@ def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
 
 def test_the_middle_of_a_sweep_stays_when_it_backs_off_and_rolls() -> None:
     """A sweep of eight poses, turned or straight, moved as a whole: what is made is the sweep of the moved view."""
-    from planner.sweeps import straight_sweep, turned_sweep
+    from planner.viewpoints.sweeps import straight_sweep, turned_sweep
 
     start = np.concatenate([_down(0.01, 0.2).T_object_scanner, _down(-0.02, 0.2, 0.3).T_object_scanner])
     views = Viewpoints(start, np.zeros(2, np.int32), np.full(2, 0.2), np.array([0.0, 0.3]))

@@ -1,0 +1,85 @@
+"""Candidates put side by side: viewpoints, their reach and the columns of M, appended or picked in the same order.
+
+A candidate is one row of `Viewpoints` and of `Reach` and one column of `Measurability`; a generator that adds
+candidates appends to all three, and the numbers of those that were there before stay.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.measurability.matrix import Measurability
+from planner.reach.reach import Reach
+from planner.surface.surface import SurfaceSamples
+from planner.viewpoints.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+def join_viewpoints(parts: Sequence[Viewpoints]) -> Viewpoints:
+    """All viewpoints in the order of the parts; every part has as many poses per viewpoint as the first."""
+    return Viewpoints(
+        np.concatenate([part.T_object_scanner for part in parts]),
+        np.concatenate([part.face for part in parts]),
+        np.concatenate([part.standoff for part in parts]),
+        np.concatenate([part.roll for part in parts]),
+    )
+
+
+def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | NDArray[np.bool_]) -> Viewpoints:
+    """Some viewpoints: (n,) rows in the order that is wanted, or (V,) bool."""
+    return Viewpoints(
+        viewpoints.T_object_scanner[which], viewpoints.face[which], viewpoints.standoff[which], viewpoints.roll[which]
+    )
+
+
+def join_reach(parts: Sequence[Reach]) -> Reach:
+    """Verdicts and solutions in the order of the parts."""
+    counts = np.concatenate([np.diff(part.offsets) for part in parts])
+    return Reach(
+        np.concatenate([part.verdict for part in parts]),
+        np.concatenate([part.q for part in parts]),
+        np.concatenate([[0], np.cumsum(counts)]),
+        tuple(name for part in parts for name in part.blocker),
+    )
+
+
+def join_measurability(parts: Sequence[Measurability]) -> Measurability:
+    """M with the columns of all parts, which have the same features; with its sigma where every part has it.
+
+    Raises:
+        PlannerError: if the parts differ in their number of features.
+    """
+    from scipy.sparse import hstack
+
+    if len({len(part.features) for part in parts}) != 1:
+        sizes = ", ".join(str(len(part.features)) for part in parts)
+        raise PlannerError(f"matrices of {sizes} features cannot be joined; their features must be the same")
+    sigmas = [part.sigma for part in parts]
+    layer = [sigma for sigma in sigmas if sigma is not None]
+    if len(layer) < len(parts):
+        return _of(hstack([part.matrix() for part in parts], format="csr"), parts[0].features)
+    stacks = [_with(part, sigma) for part, sigma in zip(parts, layer, strict=True)]
+    return _of(hstack(stacks, format="csr"), parts[0].features, layered=True)
+
+
+def pick_measurability(measurability: Measurability, which: NDArray[np.integer]) -> Measurability:
+    """M with some of its columns: (n,) viewpoints in the order that is wanted."""
+    return _of(measurability.matrix().tocsc()[:, which].tocsr(), measurability.features)
+
+
+def _with(measurability: Measurability, data: NDArray[np.float32]) -> "csr_array":
+    from scipy.sparse import csr_array
+
+    return csr_array((data, measurability.indices, measurability.indptr), shape=measurability.shape)
+
+
+def _of(matrix: "csr_array", features: SurfaceSamples, *, layered: bool = False) -> Measurability:
+    matrix.sort_indices()
+    sigma = matrix.data if layered else None
+    indptr, indices = matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32)
+    return Measurability(indptr, indices, features, matrix.shape[1], sigma)

@@ -1,0 +1,313 @@
+"""The measurability matrix M: which surface feature is measured from which viewpoint (Section 3.5.1).
+
+M is binary; its rows are features (samples of the part's surface, or the paper's planning faces), its columns are
+candidate viewpoints. It is filled in one of two ways:
+
+    aimed    one leg to each feature: the feature is measured where the scanner's conditions hold and both legs are free
+    rays     the paper's: the scanner's ray grid is cast from the viewpoint; the rows of the faces it measures are set
+
+`aimed` answers for the features themselves and does not depend on a ray grid; `rays` answers for what one scan at the
+planning resolution would hit. Object frame, metres.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.measurability.raygrid import scanned_rows
+from planner.ports import Floats, RayCaster, Scanner
+from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.values import readonly
+from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+METHODS = ("aimed", "rays")
+
+_OPEN_BUNDLE = (
+    40_000  # pairs between two looks at which samples are still open: few wasted legs, calls still at full speed
+)
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurability:
+    """A binary matrix in compressed sparse rows: features x viewpoints.
+
+    Attributes:
+        indptr: (S + 1,) int64 where each feature's viewpoints start in `indices`.
+        indices: (nnz,) int32 viewpoints that measure the feature, ascending within a row.
+        features: the S rows.
+        n_viewpoints: number of columns V.
+        sigma: (nnz,) float32 expected standard deviation of the point that each entry gives [m], from
+            `planner.measurability.quality.sigma_layer`; None where it was not asked for.
+    """
+
+    indptr: NDArray[np.int64]
+    indices: NDArray[np.int32]
+    features: SurfaceSamples
+    n_viewpoints: int
+    sigma: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        if self.sigma is not None:
+            # readonly() refuses infinities; they are meant here: entries at exactly 90 degrees have no precision.
+            sigma = np.array(self.sigma, dtype=np.float32)
+            if sigma.shape != (len(self.indices),) or not (sigma >= 0).all():
+                raise PlannerError(f"sigma has shape {sigma.shape}; it must be ({len(self.indices)},) and 0 or more")
+            sigma.flags.writeable = False
+            object.__setattr__(self, "sigma", sigma)
+        object.__setattr__(self, "indptr", readonly("indptr", self.indptr, (len(self.features) + 1,), np.int64))
+        object.__setattr__(self, "indices", readonly("indices", self.indices, (None,), np.int32))
+        if self.indptr[0] != 0 or self.indptr[-1] != len(self.indices) or (np.diff(self.indptr) < 0).any():
+            raise PlannerError("indptr does not fit indices; it must rise from 0 to their number")
+        if len(self.indices) and not (self.indices.min() >= 0 and self.indices.max() < self.n_viewpoints):
+            raise PlannerError(f"indices must be viewpoints, 0 to {self.n_viewpoints - 1}")
+        rising = np.diff(self.indices) > 0
+        starts = self.indptr[1:-1]
+        rising[starts[(starts > 0) & (starts < len(self.indices))] - 1] = True  # a new row may start anywhere
+        if not rising.all():
+            raise PlannerError("indices must rise within each row, without repetition")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(features, viewpoints)."""
+        return len(self.features), self.n_viewpoints
+
+    def matrix(self) -> "csr_array":
+        """(S, V) scipy matrix of bool; it shares the read-only arrays."""
+        from scipy.sparse import csr_array
+
+        indptr = self.indptr if len(self.indices) > np.iinfo(np.int32).max else self.indptr.astype(np.int32)
+        matrix = csr_array((np.ones(len(self.indices), np.bool_), self.indices, indptr), shape=self.shape, copy=False)
+        matrix.has_canonical_format = True
+        return matrix
+
+
+def fill(
+    viewpoints: Viewpoints,
+    features: SurfaceSamples,
+    scanner: Scanner,
+    ray_caster: RayCaster,
+    *,
+    method: str = "aimed",
+    part: TriangleMesh | None = None,
+    row_of_face: NDArray[np.integer] | None = None,
+    progress: Progress | None = None,
+) -> Measurability:
+    """Fill M for the part alone; occluders are applied afterwards by `occlude`.
+
+    Args:
+        viewpoints: V candidates with K poses each; a column measures what any of its poses measures.
+        features: the S rows. For `aimed` they must lie on the triangles that the caster holds (a feature beneath them
+            is in shadow from everywhere).
+        scanner: the sensor's law; its ray grid counts only for `rays`.
+        ray_caster: casts on the part, object frame.
+        method: "aimed" or "rays".
+        part: only for `rays`: the mesh that the caster holds, for its normals and its extent.
+        row_of_face: only for `rays`: (F,) the row that each face of `part` belongs to, -1 for none; None where faces
+            are the rows.
+        progress: called with (poses done, poses in all) after each bundle.
+
+    Raises:
+        PlannerError: if the method is unknown, or `rays` lacks its mesh or has an invalid `row_of_face`.
+    """
+    poses = flat_poses(viewpoints.T_object_scanner)
+    if method == "aimed":
+        pairs = _aimed(poses, Targets.of(features.points, features.normals), scanner, (ray_caster,))
+    elif method == "rays":
+        if part is None:
+            raise PlannerError("method 'rays' needs `part`, the mesh that the ray caster holds")
+        rows = _rows(row_of_face, len(part.faces), len(features))
+        pairs = scanned_rows(poses, part, rows, scanner, ray_caster)
+    else:
+        raise PlannerError(f"method '{method}' is unknown; valid are: {', '.join(METHODS)}")
+    return _compress(pairs, viewpoints, features, progress)
+
+
+def occlude(
+    measurability: Measurability,
+    viewpoints: Viewpoints,
+    scanner: Scanner,
+    occluder_caster: RayCaster,
+    *,
+    ray_caster: RayCaster | None = None,
+    progress: Progress | None = None,
+) -> Measurability:
+    """Remove what occluders (fixtures, post, floor) hide; only the legs that survived the part are cast.
+
+    An entry filled by `rays` stands for its feature's own point here. A layer of sigma is not kept.
+
+    Args:
+        measurability: M of the part alone.
+        viewpoints: the candidates that M was filled for.
+        scanner: where source and sensor are.
+        occluder_caster: casts on the occluders, in the object frame.
+        ray_caster: casts on the part; needed only where viewpoints have several poses (K > 1), because M does not say
+            which of them measured the feature.
+        progress: called with (poses done, poses in all) after each bundle.
+
+    Raises:
+        PlannerError: if the viewpoints are not M's, or the part's caster is missing.
+    """
+    features = measurability.features
+    if len(viewpoints) != measurability.n_viewpoints:
+        raise PlannerError(
+            f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
+        )
+    K = viewpoints.T_object_scanner.shape[1]
+    if K > 1 and ray_caster is None:
+        raise PlannerError(f"viewpoints of {K} poses need `ray_caster`: M does not say which pose measured a feature")
+    poses = flat_poses(viewpoints.T_object_scanner)
+    targets = Targets.of(features.points, features.normals)
+    columns = measurability.matrix().tocsc()
+    casters = (occluder_caster,) if ray_caster is None or K == 1 else (ray_caster, occluder_caster)
+
+    def rows_of(pose: int) -> Indices:
+        entries = columns.indices[columns.indptr[pose // K] : columns.indptr[pose // K + 1]].astype(np.int64)
+        return entries if K == 1 else in_view(targets, poses[pose], scanner, entries)
+
+    pairs = _free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE)
+    return _compress(pairs, viewpoints, features, progress)
+
+
+def measured(
+    T_object_scanner: Floats,
+    features: SurfaceSamples,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    *,
+    each: bool = False,
+    own: Sequence[RayCaster | None] | None = None,
+    progress: Progress | None = None,
+) -> NDArray[np.bool_]:
+    """Which features a few given views measure: prediction on samples that the plan has not seen.
+
+    Args:
+        T_object_scanner: (n, K, 4, 4) views of K poses [m].
+        features: S points, object frame, on the part's triangles.
+        scanner: the sensor's law.
+        casters: the part's caster and those of occluders.
+        each: answer for each view; otherwise for all of them together, where a feature is asked about only until a view
+            measures it.
+        own: for each view what stands in the way of that view alone (the arm as it stands there), or None.
+        progress: called with (poses done, poses in all) after each bundle.
+
+    Returns:
+        (S,) True where any view measures the feature; with `each` (S, n).
+    """
+    poses = flat_poses(T_object_scanner)
+    targets = Targets.of(features.points, features.normals)
+    K = np.shape(T_object_scanner)[1]
+    if each:
+        result = np.zeros((len(features), len(T_object_scanner)), dtype=np.bool_)
+        for done, pose, row in _aimed(poses, targets, scanner, casters):
+            free = _own_free(poses, targets, scanner, own, pose, row, K)
+            result[row[free], pose[free] // K] = True
+            if progress:
+                progress(done, len(poses))
+        return result
+    found = np.zeros(len(features), dtype=np.bool_)
+    still_open = np.arange(len(features))
+
+    def rows_of(pose: int) -> Indices:
+        return in_view(targets, poses[pose], scanner, still_open)
+
+    for done, pose, row in _free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
+        found[row[_own_free(poses, targets, scanner, own, pose, row, K)]] = True
+        still_open = still_open[~found[still_open]]
+        if progress:
+            progress(done, len(poses))
+    return found
+
+
+def _own_free(
+    poses: Floats,
+    targets: Targets,
+    scanner: Scanner,
+    own: Sequence[RayCaster | None] | None,
+    pose: Indices,
+    row: Indices,
+    K: int,
+) -> NDArray[np.bool_]:
+    """(n,) whether what belongs to the view of each pair leaves its legs free."""
+    free = np.ones(len(row), dtype=np.bool_)
+    if own is not None:
+        for view in np.unique(pose // K):
+            caster = own[view]
+            if caster is not None:
+                here = np.flatnonzero(pose // K == view)
+                free[here] = legs_free(targets, poses, pose[here], row[here], scanner, (caster,))
+    return free
+
+
+Pairs = Iterator[tuple[int, Indices, Indices]]
+"""Bundles of (poses done, pose of each pair, row of each pair), in the order of the poses."""
+
+
+def _aimed(poses: Floats, targets: Targets, scanner: Scanner, casters: Sequence[RayCaster]) -> Pairs:
+    return _free_pairs(poses, targets, scanner, casters, lambda i: in_view(targets, poses[i], scanner), BUNDLE)
+
+
+def _free_pairs(
+    poses: Floats,
+    targets: Targets,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    rows_of: Callable[[int], Indices],
+    bundle: int,
+) -> Pairs:
+    """Pairs with free legs. The rows of a pose are asked for one pose after the other, cast together in bundles."""
+    waiting: list[Indices] = []
+    first, count = 0, 0
+    for pose in range(len(poses)):
+        waiting.append(rows_of(pose))
+        count += len(waiting[-1])
+        if count < bundle and pose + 1 < len(poses):
+            continue
+        which = np.repeat(np.arange(first, pose + 1), [len(rows) for rows in waiting])
+        rows = np.concatenate(waiting)
+        free = legs_free(targets, poses, which, rows, scanner, casters)
+        yield pose + 1, which[free], rows[free]
+        waiting, first, count = [], pose + 1, 0
+
+
+def _compress(
+    pairs: Pairs, viewpoints: Viewpoints, features: SurfaceSamples, progress: Progress | None
+) -> Measurability:
+    """Gather pairs column by column and turn them into sparse rows; 4 bytes per entry, twice while turning."""
+    from scipy.sparse import csc_array
+
+    V, K = viewpoints.T_object_scanner.shape[:2]
+    counts = np.zeros(V, dtype=np.int64)
+    rows: list[NDArray[np.int32]] = []
+    for done, pose, row in pairs:
+        counts += np.bincount(pose // K, minlength=V)
+        rows.append(row.astype(np.int32))
+        if progress:
+            progress(done, V * K)
+    indices = np.concatenate(rows) if rows else np.empty(0, dtype=np.int32)
+    indptr = np.concatenate([[0], np.cumsum(counts)])
+    matrix = csc_array((np.ones(len(indices), np.bool_), indices, indptr), shape=(len(features), V)).tocsr()
+    matrix.sum_duplicates()  # several poses of a viewpoint may measure the same feature; sorts as well
+    return Measurability(matrix.indptr.astype(np.int64), matrix.indices, features, V)
+
+
+def _rows(row_of_face: NDArray[np.integer] | None, faces: int, features: int) -> NDArray[np.int32]:
+    if row_of_face is None:
+        if faces != features:
+            raise PlannerError(
+                f"`part` has {faces} faces and there are {features} rows; give `row_of_face` to map them"
+            )
+        return np.arange(faces, dtype=np.int32)
+    rows: NDArray[np.int32] = readonly("row_of_face", row_of_face, (faces,), np.int32)
+    if rows.min() < -1 or rows.max() >= features:
+        raise PlannerError(f"row_of_face has values {rows.min()} to {rows.max()}; valid are -1 to {features - 1}")
+    return rows

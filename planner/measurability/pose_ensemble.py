@@ -1,0 +1,248 @@
+"""How likely a view measures a sample when the scanner does not stand exactly where it should (Scott 2009).
+
+The error of an executed pose is normal: a standard deviation of position along each axis of the scanner and one of
+orientation about each. An ensemble of drawn errors, the same ones for every view (common random numbers, so that views
+are compared under equal luck), gives for each entry of the matrix how many of its members measure the sample. Scott,
+"Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
+
+An entry counts only where the view measures the sample without error as well: what an error brings into view by luck is
+left out, so a promise made from the layer errs on the safe side, and only the entries of the matrix have to be
+calculated again. Object frame, metres, radians.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.measurability.matrix import Measurability, Progress
+from planner.ports import Floats, RayCaster, Scanner
+from planner.surface.surface import SurfaceSamples
+from planner.values import readonly
+from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.viewpoints import Viewpoints
+
+MEMBERS = 32
+"""Default size of the ensemble. One view is then credited with at most 98.5 %, see `credited`."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseError:
+    """One standard deviation of each error of an executed pose.
+
+    Attributes:
+        position: of the scanner's origin, along each of its axes [m].
+        orientation: of the scanner, about each of its axes [rad].
+    """
+
+    position: float
+    orientation: float
+
+    def __post_init__(self) -> None:
+        for name in ("position", "orientation"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise PlannerError(
+                    f"the standard deviation of {name} is {value}; it must be a finite number, 0 or more"
+                )
+
+    @property
+    def none(self) -> bool:
+        """Whether poses are exact."""
+        return self.position == 0 and self.orientation == 0
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """(count, 4, 4) drawn errors: where the scanner is, told in the frame where it should be."""
+        drawn = rng.standard_normal((count, 6))
+        T = np.zeros((count, 4, 4))
+        T[:, :3, :3] = rotations(self.orientation * drawn[:, 3:])
+        T[:, :3, 3] = self.position * drawn[:, :3]
+        T[:, 3, 3] = 1.0
+        return T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbabilityLayer:
+    """For each entry of a measurability matrix, how many members of the ensemble measure the sample.
+
+    Attributes:
+        indptr: (S + 1,) as in the matrix.
+        indices: (nnz,) as in the matrix.
+        hits: (nnz,) members that measure the sample, 0 to `members`.
+        members: size of the ensemble; 0 where poses are exact, and every entry is certain.
+    """
+
+    indptr: NDArray[np.int64]
+    indices: NDArray[np.int32]
+    hits: NDArray[np.int32]
+    members: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "indptr", readonly("indptr", self.indptr, (None,), np.int64))
+        object.__setattr__(self, "indices", readonly("indices", self.indices, (None,), np.int32))
+        object.__setattr__(self, "hits", readonly("hits", self.hits, (len(self.indices),), np.int32))
+        if len(self.hits) and not (self.hits.min() >= 0 and self.hits.max() <= self.members):
+            raise PlannerError(f"hits must be from 0 to the ensemble's {self.members} members")
+
+    @property
+    def probability(self) -> Floats:
+        """(nnz,) what each entry is credited with."""
+        return credited(self.hits, self.members)
+
+    def within(self, M: Measurability) -> "ProbabilityLayer":
+        """The layer on the entries of a matrix that has lost some of those that this layer has.
+
+        Raises:
+            PlannerError: if the matrix has an entry that the layer lacks.
+        """
+        width = M.n_viewpoints
+        mine, wanted = (
+            np.repeat(np.arange(len(start) - 1), np.diff(start)) * width + columns
+            for start, columns in ((self.indptr, self.indices), (M.indptr, M.indices))
+        )
+        at = np.searchsorted(mine, wanted)
+        if len(wanted) and (not len(mine) or (mine[np.minimum(at, len(mine) - 1)] != wanted).any()):
+            raise PlannerError("the matrix has entries that the layer lacks; make the layer anew")
+        return ProbabilityLayer(M.indptr, M.indices, self.hits[at], self.members)
+
+
+def credited(hits: NDArray[np.integer], members: int) -> Floats:
+    """Probability that is credited for hits out of members: (hits + 1/2) / (members + 1), and 0 for no hit at all.
+
+    The mean of the posterior under Jeffreys' prior (Krichevsky, Trofimov 1981, doi:10.1109/TIT.1981.1056331): all of m
+    hits do not prove certainty, and a sum of logarithms needs a cap. Without members (exact poses) a hit is certain.
+    """
+    if members == 0:
+        return np.ones(np.shape(hits))
+    hits = np.asarray(hits, dtype=np.float64)
+    return np.where(hits > 0, (hits + 0.5) / (members + 1.0), 0.0)
+
+
+def probability_layer(
+    M: Measurability,
+    viewpoints: Viewpoints,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    errors: Floats,
+    *,
+    columns: NDArray[np.bool_] | None = None,
+    progress: Progress | None = None,
+) -> ProbabilityLayer:
+    """Count for each entry the members of an ensemble that measure the sample.
+
+    The price is that of filling the matrix once for each member, on its entries only.
+
+    Args:
+        M: the matrix, occluders applied.
+        viewpoints: its columns; an error turns and shifts all poses of a sweep alike.
+        scanner: the sensor's law.
+        casters: the part's and the occluders', object frame.
+        errors: (m, 4, 4) drawn errors, from `PoseError.draw`; none means exact poses.
+        columns: (V,) which columns are asked about (the reachable ones); entries of others get no hit.
+        progress: called with (members done, members in all).
+    """
+    members = len(errors)
+    nnz = len(M.indices)
+    if members == 0:
+        return ProbabilityLayer(M.indptr, M.indices, np.zeros(nnz, dtype=np.int32), 0)
+    targets = Targets.of(M.features.points, M.features.normals)
+    by_column = M.matrix().tocsc()
+    # entry number in row order of each entry in column order
+    numbers = M.matrix().astype(np.int64)
+    numbers.data = np.arange(nnz)
+    entry = numbers.tocsc().data
+    asked = np.ones(M.n_viewpoints, dtype=bool) if columns is None else columns
+    hits = np.zeros(nnz, dtype=np.int32)
+    for member, error in enumerate(errors, start=1):
+        hit = _hit(by_column, asked, flat_poses(viewpoints.T_object_scanner @ error), targets, scanner, casters)
+        hits[entry[hit]] += 1
+        if progress:
+            progress(member, members)
+    return ProbabilityLayer(M.indptr, M.indices, hits, members)
+
+
+def _hit(
+    by_column: object,
+    asked: NDArray[np.bool_],
+    poses: Floats,
+    targets: Targets,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+) -> NDArray[np.bool_]:
+    """(nnz,) in column order: which entries are measured from any pose of their column."""
+    start: NDArray[np.int64] = by_column.indptr.astype(np.int64)  # type: ignore[attr-defined]  # a scipy csc_array
+    rows: NDArray[np.int64] = by_column.indices.astype(np.int64)  # type: ignore[attr-defined]  # see above
+    K = len(poses) // (len(start) - 1)
+    hit = np.zeros(len(rows), dtype=np.bool_)
+    which: list[NDArray[np.int64]] = []
+    at: list[NDArray[np.int64]] = []
+    waiting = 0
+
+    def cast() -> None:
+        pose, place = np.concatenate(at), np.concatenate(which)
+        hit[place[legs_free(targets, poses, pose, rows[place], scanner, casters)]] = True
+
+    for column in np.flatnonzero(asked & (np.diff(start) > 0)).tolist():
+        here = np.arange(start[column], start[column + 1])
+        position = np.empty(len(targets), dtype=np.int64)
+        position[rows[here]] = here
+        for pose in range(column * K, (column + 1) * K):
+            seen = position[in_view(targets, poses[pose], scanner, rows[here])]
+            which.append(seen)
+            at.append(np.full(len(seen), pose))
+            waiting += len(seen)
+        if waiting >= BUNDLE:
+            cast()
+            which, at, waiting = [], [], 0
+    if waiting:
+        cast()
+    return hit
+
+
+def times_measured(
+    T_object_scanner: Floats,
+    samples: SurfaceSamples,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    errors: Floats,
+    *,
+    progress: Progress | None = None,
+) -> tuple[NDArray[np.int32], Floats]:
+    """Execute a plan many times with errors of its poses, and count how often each sample is measured.
+
+    Args:
+        T_object_scanner: (n, K, 4, 4) views of the plan [m].
+        samples: S points of the surface.
+        scanner: the sensor's law.
+        casters: the part's and the occluders'.
+        errors: (N, n, 4, 4) error of each view in each execution.
+        progress: called with (executions done, executions in all).
+
+    Returns:
+        (S,) executions in which any view measured the sample, and (N,) share of the samples' area that each measured.
+    """
+    from planner.measurability.matrix import measured
+
+    times = np.zeros(len(samples), dtype=np.int32)
+    share = np.zeros(len(errors))
+    for number, error in enumerate(errors):
+        found = measured(T_object_scanner @ error[:, None], samples, scanner, casters)
+        times += found
+        share[number] = samples.areas[found].sum() / samples.areas.sum()
+        if progress:
+            progress(number + 1, len(errors))
+    return times, share
+
+
+def rotations(vectors: Floats) -> Floats:
+    """(n, 3, 3) rotations about vectors (n, 3) by their lengths [rad] (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
+    K = np.zeros((len(vectors), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    K -= K.transpose(0, 2, 1)
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    R: Floats = np.eye(3) + sine * K + (1.0 - cosine) * (K @ K)
+    return R

@@ -1,0 +1,187 @@
+"""How precise a measured point will be: a layer of expected standard deviations over the measurability matrix.
+
+The layer has one value for every entry of M, in the same sparse order; a limit turns it into a binary matrix again. The
+scanner knows the law (`SigmaScanner.sigma`); docs/sigma_model.md derives that of the built-in scanners. `Limited` is a
+scanner that keeps the limit itself, for predictions, which ask for conditions, not for a matrix. Object frame, metres.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.measurability.matrix import Measurability
+from planner.ports import Floats, RayCaster, Rejection, SigmaScanner
+from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.viewpoints import Viewpoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Limited:
+    """A scanner that refuses points whose expected standard deviation is above a limit, the limit itself allowed.
+
+    Attributes:
+        scanner: the law without the limit.
+        max_sigma: [m], above 0.
+    """
+
+    scanner: SigmaScanner
+    max_sigma: float
+
+    def __post_init__(self) -> None:
+        if not callable(getattr(self.scanner, "sigma", None)):
+            raise PlannerError(
+                f"the scanner {type(self.scanner).__name__} does not know its sigma, so no limit can be put on it; "
+                "choose one that does, or leave the limit out"
+            )
+        if not self.max_sigma > 0:
+            raise PlannerError(f"the limit on sigma is {self.max_sigma} m; it must be above 0")
+
+    def __getattr__(self, name: str) -> Any:
+        """What the scanner has beyond the protocol, such as the poses of its sweep."""
+        if name in ("scanner", "max_sigma"):  # not set yet: nothing to ask
+            raise AttributeError(name)
+        return getattr(self.scanner, name)
+
+    @property
+    def source(self) -> Floats:
+        """(3,) the laser source [m], scanner frame."""
+        return self.scanner.source
+
+    @property
+    def sensor(self) -> Floats:
+        """(3,) the sensor [m], scanner frame."""
+        return self.scanner.sensor
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """(n_v, n_h) rays of one scan."""
+        return self.scanner.grid_shape
+
+    def ray_directions(self) -> Floats:
+        """(n_v * n_h, 3) unit directions, scanner frame, row by row."""
+        return self.scanner.ray_directions()
+
+    def sigma(self, points: Floats, normals: Floats) -> Floats:
+        """(N,) the scanner's expected standard deviation [m]; arguments as in `reject`."""
+        return self.scanner.sigma(points, normals)
+
+    def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
+        """(N,) `Rejection` values: the scanner's own conditions, then TOO_UNCERTAIN.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame.
+        """
+        codes = np.array(self.scanner.reject(points, normals))
+        passed = np.flatnonzero(codes == Rejection.MEASURED)
+        unsure = ~(self.scanner.sigma(points[passed], normals[passed]) <= self.max_sigma)
+        codes[passed[unsure]] = Rejection.TOO_UNCERTAIN
+        return codes
+
+
+def sigma_layer(
+    measurability: Measurability,
+    viewpoints: Viewpoints,
+    scanner: SigmaScanner,
+    *,
+    casters: Sequence[RayCaster] = (),
+) -> Measurability:
+    """M with the expected standard deviation of the point that each entry gives.
+
+    With several poses per viewpoint an entry has the smallest sigma of the poses that measure its feature. With the
+    fill `rays` an entry stands for its feature's own point.
+
+    Args:
+        measurability: M, occluders applied.
+        viewpoints: the candidates that M was filled for.
+        scanner: knows its sigma.
+        casters: the part's and the occluders'; needed only where viewpoints have several poses (K > 1), because M does
+            not say which of them measured the feature.
+
+    Raises:
+        PlannerError: if the viewpoints are not M's, or casters are missing.
+    """
+    features = measurability.features
+    if len(viewpoints) != measurability.n_viewpoints:
+        raise PlannerError(
+            f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
+        )
+    K = viewpoints.T_object_scanner.shape[1]
+    if K > 1 and not casters:
+        raise PlannerError(f"viewpoints of {K} poses need `casters`: M does not say which pose measured a feature")
+    poses = flat_poses(viewpoints.T_object_scanner)
+    targets = Targets.of(features.points, features.normals)
+    columns = measurability.matrix().tocsc()
+    columns.sort_indices()
+    sigma = np.full(len(columns.indices), np.inf, dtype=np.float32)
+    for view in range(len(viewpoints)):
+        entries = slice(columns.indptr[view], columns.indptr[view + 1])
+        rows = columns.indices[entries].astype(np.int64)
+        best = np.full(len(rows), np.inf)
+        for number in range(view * K, (view + 1) * K):
+            T = poses[number]
+            seen = np.arange(len(rows))
+            if K > 1:
+                seen = np.flatnonzero(np.isin(rows, in_view(targets, T, scanner, rows)))
+                seen = seen[legs_free(targets, poses, np.full(len(seen), number), rows[seen], scanner, tuple(casters))]
+            points = (features.points[rows[seen]] - T[:3, 3]) @ T[:3, :3]
+            best[seen] = np.minimum(best[seen], scanner.sigma(points, features.normals[rows[seen]] @ T[:3, :3]))
+        sigma[entries] = best
+    # Entries go from columns to rows by a stable sort of their rows: within a row, columns rise as they do in M.
+    to_rows = np.argsort(columns.indices, kind="stable")
+    return Measurability(
+        measurability.indptr, measurability.indices, features, measurability.n_viewpoints, sigma[to_rows]
+    )
+
+
+def within(measurability: Measurability, max_sigma: float) -> Measurability:
+    """The entries whose sigma is at most the limit: the binary matrix of a plan with a limit.
+
+    Args:
+        measurability: M with its layer of sigma.
+        max_sigma: [m], inclusive.
+
+    Raises:
+        PlannerError: if M has no layer, or the limit is not above 0.
+    """
+    if measurability.sigma is None:
+        raise PlannerError("M has no layer of sigma; calculate it with sigma_layer first")
+    if not max_sigma > 0:
+        raise PlannerError(f"the limit on sigma is {max_sigma} m; it must be above 0")
+    kept = measurability.sigma <= np.float32(max_sigma)
+    before = np.concatenate([[0], np.cumsum(kept)])
+    return Measurability(
+        before[measurability.indptr],
+        measurability.indices[kept],
+        measurability.features,
+        measurability.n_viewpoints,
+        measurability.sigma[kept],
+    )
+
+
+def best_sigma(measurability: Measurability, views: NDArray[np.integer]) -> Floats:
+    """What a plan gives each feature: the smallest sigma of the chosen views that measure it.
+
+    Args:
+        measurability: M with its layer of sigma.
+        views: (n,) chosen columns.
+
+    Returns:
+        (S,) [m]; NaN where no chosen view measures the feature.
+
+    Raises:
+        PlannerError: if M has no layer.
+    """
+    if measurability.sigma is None:
+        raise PlannerError("M has no layer of sigma; calculate it with sigma_layer first")
+    chosen = np.isin(measurability.indices, views)
+    row = np.repeat(np.arange(measurability.shape[0]), np.diff(measurability.indptr))[chosen]
+    best = np.full(measurability.shape[0], np.inf)
+    np.minimum.at(best, row, measurability.sigma[chosen].astype(np.float64))
+    seen = np.zeros(measurability.shape[0], dtype=np.bool_)
+    seen[row] = True
+    return np.where(seen, best, np.nan)

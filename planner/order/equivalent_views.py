@@ -1,0 +1,282 @@
+"""Which other candidates may stand in for a chosen view, and the exchange of views that shortens the motion.
+
+A view is needed for the samples that no other chosen view measures. A candidate that measures at least those (another
+roll of the same viewpoint, a neighbour, one from the other side) may stand in for it: the plan has as many views and
+measures as many samples, but the arm may get there faster. In the travelling salesman's terms the joint solutions of
+all stand-ins are nodes of the view's cluster.
+
+Two stand-ins at once may lose a sample that both of the views before them measured. So the exchange is lazy: order with
+all stand-ins, look at which samples the views picked lose, make one of the views the *owner* of each, so that only what
+measures it may stand in for its owner, and order again, until nothing is lost. Then the same around the views found,
+until the motion gets no shorter. Where the views given measure more area than was asked for, stand-ins may lose as much
+of it. Moves are straight and collisions are not looked at here: `Exchange.groups` leaves the
+choice among stand-ins that can be picked in any combination to the search that does.
+"""
+
+from collections.abc import Callable, Iterable
+from collections.abc import Sequence as Many
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from planner.order import generalised_tsp as gtsp
+from planner.ports import Floats, JointLimits
+from planner.timing.motion import move_time
+from planner.values import readonly
+
+Ints = NDArray[np.int64]
+
+STAND_INS = 16
+"""Candidates that are tried for one view at most, itself included: those that lie best on the tour so far."""
+
+_STEPS = 1500  # of the search of one ordering: the last exchange is ordered again in full, on real paths
+_ORDERINGS = 20  # at most; four to seven are usual
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exchange:
+    """Views that measure as much as the ones given, and a shorter motion.
+
+    Attributes:
+        views: (n,) candidates; not more than were given.
+        groups: for each view the candidates that may be picked for it, itself first: every combination measures all
+            samples that `views` measure (up to the demand), and no candidate stands in two groups.
+        duration_before: time of straight moves over the views given [s].
+        duration: time of straight moves over `views` [s]; not longer.
+        orderings: orderings computed.
+    """
+
+    views: Ints
+    groups: tuple[Ints, ...]
+    duration_before: float
+    duration: float
+    orderings: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "views", readonly("views", self.views, (None,), np.int64))
+        groups = tuple(readonly("group", group, (None,), np.int64) for group in self.groups)
+        object.__setattr__(self, "groups", groups)
+
+
+class Matrix:
+    """The measurability matrix, asked by rows and by columns."""
+
+    def __init__(self, M: Any, areas: Floats, usable: NDArray[np.bool_]) -> None:
+        """Take a (S, V) sparse matrix, the area of each sample [m^2] and which columns may be used."""
+        self._rows, self._columns, self.areas, self.usable = sp.csr_array(M), sp.csc_array(M), areas, usable
+
+    def measured_by(self, view: int) -> Ints:
+        """Samples that a view measures."""
+        at = self._columns.indptr
+        return np.asarray(self._columns.indices[at[view] : at[view + 1]], dtype=np.int64)
+
+    def counts(self, views: Iterable[int]) -> Ints:
+        """(S,) how many of the views measure each sample; a view that is named twice counts once."""
+        found = np.zeros(self._rows.shape[0], dtype=np.int64)
+        for view in set(views):
+            found[self.measured_by(view)] += 1
+        return found
+
+    def measuring(self, samples: Ints, spare: float = 0.0) -> NDArray[np.bool_]:
+        """(V,) usable candidates that measure every one of the samples, but for a spare area [m^2]."""
+        found = self._rows[samples]
+        if spare <= 0.0:  # counted, so that no rounding decides
+            return np.asarray(self.usable & (np.bincount(found.indices, minlength=len(self.usable)) == len(samples)))
+        areas = self.areas[samples]
+        entries = np.repeat(areas, np.diff(found.indptr))
+        measured = np.bincount(found.indices, weights=entries, minlength=len(self.usable))
+        return np.asarray(self.usable & (measured >= areas.sum() - spare))
+
+
+def exchange(
+    matrix: Matrix,
+    views: Ints,
+    configurations: Callable[[int], Floats],
+    home: Floats,
+    limits: JointLimits,
+    rng: np.random.Generator,
+    *,
+    pinned: Iterable[int] = (),
+    demand: int = 1,
+    spare: float = 0.0,
+) -> Exchange:
+    """Exchange views for stand-ins while that shortens the motion.
+
+    Args:
+        matrix: what each candidate measures, and which may be used.
+        views: (n,) chosen candidates, each with a joint solution.
+        configurations: (m, 6) joint solutions of a candidate [rad]; m may be 0.
+        home: (6,) joint angles at both ends [rad].
+        limits: limits of the axes.
+        rng: source of the search's randomness.
+        pinned: views that must stay.
+        demand: by how many views each sample has to be measured, where the views given do so.
+        spare: area of samples that may be lost [m^2].
+    """
+    kept = frozenset(pinned)
+    current = np.array(views, dtype=np.int64)
+    required = np.minimum(matrix.counts(current.tolist()), demand)
+    tours = _Tours(configurations, home, limits, rng)
+    best = tours.shortest([current[k : k + 1] for k in range(len(current))], np.arange(len(current)))
+    before = best.cost
+    while len(best.picks) > 1 and tours.count < _ORDERINGS:
+        found = _exchanged(matrix, best, required, kept, tours, spare)
+        if found is None or found.cost >= best.cost * (1.0 - 1e-9):
+            break
+        best = _without_repeats(found)
+        measured = np.minimum(matrix.counts(best.picks.tolist()), demand)
+        spare = max(spare + _area(matrix, measured > required) - _area(matrix, measured < required), 0.0)
+        required = measured
+    groups = _any_combination(matrix, best.picks, required, kept)
+    return Exchange(best.picks, tuple(tours.nearest(best, groups)), before, best.cost, tours.count)
+
+
+def needed(matrix: Matrix, views: Ints, required: Ints) -> list[Ints]:
+    """For each view the samples that the others measure less often than is required."""
+    counts = matrix.counts(views.tolist())
+    return [rows[counts[rows] <= required[rows]] for rows in map(matrix.measured_by, views.tolist())]
+
+
+class _Tour(NamedTuple):
+    """A tour over n groups: time [s], candidate picked of each; groups and joint angles (n, 6) [rad] as visited."""
+
+    cost: float
+    picks: Ints
+    order: Ints
+    q: Floats
+
+
+class _Tours:
+    """Orders views with the joint solutions of their stand-ins, and counts how often."""
+
+    def __init__(
+        self,
+        configurations: Callable[[int], Floats],
+        home: Floats,
+        limits: JointLimits,
+        rng: np.random.Generator,
+    ) -> None:
+        self.configurations, self.home, self.limits, self.rng = configurations, home, limits, rng
+        self.count = 0
+
+    def shortest(self, groups: Many[Ints], order: Ints) -> _Tour:
+        """The best tour with one member of each group, searched for from a visiting order."""
+        owner, q, first = [np.array([-1])], [self.home[None]], [0, 1]
+        for group in groups:
+            solutions = [self.configurations(int(view)) for view in group]
+            owner.append(np.repeat(group, [len(s) for s in solutions]))
+            q += solutions
+            first.append(first[-1] + sum(len(s) for s in solutions))
+        nodes, owners = np.concatenate(q), np.concatenate(owner)
+        problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), np.array(first))
+        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, 0)
+        self.count += 1
+        visited = problem.clusters_of(found.tour)[1:] - 1
+        picks = np.empty(len(groups), dtype=np.int64)
+        picks[visited] = owners[found.tour[1:]]
+        return _Tour(found.cost, picks, visited, nodes[found.tour[1:]])
+
+    def nearest(self, tour: _Tour, groups: Many[Ints]) -> list[Ints]:
+        """Each group cut to the `STAND_INS` members that make the tour least longer; the view it picked comes first."""
+        stops = np.concatenate([self.home[None], tour.q, self.home[None]])
+        place = np.empty(len(tour.order), dtype=np.int64)
+        place[tour.order] = np.arange(1, len(tour.order) + 1)
+        cut = []
+        for k, group in enumerate(groups):
+            others = group[group != tour.picks[k]]
+            before, after = stops[place[k] - 1], stops[place[k] + 1]
+            more = []
+            for view in others:
+                q = self.configurations(int(view))
+                longer = move_time(before, q, self.limits) + move_time(q, after, self.limits)
+                more.append(float(longer.min(initial=np.inf)))
+            nearest = np.argsort(more, kind="stable")[: STAND_INS - 1]
+            usable = [int(others[i]) for i in nearest if more[i] < np.inf]
+            cut.append(np.array([tour.picks[k], *usable], dtype=np.int64))
+        return cut
+
+
+def _exchanged(
+    matrix: Matrix, best: _Tour, required: Ints, pinned: frozenset[int], tours: _Tours, spare: float
+) -> _Tour | None:
+    """The best tour over stand-ins that loses no sample but the spare area; None where none was found."""
+    views = best.picks
+    only_here = needed(matrix, views, required)
+    owned: list[Ints] = [np.zeros(0, dtype=np.int64)] * len(views)  # samples that may not be lost any more
+    while tours.count < _ORDERINGS:
+        members = [
+            _members(matrix, int(view), rows, own, pinned, spare)
+            for view, rows, own in zip(views, only_here, owned, strict=True)
+        ]
+        found = tours.shortest(tours.nearest(best, members), best.order)
+        counts = matrix.counts(found.picks.tolist())
+        lost = np.flatnonzero(counts < required)
+        if _area(matrix, lost) <= spare + (_area(matrix, (counts > 0) & (required == 0)) if spare > 0.0 else 0.0):
+            return found
+        # Of the views that measure a lost sample, the one of whose stand-ins the largest share measures it, owns it.
+        shares = np.array([_share(matrix, group, lost) for group in members])
+        for k, view in enumerate(views):
+            shares[k, ~np.isin(lost, matrix.measured_by(int(view))) | np.isin(lost, owned[k])] = -1.0
+        if (shares.max(axis=0) < 0.0).any():  # all its views own it: two of them were picked as one
+            return None
+        for k, sample in zip(shares.argmax(axis=0), lost, strict=True):
+            owned[k] = np.append(owned[k], sample)
+    return None
+
+
+def _area(matrix: Matrix, samples: NDArray[np.bool_] | Ints) -> float:
+    return float(matrix.areas[samples].sum())
+
+
+def _members(matrix: Matrix, view: int, samples: Ints, owned: Ints, pinned: frozenset[int], spare: float = 0.0) -> Ints:
+    """The view and its stand-ins: they measure what it owns, and the samples but for the spare area."""
+    if view in pinned:
+        return np.array([view])
+    allowed = matrix.measuring(samples, spare) & matrix.measuring(owned)
+    allowed[list(pinned)] = False
+    allowed[view] = True
+    return np.flatnonzero(allowed)
+
+
+def _share(matrix: Matrix, group: Ints, samples: Ints) -> Floats:
+    """(n,) share of the group's members that measure each sample."""
+    found = np.zeros(len(samples))
+    for view in group:
+        found += np.isin(samples, matrix.measured_by(int(view)))
+    return found / len(group)
+
+
+def _without_repeats(tour: _Tour) -> _Tour:
+    """The tour without views that were picked twice: one visit serves both."""
+    first = np.unique(tour.picks, return_index=True)[1]
+    stays = np.sort(first)
+    number = np.full(len(tour.picks), -1)
+    number[stays] = np.arange(len(stays))
+    order = number[tour.order]
+    return _Tour(tour.cost, tour.picks[stays], order[order >= 0], tour.q[order >= 0])
+
+
+def _any_combination(matrix: Matrix, views: Ints, required: Ints, pinned: frozenset[int]) -> list[Ints]:
+    """Groups from which any combination may be picked: every sample has as many owners as it requires.
+
+    Views with few stand-ins own first, as they lose least by it.
+    """
+    nothing = np.zeros(0, dtype=np.int64)
+    only_here = needed(matrix, views, required)
+    exclusive = [_members(matrix, int(v), rows, nothing, pinned) for v, rows in zip(views, only_here, strict=True)]
+    waiting = required.copy()
+    groups: list[Ints] = [nothing] * len(views)
+    taken = np.zeros(len(matrix.usable), dtype=np.bool_)
+    taken[views] = True
+    for k in np.argsort([len(group) for group in exclusive], kind="stable"):
+        rows = matrix.measured_by(int(views[k]))
+        rows = rows[waiting[rows] > 0]
+        waiting[rows] -= 1
+        group = _members(matrix, int(views[k]), rows, nothing, pinned)
+        group = group[~taken[group] | (group == views[k])]
+        taken[group] = True
+        groups[k] = group
+    return groups

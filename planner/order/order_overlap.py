@@ -1,0 +1,108 @@
+"""Visiting orders in which each view overlaps an earlier one, so that scans can be registered as they come in.
+
+The fastest order without this wish is taken first. Where it breaks the wish, orders that keep it are grown: from every
+first view, always the view that overlaps an earlier one and comes next in the fastest order; the best of them is then
+improved by moving single views to places that keep the wish. Every order is judged with its best joint solutions. This
+is a heuristic: the lower bound is that of orders without the wish.
+"""
+
+from collections.abc import Callable
+from collections.abc import Sequence as Many
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.order import generalised_tsp as gtsp
+from planner.order import orderings as orders
+from planner.order.orderings import OrderStatus, Sequence
+from planner.ports import Floats, JointLimits
+
+Joined = NDArray[np.bool_]
+"""(n, n) which views overlap."""
+
+_STEPS_PER_TRIAL = 30
+"""Steps of the free search's budget that one trial of an order costs: judging an order takes about as long."""
+
+
+def keeps(joined: Joined, order: NDArray[np.int64]) -> bool:
+    """Whether each view of an order but the first overlaps an earlier one."""
+    return all(joined[order[k], order[:k]].any() for k in range(1, len(order)))
+
+
+def grown(joined: Joined, wanted: NDArray[np.int64], first: int) -> NDArray[np.int64] | None:
+    """The order from a first view on that keeps the wish and follows another order where it may; None without any.
+
+    Args:
+        joined: which views overlap.
+        wanted: (n,) the order that is followed, cyclically from the first view on.
+        first: view to begin with.
+    """
+    waiting = np.roll(wanted, -int(np.flatnonzero(wanted == first)[0])).tolist()
+    order = [waiting.pop(0)]
+    while waiting:
+        following = next((view for view in waiting if joined[view, order].any()), None)
+        if following is None:
+            return None
+        waiting.remove(following)
+        order.append(following)
+    return np.array(order, dtype=np.int64)
+
+
+def overlapping(joined: Joined) -> Callable[..., Sequence]:
+    """An ordering (one of `ORDERINGS`) of views that overlap; without effect where some of them are missing.
+
+    Args:
+        joined: (n, n) which views overlap, in the order of the configurations.
+    """
+
+    def ordering(configurations: Many[Floats], home: Floats, limits: JointLimits, **options: Any) -> Sequence:
+        free = orders.sequence(configurations, home, limits, **options)
+        if len(configurations) != len(joined) or keeps(joined, free.order):
+            return free
+        problem = orders.instance(
+            configurations,
+            home,
+            limits,
+            options.get("edge_time"),
+            options.get("leaves"),
+            options.get("stays"),
+            options.get("times"),
+        )
+
+        def judged(order: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
+            return gtsp.best_nodes(problem, order + 1)
+
+        both = (free.order, free.order[::-1])
+        starts = [grown(joined, wanted, first) for wanted in both for first in range(len(joined))]
+        kept = [order for order in starts if order is not None]
+        if not kept:
+            return free  # the graph does not hold together; the caller says so
+        costs = [judged(order)[0] for order in kept]
+        best = kept[int(np.argmin(costs))]
+        cost, tour = judged(best)
+        trials = options.get("budget", gtsp.STEPS) // _STEPS_PER_TRIAL
+        for view in range(len(joined)):
+            rest = best[best != view]
+            for place in range(len(best)):
+                trial = np.insert(rest, place, view)
+                if trials <= 0 or not keeps(joined, trial):
+                    continue
+                trials -= 1
+                found = judged(trial)
+                if found[0] < cost * (1 - 1e-12):
+                    (cost, tour), best = found, trial
+        clusters = problem.clusters_of(tour)[1:]
+        choice = tour[1:] - problem.first[clusters]
+        order = clusters - 1
+        return replace(
+            free,
+            order=order,
+            choice=choice,
+            q=np.array([configurations[k][i] for k, i in zip(order, choice, strict=True)]),
+            duration=cost if cost < gtsp.BLOCKED else float("inf"),
+            status=OrderStatus.HEURISTIC if cost < gtsp.BLOCKED else OrderStatus.NO_TOUR,
+        )
+
+    return ordering

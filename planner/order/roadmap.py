@@ -1,0 +1,218 @@
+"""The edges between joint solutions: not looked at yet, straight move free, straight move blocked, real path.
+
+The roadmap is lazy: an edge is looked at when a tour wants to use it. Its price is
+
+    the straight move's time        until it is looked at (no path can be faster), and after the move is certified free;
+    a guess above that              after the straight move was found to collide, until a detour was searched;
+    the detour's real time          after one was found.
+
+What a detour costs can hardly be told from the straight move: measured, 0.3 to 2.2 s more, for one stop more and the
+way around. The guess decides what is searched: a low one finds every detour worth having and spends its work on many
+that are not; a high one prefers moves that are free.
+
+A node to which no path is found, neither from a neighbour nor from home, is *isolated* and leaves the roadmap: every
+other pair can be connected at the worst through home.
+"""
+
+from collections.abc import Iterable
+from collections.abc import Sequence as Many
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.order.orderings import leaving, node_offsets
+from planner.path.certified_edge import certify_many, quantise_inside
+from planner.path.path import connect, path_time, shorten
+from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.timing.motion import move_time
+
+Edge = tuple[int, int]
+
+_LEAST_SEARCH = 1000  # checks that a search may use even when the total is spent, so that an easy detour is still found
+
+
+class Roadmap:
+    """Edges between the joint solutions of all views and home, priced on demand."""
+
+    def __init__(
+        self,
+        configurations: Many[Floats],
+        home: Floats,
+        checker: CollisionChecker,
+        limits: JointLimits,
+        seed: int,
+        path_checks: int,
+        total_checks: int,
+        leaves: Many[NDArray[np.int64]] | None = None,
+    ) -> None:
+        """Number the nodes as `planner.order.orderings.node_offsets` does and drop those that are not free.
+
+        Args:
+            configurations: per view, (n_i, 6) joint solutions [rad]; a view may have none.
+            home: (6,) [rad].
+            checker: the collision checker.
+            limits: range and speeds.
+            seed: seed of all searches; each edge's search depends on it and on the edge alone.
+            path_checks: checks that one search may use.
+            total_checks: checks after which a search gets no more than a token share.
+            leaves: per view, (n_i,) joint solution at which the arm leaves (`planner.order.orderings.sequence`); None:
+                where it arrived.
+        """
+        self.checker, self.limits = checker, limits
+        self.q = quantise_inside(np.concatenate([home[None], *(q.reshape(-1, 6) for q in configurations)]), limits)
+        self.offsets = node_offsets(configurations)
+        self.leave = np.arange(len(self.q)) if leaves is None else leaving(configurations, leaves)
+        self.active = checker.free(self.q)
+        self.checks = len(self.q)
+        self.isolated: set[int] = set()
+        self._seed, self._path_checks, self._total_checks = seed, path_checks, total_checks
+        self._paths: dict[Edge, Floats] = {}
+        self._failed: set[Edge] = set()
+        self._straight = move_time(self.q[:, None], self.q, limits)
+        self._times = self._straight.copy()
+        self._blocked = np.zeros(self._times.shape, dtype=bool)
+        self._unseen = np.ones(self._times.shape, dtype=bool)
+        self._guess_factor, self._guess_more = 1.0, 0.0
+        # Nodes that differ by whole turns hold the arm in the same place: a straight move between two of them that
+        # collides does so for every pair with the same difference.
+        units = np.round(np.degrees(self.q) * 1e4).astype(np.int64)
+        self._units = units
+        self._pose = np.unique(units % 3_600_000, axis=0, return_inverse=True)[1].reshape(-1)
+
+    def nodes_of(self, view: int) -> NDArray[np.int64]:
+        """Active nodes of a view that can be left again."""
+        nodes = np.arange(self.offsets[view], self.offsets[view + 1])
+        return nodes[self.active[nodes] & self.active[self.leave[nodes]]]
+
+    def times(self) -> Floats:
+        """(N, N) prices [s] of all edges; a view of what changes as edges are looked at and searched."""
+        return self._times
+
+    def guess_by(self, factor: float, more: float) -> bool:
+        """Price colliding moves at `factor` times the straight move's time and `more` [s], until they are searched.
+
+        Returns:
+            Whether any move is priced so now.
+        """
+        self._guess_factor, self._guess_more = factor, more
+        self._times[self._blocked] = self._straight[self._blocked] * factor + more
+        return bool(self._blocked.any())
+
+    def unseen(self) -> NDArray[np.bool_]:
+        """(N, N) edges of which nothing is known yet; a view of what changes."""
+        return self._unseen
+
+    def path(self, a: int, b: int) -> Floats | None:
+        """(m, 6) certified via points from node a to node b [rad]; None where the edge is not real yet."""
+        found = self._paths.get((min(a, b), max(a, b)))
+        return found if found is None or a <= b else found[::-1]
+
+    def blocked(self, a: int, b: int) -> bool:
+        """Whether the straight move is known, or by a turned copy expected, to collide and no detour is known yet."""
+        return bool(self._blocked[a, b])
+
+    def look(self, edges: Iterable[Edge]) -> bool:
+        """Certify the straight moves of edges that nobody looked at; whether all of them are free."""
+        new = sorted(e for e in {(min(e), max(e)) for e in edges} if self._unseen[e])
+        if not new:
+            return True
+        ends = np.array(new)
+        free, used = certify_many(self.q[ends[:, 0]], self.q[ends[:, 1]], self.checker)
+        self.checks += used
+        for (a, b), ok in zip(new, free, strict=True):
+            if ok:
+                self._know(a, b, self.q[[a, b]])
+            else:
+                self._guess(a, b)
+        return bool(free.all())
+
+    def search(self, a: int, b: int) -> bool:
+        """Find a real path for an edge, through home if need be, and isolate a node that has none.
+
+        Returns:
+            Whether a path is known now.
+        """
+        a, b = min(a, b), max(a, b)
+        if self._direct(a, b):
+            return True
+        if a == 0:
+            self._isolate(b)
+            return False
+        legs = []
+        for node in (a, b):
+            if self._direct(0, node):
+                legs.append(self._paths[0, node])
+            else:
+                self._isolate(node)
+        if len(legs) < 2:
+            return False
+        joined = np.concatenate((legs[0][::-1], legs[1][1:]))
+        via, used = shorten(joined, self.checker, self.limits, self._rng(a, b), self._path_checks // 2)
+        self.checks += used
+        self._know(a, b, via)
+        return True
+
+    def improve(self, a: int, b: int, tries: int) -> bool:
+        """Shorten the detour of an edge further and search it from other seeds, in turns; whether it became faster."""
+        a, b = min(a, b), max(a, b)
+        best = self._paths[a, b]
+        before = time = path_time(best, self.limits)
+        for attempt in range(tries):
+            rng = np.random.default_rng([self._seed, a, b, 1 + attempt])
+            if attempt % 2:
+                found = connect(self.q[a], self.q[b], self.checker, self.limits, rng, self._path_checks, measure=False)
+                via, used = found.via, found.checks
+            else:
+                via, used = shorten(best, self.checker, self.limits, rng, self._path_checks // 2)
+            self.checks += used
+            if via is not None and path_time(via, self.limits) < time:
+                best, time = via, path_time(via, self.limits)
+        if time < before:
+            self._know(a, b, best)
+        return time < before
+
+    def _direct(self, a: int, b: int) -> bool:
+        """Whether a path that does not need home is known or found; each edge is searched once."""
+        if (a, b) in self._paths:
+            return True
+        if (a, b) in self._failed:
+            return False
+        budget = self._path_checks
+        if any(self._pose[node] == self._pose[other] for node in (a, b) if node for other in self.isolated):
+            budget //= 4  # the same place, some turns apart, could not be reached
+        budget = max(min(budget, self._total_checks - self.checks), _LEAST_SEARCH)
+        found = connect(self.q[a], self.q[b], self.checker, self.limits, self._rng(a, b), budget, measure=False)
+        self.checks += found.checks
+        if found.via is None:
+            self._failed.add((a, b))
+            return False
+        self._know(a, b, found.via)
+        return True
+
+    def _know(self, a: int, b: int, via: Floats) -> None:
+        self._paths[a, b] = via
+        self._blocked[a, b] = self._blocked[b, a] = self._unseen[a, b] = self._unseen[b, a] = False
+        time = path_time(via, self.limits) if len(via) > 2 else float(self._straight[a, b])
+        self._times[a, b] = self._times[b, a] = time
+
+    def _guess(self, a: int, b: int) -> None:
+        """Price a colliding straight move, and its copies some turns away, by the guess."""
+        turned_a = np.flatnonzero(self._pose == self._pose[a])
+        turned_b = np.flatnonzero(self._pose == self._pose[b])
+        same = (self._units[turned_b][None] - self._units[turned_a][:, None] == self._units[b] - self._units[a]).all(
+            axis=2
+        )
+        for i, j in np.argwhere(same):
+            one, other = int(turned_a[i]), int(turned_b[j])
+            if (min(one, other), max(one, other)) not in self._paths:
+                time = float(self._straight[one, other]) * self._guess_factor + self._guess_more
+                self._blocked[one, other] = self._blocked[other, one] = True
+                self._unseen[one, other] = self._unseen[other, one] = False
+                self._times[one, other] = self._times[other, one] = time
+
+    def _isolate(self, node: int) -> None:
+        self.active[node] = False
+        self.isolated.add(node)
+
+    def _rng(self, a: int, b: int) -> np.random.Generator:
+        return np.random.default_rng([self._seed, a, b])

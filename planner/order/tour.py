@@ -1,0 +1,348 @@
+"""The whole motion over a set of views: order, joint solutions and certified paths, from home and back.
+
+The search itself is `planner.order.tour_search`; this file checks its input, puts the legs together and measures their
+clearance.
+
+A view to which no path is found from any of its joint solutions is dropped and said; the caller may then cover the part
+anew without it.
+"""
+
+from collections.abc import Sequence as Many
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.order import orderings as ordering_of_views
+from planner.order.roadmap import Roadmap
+from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, Progress, TourSearch
+from planner.path.certified_edge import clearance_along
+from planner.path.path import path_time
+from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.timing.motion import check_inside, check_limits
+from planner.values import readonly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """What the arm does at a view between arriving and leaving: the line of a sweep.
+
+    Attributes:
+        via: (m, 6) via points [rad], certified, the first where the arm arrives and the last where it leaves.
+        pose: (m,) pose of the view that is taken at each, -1 for none.
+        duration: of the passage [s].
+        leaves: joint solution of the same view (its index) that begins where this one ends.
+    """
+
+    via: Floats
+    pose: NDArray[np.int64]
+    duration: float
+    leaves: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
+        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.via),), np.int64))
+
+    @property
+    def middle(self) -> Floats:
+        """(6,) joint angles at the middle one of its poses [rad]."""
+        return np.asarray(self.via[int(np.flatnonzero(self.pose == (self.pose >= 0).sum() // 2)[0])])
+
+
+class TourStatus(IntEnum):
+    """What became of the views."""
+
+    COMPLETE = 0
+    VIEWS_DROPPED = 1
+    HOME_IN_COLLISION = 2
+
+    @property
+    def sentence(self) -> str:
+        """The status in words, for reports."""
+        return _TOUR_SENTENCES[self]
+
+
+_TOUR_SENTENCES = {
+    TourStatus.COMPLETE: "every view is visited",
+    TourStatus.VIEWS_DROPPED: "some views cannot be visited; the tour over the others is complete",
+    TourStatus.HOME_IN_COLLISION: "home is nearer to something than the clearance; there is no motion",
+}
+
+
+class DropReason(IntEnum):
+    """Why a view is not visited."""
+
+    NO_SOLUTION = 0
+    IN_COLLISION = 1
+    NO_PATH = 2
+    NO_HOME = 3
+
+    @property
+    def sentence(self) -> str:
+        """The reason in words, for reports."""
+        return _DROP_SENTENCES[self]
+
+
+_DROP_SENTENCES = {
+    DropReason.NO_SOLUTION: "the view has no joint solution",
+    DropReason.IN_COLLISION: "every joint solution of the view is nearer to something than the clearance",
+    DropReason.NO_PATH: "no free path to any joint solution of the view was found within the budget",
+    DropReason.NO_HOME: "home itself is in collision",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """A view that is not visited.
+
+    Attributes:
+        view: index into the configurations.
+        reason: why.
+        blocker: what its first joint solution is nearest to ("housing with part"), where it collides; else "".
+    """
+
+    view: int
+    reason: DropReason
+    blocker: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tour:
+    """A certified motion over the views; leg k leads to view `order[k]`, the last leg home.
+
+    Attributes:
+        order: (n,) visited views, as indices into the configurations.
+        choice: (n,) joint solution of each visited view, as an index into that view's configurations.
+        q: (n, 6) joint angles at the views, in visiting order [rad], multiples of 1e-4 deg; of a sweep at its middle
+            pose.
+        via: (N, 6) via points from home to home [rad]; one row (home) without views, none where home is in collision.
+        segment: (N,) leg that ends at or passes the via point; 0 for the first.
+        view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
+        pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
+        entered: (n,) via point at which each visited view is entered: where its passage begins.
+        clearance: (n + 1,) smallest distance found along each leg [m] (`planner.path.certified_edge.clearance_along`);
+            inf where it was not measured.
+        between: n + 1 names of the pair that is nearest on each leg, "" where it was not measured.
+        detour: (n + 1,) True where the leg is no straight move.
+        duration: time of all moves, stopping at each via point, and of the passages [s].
+        baseline_duration: time of the Christofides tour with straight moves [s], collisions not looked at.
+        lower_bound: no motion over the visited views and more, through these joint solutions, is faster [s].
+        dropped: views that are not visited, with reasons.
+        status: what became of the views.
+        home_blocker: what home is nearest to, where it collides; else "".
+        checks: configurations checked.
+        rounds: orderings computed.
+    """
+
+    order: NDArray[np.int64]
+    choice: NDArray[np.int64]
+    q: Floats
+    via: Floats
+    segment: NDArray[np.int64]
+    view: NDArray[np.int64]
+    pose: NDArray[np.int64]
+    entered: NDArray[np.int64]
+    clearance: Floats
+    between: tuple[str, ...]
+    detour: NDArray[np.bool_]
+    duration: float
+    baseline_duration: float
+    lower_bound: float
+    dropped: tuple[Dropped, ...]
+    status: TourStatus
+    home_blocker: str
+    checks: int
+    rounds: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "order", readonly("order", self.order, (None,), np.int64))
+        n = len(self.order)
+        object.__setattr__(self, "choice", readonly("choice", self.choice, (n,), np.int64))
+        object.__setattr__(self, "q", readonly("q", self.q, (n, 6)))
+        object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
+        object.__setattr__(self, "segment", readonly("segment", self.segment, (len(self.via),), np.int64))
+        object.__setattr__(self, "view", readonly("view", self.view, (len(self.via),), np.int64))
+        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.via),), np.int64))
+        object.__setattr__(self, "entered", readonly("entered", self.entered, (n,), np.int64))
+        object.__setattr__(self, "clearance", readonly("clearance", self.clearance, (len(self.between),)))
+        object.__setattr__(self, "detour", readonly("detour", self.detour, (len(self.between),), np.bool_))
+
+
+def plan_motion(
+    configurations: Many[Floats],
+    home: Floats,
+    checker: CollisionChecker,
+    limits: JointLimits,
+    T_base_scanner: Floats,
+    rng: np.random.Generator,
+    budget: MotionBudget = DEFAULT_BUDGET,
+    progress: Progress | None = None,
+    *,
+    ordering: str | ordering_of_views.Ordering = "joint-space",
+    T_base_home: Floats | None = None,
+    passages: Many[Many[Passage]] | None = None,
+    measure: bool = True,
+) -> Tour:
+    """Plan the motion that visits every view once, from home and back.
+
+    Args:
+        configurations: per view, (n_i, 6) joint solutions [rad], multiples of 1e-4 deg; those not free are left out.
+        home: (6,) joint angles at which the motion begins and ends [rad].
+        checker: the collision checker; its clearance must be above 0.
+        limits: limits of the axes; scale them (`planner.timing.motion.scaled`) to order for a reduced speed.
+        T_base_scanner: (n, 4, 4) scanner pose of each view [m], base frame; starts the ordering.
+        rng: source of all randomness.
+        budget: work that may be used.
+        progress: told about real edges as they become known.
+        ordering: a name of `planner.order.orderings.ORDERINGS`, or a function like them.
+        T_base_home: (4, 4) scanner pose at home [m].
+        passages: per view, one for each of its joint solutions, beginning there; None: the arm stands and measures.
+        measure: whether to measure the clearance along the legs.
+
+    Returns:
+        The motion with the views that it cannot visit. It is certified: see `planner.path.certified_edge`.
+
+    Raises:
+        PlannerError: if the ordering is unknown, home or a joint solution outside the joint range, a limit unusable,
+            or the checker keeps no clearance.
+    """
+    if isinstance(ordering, str) and ordering not in ordering_of_views.ORDERINGS:
+        raise PlannerError(
+            f"there is no ordering {ordering!r}; it must be one of {', '.join(ordering_of_views.ORDERINGS)}"
+        )
+    check_limits(limits)
+    home = readonly("home", home, (6,))
+    check_inside("home: number", home[None], limits)
+    solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(configurations)]
+    for k, q in enumerate(solutions):
+        check_inside(f"joint solution of view {k}: number", q, limits)
+    poses = readonly("T_base_scanner", T_base_scanner, (len(solutions), 4, 4))
+    if not checker.clearance > 0:
+        raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
+    seed = int(rng.integers(2**63))
+    leaves, stays = _between(solutions, passages)
+    roadmap = Roadmap(solutions, home, checker, limits, seed, budget.path_checks, budget.checks, leaves)
+    if not roadmap.active[0]:
+        return _no_motion(roadmap, len(solutions))
+
+    dropped = []
+    for k, q in enumerate(solutions):
+        if len(q) == 0:
+            dropped.append(Dropped(k, DropReason.NO_SOLUTION, ""))
+        elif len(roadmap.nodes_of(k)) == 0:
+            blocker = next(iter(checker.contacts(q[0])), "")
+            dropped.append(Dropped(k, DropReason.IN_COLLISION, blocker))
+
+    search = TourSearch(roadmap, poses, T_base_home, limits, seed, budget, ordering, progress, stays)
+    nodes = search.run()
+    dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
+    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), passages, measure)
+
+
+def _between(
+    solutions: Many[Floats], passages: Many[Many[Passage]] | None
+) -> tuple[list[NDArray[np.int64]] | None, Floats | None]:
+    """Where each joint solution is left, per view, and how long the arm is there [s], per node with home first."""
+    if passages is None:
+        return None, None
+    stays = [0.0]
+    for k, (q, own) in enumerate(zip(solutions, passages, strict=True)):
+        if len(own) != len(q):
+            raise PlannerError(f"view {k} has {len(q)} joint solutions and {len(own)} passages; they must be as many")
+        for i, passage in enumerate(own):
+            ends = passage.via[[0, -1]], q[[i, passage.leaves]]
+            if not np.allclose(*ends, rtol=0.0, atol=1e-9):
+                raise PlannerError(f"passage {i} of view {k} does not begin and end at the joint solutions it names")
+            stays.append(passage.duration)
+    leaves = [np.array([passage.leaves for passage in own], dtype=np.int64) for own in passages]
+    return leaves, np.array(stays)
+
+
+def _tour(
+    roadmap: Roadmap,
+    nodes: list[int],
+    search: TourSearch,
+    dropped: tuple[Dropped, ...],
+    passages: Many[Many[Passage]] | None,
+    measure: bool,
+) -> Tour:
+    """Put the legs together and measure their clearance."""
+    views = [search.view_of(node) for node in nodes[1:-1]]
+    stands = [
+        Passage(roadmap.q[[node]], np.zeros(1, dtype=np.int64), 0.0, 0)
+        if passages is None
+        else passages[view][node - int(roadmap.offsets[view])]
+        for view, node in zip(views, nodes[1:-1], strict=True)
+    ]
+    via, segment, view, pose, entered = [roadmap.q[:1]], [0], [-1], [-1], []
+    clearance, between, detour, duration = [], [], [], 0.0
+    for leg, (a, b) in enumerate(search.edges(nodes)):
+        path = search.path(a, b)
+        nearest, pair = clearance_along(path, roadmap.checker) if measure else (float("inf"), "")
+        duration += path_time(path, search.limits)
+        via.append(path[1:])
+        view += [-1] * (len(path) - 1)
+        pose += [-1] * (len(path) - 1)
+        if leg < len(views):
+            here = stands[leg]
+            entered.append(len(view) - 1)
+            via.append(here.via[1:])
+            view[-1:] = np.where(here.pose >= 0, views[leg], -1).tolist()
+            pose[-1:] = here.pose.tolist()
+            duration += here.duration
+            if measure and len(here.via) > 1:
+                nearest, pair = min((nearest, pair), clearance_along(here.via, roadmap.checker))
+        segment += [leg] * (len(view) - len(segment))
+        clearance.append(nearest)
+        between.append(pair)
+        detour.append(len(path) > 2)
+    visited = np.array(nodes[1:-1], dtype=np.int64)
+    return Tour(
+        order=np.array(views, dtype=np.int64),
+        choice=visited - roadmap.offsets[views] if views else visited,
+        q=np.array([here.middle for here in stands]).reshape(-1, 6),
+        via=np.concatenate(via),
+        segment=np.array(segment),
+        view=np.array(view),
+        pose=np.array(pose),
+        entered=np.array(entered, dtype=np.int64),
+        clearance=np.array(clearance),
+        between=tuple(between),
+        detour=np.array(detour, dtype=bool),
+        duration=duration,
+        baseline_duration=search.baseline,
+        lower_bound=search.lower_bound,
+        dropped=dropped,
+        status=TourStatus.VIEWS_DROPPED if dropped else TourStatus.COMPLETE,
+        home_blocker="",
+        checks=roadmap.checks,
+        rounds=search.rounds,
+    )
+
+
+def _no_motion(roadmap: Roadmap, n_views: int) -> Tour:
+    """The result where home collides."""
+    none = np.zeros(0, dtype=np.int64)
+    return Tour(
+        order=none,
+        choice=none,
+        q=np.zeros((0, 6)),
+        via=np.zeros((0, 6)),
+        segment=none,
+        view=none,
+        pose=none,
+        entered=none,
+        clearance=np.zeros(0),
+        between=(),
+        detour=np.zeros(0, dtype=bool),
+        duration=0.0,
+        baseline_duration=0.0,
+        lower_bound=0.0,
+        dropped=tuple(Dropped(k, DropReason.NO_HOME, "") for k in range(n_views)),
+        status=TourStatus.HOME_IN_COLLISION,
+        home_blocker=next(iter(roadmap.checker.contacts(roadmap.q[0])), ""),
+        checks=roadmap.checks,
+        rounds=0,
+    )

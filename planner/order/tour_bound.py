@@ -1,0 +1,250 @@
+"""Lower bounds on a generalised travelling salesman's tour.
+
+`one_tree` is quick and weak. It is the bound of Held and Karp (1970, doi:10.1287/opre.18.6.1138) on the clusters: each
+pair of them costs what its cheapest pair of nodes costs, so a tour may change its node between arriving and leaving.
+
+`by_walks` keeps the nodes. It is the shortest closed walk of `planner.order.walk_relaxation` under prizes for visiting
+each cluster, raised in rounds: a subgradient ascent in the prizes (Held, Wolfe and Crowder 1974,
+doi:10.1007/BF01580223), with deflected directions (Camerini, Fratta and Maffioli 1975, doi:10.1007/BFb0120697); then
+the clusters that the walk came back to are remembered along the circle (dynamic ng-sets: Roberti and Mingozzi 2014,
+doi:10.1287/trsc.2013.0474), then nodes through which no walk is cheaper than the tour that is known are left out. A
+walk that visits every cluster once is a tour, and no tour is shorter.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.ports import Floats
+
+Ints = NDArray[np.int64]
+
+_MEMORIES = 11  # members of an NG set at most: 2048 memories a cluster
+_NEAREST, _EVALUATIONS = 5, 30  # members to begin with, where the work allows at least so many evaluations then
+_DEFLECTION = 0.6  # share of the last direction in the next one
+_PATIENCE, _PROGRESS = 6, 1e-3  # evaluations without progress (a share of the gap) before the step is halved
+_LEAST_SCALE = 0.1  # share of the full step at which a round ends
+_WORTH_LEAVING_OUT = 0.25  # gap below which nodes may be left out: the try costs about three evaluations
+_PER_CLUSTER = 8  # edges that the way to another cluster costs beside those between the nodes
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bound:
+    """What is known about the shortest tour.
+
+    Attributes:
+        value: no tour costs less.
+        tour: (m,) nodes of a shortest tour, beginning in cluster 0, where the ascent met one; else None.
+        work: edges looked at.
+    """
+
+    value: float
+    tour: Ints | None
+    work: int
+
+
+def one_tree(cost: Floats, first: Ints, rounds: int = 40) -> float:
+    """The quick bound.
+
+    Args:
+        cost: (N, N) symmetric costs.
+        first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1.
+        rounds: steps of the ascent.
+    """
+    m = len(first) - 1
+    if m == 1:
+        return 0.0
+    cheapest = between_clusters(cost, first)
+    if m == 2:
+        return float(2.0 * cheapest[0, 1])
+    penalty, bound, step = np.zeros(m), 0.0, 0.5 * float(np.median(cheapest[0, 1:])) / (m - 1)
+    for _ in range(rounds):
+        lifted = cheapest + penalty[:, None] + penalty[None, :]
+        total, degree = _cheapest_one_tree(lifted)
+        bound = max(bound, total - 2.0 * float(penalty.sum()))
+        if (degree == 2).all():
+            break
+        penalty += step * (degree - 2)
+        step *= 0.95
+    return bound
+
+
+def between_clusters(cost: Floats, first: Ints) -> Floats:
+    """(m, m) what the cheapest pair of nodes of each two clusters costs."""
+    return np.asarray(np.minimum.reduceat(np.minimum.reduceat(cost, first[:-1], axis=0), first[:-1], axis=1))
+
+
+def by_walks(cost: Floats, first: Ints, tour_cost: float, work: int) -> Bound:
+    """The strong bound.
+
+    Args:
+        cost: (N, N) symmetric costs.
+        first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1; m at least 3. The smaller cluster 0 is,
+            the better.
+        tour_cost: cost of a tour that is known; the closer it is to the best, the faster the ascent.
+        work: edges to look at; the evaluation that reaches it is finished. A thousand million take about a second.
+    """
+    ascent = _Ascent(cost, first, tour_cost, work)
+    while ascent.work < work:
+        closed = ascent.raise_prizes(work)
+        if closed or not ascent.remember():
+            break
+        if tour_cost - ascent.best < _WORTH_LEAVING_OUT * tour_cost:
+            ascent.leave_out()
+    return Bound(min(ascent.best, tour_cost), ascent.tour, ascent.work)
+
+
+class _Ascent:
+    """Prizes, memories and nodes that are left, and the best bound so far."""
+
+    def __init__(self, cost: Floats, first: Ints, tour_cost: float, work: int) -> None:
+        m = len(first) - 1
+        self.cost, self.first, self.upper = np.array(cost), np.array(first), tour_cost
+        self.number = np.arange(len(cost))  # of the nodes that are left, in the caller's counting
+        self.neighbours, self.count = np.zeros((m, _MEMORIES), dtype=np.int64), np.zeros(m, dtype=np.int64)
+        self.prize, self.best, self.work = np.zeros(m), -np.inf, 0
+        self.walk: Ints = np.zeros(0, dtype=np.int64)
+        self.tour: Ints | None = None
+        visits = m - 1
+        self.far = (visits + 2) // 2
+        self.near = visits + 1 - self.far
+        self._index()
+        cheapest = between_clusters(self.cost, self.first)
+        cheapest[:, 0] = np.inf  # the start is never visited
+        np.fill_diagonal(cheapest, np.inf)
+        nearest = np.argsort(cheapest, axis=1, kind="stable")
+        members = min(_NEAREST, visits - 1)
+        while members > 0 and (self.price << members) * _EVALUATIONS > work:  # the price doubles with each member
+            members -= 1
+        self.neighbours[:, :members], self.count[1:] = nearest[:, :members], members
+        self._index()
+
+    def raise_prizes(self, work: int) -> bool:
+        """One round of the ascent, from the best prizes so far; whether the gap is closed."""
+        prize, direction = self.prize.copy(), np.zeros(len(self.prize) - 1)
+        scale, since, reached = 1.0, 0, -np.inf
+        while self.work < work and scale >= _LEAST_SCALE:
+            bound, walk = self._shortest(prize)
+            visited = np.bincount(np.searchsorted(self.first, walk, side="right") - 1, minlength=len(prize))
+            missed = (1 - visited)[1:]
+            if bound > self.best:
+                self.best, self.prize = bound, prize.copy()
+            if not missed.any():
+                self.best, self.tour = bound, self.number[walk]
+                return True
+            if self.best >= self.upper * (1.0 - _ROUNDING):
+                return True
+            if reached == -np.inf or bound > reached + _PROGRESS * (self.upper - reached):
+                reached, since, self.walk = bound, 0, walk
+            else:
+                since += 1
+            if since == _PATIENCE:
+                prize, direction = self.prize.copy(), np.zeros_like(direction)
+                scale, since = scale / 2.0, 0
+                continue
+            direction = missed + _DEFLECTION * direction
+            prize[1:] += scale * (self.upper - bound) / max(float((direction**2).sum()), 1.0) * direction
+        return False
+
+    def remember(self) -> bool:
+        """Forbid the circles of the last good walk: remember along each of them where it began; whether any was new."""
+        clusters = np.searchsorted(self.first, self.walk[1:], side="right") - 1
+        last: dict[int, int] = {}
+        grown = False
+        for i, k in enumerate(clusters.tolist()):
+            for inner in clusters[last[k] + 1 : i].tolist() if k in last else []:
+                size = self.count[inner]
+                if size < _MEMORIES and k not in self.neighbours[inner, :size]:
+                    self.neighbours[inner, size] = k
+                    self.count[inner] += 1
+                    grown = True
+            last[k] = i
+        if grown:
+            self._index()
+        return grown
+
+    def leave_out(self) -> None:
+        """Leave out nodes through which every walk, and so every tour, costs more than the tour that is known."""
+        from planner.order import walk_relaxation as walks
+
+        through = np.full(len(self.cost), np.inf)
+        visits = self.near + self.far - 1
+        for start in range(self.first[1]):
+            value = walks.layers(*self._arguments(self.prize, start), visits)
+            self.work += self.price * visits // self.far
+            from_start = np.inf
+            for near in range(1, visits + 1):
+                met = walks.join(value, self.first, self.prize, self.count, self.base, near, visits + 1 - near)
+                from_start = min(from_start, met[0])
+                np.minimum(through, met[5], out=through)
+            through[start] = from_start
+        kept = through + self.prize[1:].sum() <= self.upper * (1.0 + _ROUNDING)
+        if kept.all():
+            return
+        sizes = np.add.reduceat(kept.astype(np.int64), self.first[:-1])
+        if (
+            sizes == 0
+        ).any():  # no tour at all is as cheap as the upper bound, which a given tour can only reach by rounding
+            return
+        self.cost = np.ascontiguousarray(self.cost[np.ix_(kept, kept)])
+        self.number, self.first = self.number[kept], np.concatenate(([0], np.cumsum(sizes)))
+        self._index()
+
+    def _index(self) -> None:
+        """Number the states after memories or nodes changed."""
+        from planner.order import walk_relaxation as walks
+
+        sizes = np.diff(self.first)
+        states = sizes << self.count
+        self.table, self.rows = walks.memory_table(self.neighbours, self.count)
+        self.base = np.concatenate(([0], np.cumsum(states)))
+        steps = int(states[1:].sum()) * int(sizes[1:].sum()) + _PER_CLUSTER * int((1 << self.count[1:]).sum()) * len(
+            sizes
+        )
+        self.price = steps * self.far
+
+    def _arguments(self, prize: Floats, start: int) -> tuple[Floats, Ints, Floats, int, Ints, Ints, Ints, Ints]:
+        return self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base
+
+    def _shortest(self, prize: Floats) -> tuple[float, Ints]:
+        """The bound under these prizes, and the nodes of the walk that gives it."""
+        from planner.order import walk_relaxation as walks
+
+        best, walk = np.inf, self.walk
+        for start in range(self.first[1]):
+            arguments = self._arguments(prize, start)
+            value = walks.layers(*arguments, self.far)
+            self.work += self.price
+            length, cluster, node, memory, other, _ = walks.join(
+                value, self.first, prize, self.count, self.base, self.near, self.far
+            )
+            if length < best:
+                best = length
+                there = walks.walk_back(value, *arguments[:3], *arguments[4:], self.near, cluster, node, memory)
+                back = walks.walk_back(value, *arguments[:3], *arguments[4:], self.far, cluster, node, other)
+                walk = np.concatenate(([start], there[::-1], back[1:]))
+        return best + float(prize[1:].sum()), walk
+
+
+def _cheapest_one_tree(cost: Floats) -> tuple[float, Ints]:
+    """Cost and degrees of the cheapest spanning tree on clusters 1.. plus the two cheapest edges of cluster 0."""
+    count = len(cost)
+    degree = np.zeros(count, dtype=np.int64)
+    near, parent = cost[1].copy(), np.ones(count, dtype=np.int64)
+    near[[0, 1]] = np.inf
+    total = 0.0
+    for _ in range(count - 2):
+        k = int(near.argmin())
+        total += float(near[k])
+        degree[k] += 1
+        degree[parent[k]] += 1
+        near[k] = np.inf
+        closer = np.isfinite(near) & (cost[k] < near)
+        near[closer] = cost[k, closer]
+        parent[closer] = k
+    two = np.argsort(cost[0, 1:], kind="stable")[:2] + 1
+    degree[two] += 1
+    degree[0] += 2
+    return total + float(cost[0, two].sum()), degree

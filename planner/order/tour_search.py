@@ -1,0 +1,285 @@
+"""The lazy search of a tour: order with cheap times, look at the edges, price what collides anew, order again.
+
+The order is found with the times of straight moves; the edges of its tour are looked at, and those that collide are
+priced anew, until every edge of the tour is real (the lazy evaluation of Bohlin and Kavraki 2000,
+doi:10.1109/ROBOT.2000.844107, on a travelling salesman). As no path is faster than the straight move, a tour that is
+optimal under these prices and whose edges are all real is optimal over the real times as well, as far as the guessed
+prices of colliding moves are not too high.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.order import generalised_tsp as gtsp
+from planner.order import orderings as ordering_of_views
+from planner.order.roadmap import Edge, Roadmap
+from planner.path.path import CHECKS, path_time
+from planner.ports import Floats, JointLimits
+
+Ints = NDArray[np.int64]
+
+Progress = Callable[[int, int], None]
+"""Called with the number of real edges and the number of edges of the tour under work."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionBudget:
+    """Work that planning a motion may use; no clock is read, so equal input gives an equal motion.
+
+    Attributes:
+        orders: tours that one full ordering may look at (`planner.order.orderings.sequence`).
+        bound: edges that the lower bound may look at.
+        path_checks: configurations that the search of one detour may check.
+        checks: configurations after which detours get only a token search.
+        rounds: orderings at most, shared evenly among the guesses; after them the edges of the last tour are made real
+            without ordering again, where no tour is real yet.
+        quick: share of `orders` that every ordering after the first gets, but the last, as its inverse.
+        looks: how often the edges of a tour are looked at, and its joint solutions chosen anew, before it is ordered
+            again.
+        around: edges of the next best tours in the same order of views that are looked at each time.
+        before_settling: configurations checked under each guess after which the search settles for what it has.
+        polish: further searches for each detour of the final tour.
+        guesses: what a colliding move is priced at until a detour is searched, one after the other: so many times the
+            straight move's time, and so much more [s] (`planner.order.roadmap`). A high guess finds a good tour with
+            few searches; a low one after it searches what may still be faster.
+    """
+
+    orders: int = gtsp.STEPS
+    bound: int = gtsp.BOUND_WORK
+    path_checks: int = CHECKS
+    checks: int = 1_000_000
+    rounds: int = 600
+    quick: int = 20
+    looks: int = 12
+    around: int = 4
+    before_settling: int = 200_000
+    polish: int = 4
+    guesses: tuple[tuple[float, float], ...] = ((1.1, 1.2), (1.1, 0.35))
+
+
+DEFAULT_BUDGET = MotionBudget()
+
+
+class TourSearch:
+    """The loop of ordering and looking; holds what changes between rounds.
+
+    Attributes:
+        views: views that still have a joint solution on the roadmap.
+        unconnected: views that lost their last one.
+        baseline: time of the Christofides tour with straight moves [s].
+        lower_bound: no motion over all views is faster [s].
+        rounds: orderings computed.
+    """
+
+    def __init__(
+        self,
+        roadmap: Roadmap,
+        poses: Floats,
+        T_base_home: Floats | None,
+        limits: JointLimits,
+        seed: int,
+        budget: MotionBudget,
+        ordering: str | ordering_of_views.Ordering,
+        progress: Progress | None,
+        stays: Floats | None = None,
+    ) -> None:
+        self.roadmap, self.poses, self.T_base_home, self.limits = roadmap, poses, T_base_home, limits
+        self.seed, self.budget, self.progress = seed, budget, progress
+        self.ordering = ordering_of_views.ORDERINGS[ordering] if isinstance(ordering, str) else ordering
+        self.views = [k for k in range(len(poses)) if len(roadmap.nodes_of(k))]
+        self.unconnected: list[int] = []
+        self.baseline, self.lower_bound = 0.0, 0.0
+        self.rounds = 0
+        self.best: list[int] = []
+        self.best_time, self.promised = float("inf"), 0.0
+        self.stays = np.zeros(len(roadmap.q)) if stays is None else stays  # time between arriving and leaving, by node
+
+    def run(self) -> list[int]:
+        """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
+        wanted = list(self.views)
+        for guess in self.budget.guesses:
+            guessed = self.roadmap.guess_by(*guess)
+            if self.best and (not guessed or self.rounds >= self.budget.rounds):
+                break
+            self.settle()
+        self.polish()
+        kept = {self.view_of(node) for node in self.best[1:-1]}
+        self.unconnected = [k for k in wanted if k not in kept]
+        return self.best
+
+    def settle(self) -> None:
+        """Order and look in turns under one guess, until no ordering promises a faster tour than the best real one."""
+        last_round = self.rounds + max(1, self.budget.rounds // len(self.budget.guesses))
+        last_check = self.roadmap.checks + self.budget.before_settling
+        nodes, full = self.order(self.budget.orders, self.best), True
+        while self.rounds < last_round and self.roadmap.checks < last_check:
+            if full and self.promised >= self.best_time * (1 - 1e-9) and len(nodes) <= len(self.best):
+                return
+            nodes, known = self.look_around(nodes)
+            if known and self.make_real(nodes):
+                if not self.keep(nodes) or full:
+                    return
+                # Quick orderings brought all edges to light; a full one may find a faster tour over them.
+                full = True
+                nodes = self.order(self.budget.orders, nodes)
+            else:
+                full = False
+                nodes = self.order(self.budget.orders // self.budget.quick, nodes)
+        if self.best:
+            return
+        while not self.make_real(nodes):
+            self.drop_unconnected()
+            nodes = [node for node in nodes if node == 0 or self.usable(node)]
+        self.keep(nodes)
+
+    def look_around(self, nodes: list[int]) -> tuple[list[int], bool]:
+        """Look at the edges of a tour and of the next best ones in its order of views, until its best one is known.
+
+        Returns:
+            The best tour in this order under the prices known now, and whether nothing was found to collide.
+        """
+        if len(nodes) < 3 or not self.budget.looks:
+            return nodes, True
+        known = True
+        for _ in range(self.budget.looks):
+            layers = [
+                np.array([0]),
+                *(self.roadmap.nodes_of(self.view_of(node)) for node in nodes[1:-1]),
+                np.array([0]),
+            ]
+            nodes, edges = self.through(layers)
+            unseen = [e for e in self.edges(nodes) if self.roadmap.unseen()[e]]
+            if not unseen:
+                return nodes, known
+            known = self.roadmap.look([*unseen, *edges]) and known
+        return nodes, False
+
+    def through(self, layers: list[Ints]) -> tuple[list[int], list[Edge]]:
+        """The best tour through one node of each layer, and the unseen edges of the next best tours.
+
+        Two dynamic programmes over the layers, one from each end, give for each edge the best tour that uses it.
+        """
+        times, unseen, leave = self.roadmap.times(), self.roadmap.unseen(), self.roadmap.leave
+        steps = [times[np.ix_(leave[a], b)] + self.stays[b] for a, b in pairwise(layers)]
+        onward = [np.zeros(1)]
+        for step in reversed(steps):
+            onward.append((step + onward[-1]).min(axis=1))
+        onward.reverse()
+        reached, nodes, at = np.zeros(1), [0], 0
+        slack: list[Floats] = []
+        found: list[Ints] = []
+        for step, a, b, rest in zip(steps, layers, layers[1:], onward[1:], strict=False):
+            total = reached[:, None] + step + rest
+            i, j = np.nonzero(unseen[np.ix_(leave[a], b)])
+            slack.append(total[i, j])
+            found.append(np.stack((leave[a][i], b[j]), axis=1))
+            at = int((step[at] + rest).argmin())
+            nodes.append(int(b[at]))
+            reached = (reached[:, None] + step).min(axis=0)
+        best = np.argsort(np.concatenate(slack), kind="stable")[: self.budget.around]
+        return nodes, [(int(a), int(b)) for a, b in np.concatenate(found)[best]]
+
+    def polish(self) -> None:
+        """Search the detours of the best tour again with more work."""
+        for a, b in self.edges(self.best):
+            if self.budget.polish and len(self.path(a, b)) > 2:
+                self.roadmap.improve(a, b, self.budget.polish)
+
+    def keep(self, nodes: list[int]) -> bool:
+        """Keep a tour of real edges if it visits more views than the best so far, or as many in less time."""
+        time = sum(path_time(self.path(a, b), self.limits) for a, b in self.edges(nodes))
+        time += float(self.stays[nodes].sum())
+        better = (-len(nodes), time) < (-len(self.best), self.best_time * (1 - 1e-9))
+        if better:
+            self.best, self.best_time = nodes, time
+        return better
+
+    def make_real(self, nodes: list[int]) -> bool:
+        """Look at the tour's edges; where all straight moves were looked at before, search the blocked ones.
+
+        Returns:
+            Whether every edge of this tour is real now, and was priced so when the tour was ordered.
+        """
+        edges = self.edges(nodes)
+        if not self.roadmap.look(edges):
+            self.tell(edges)
+            return False
+        blocked = [e for e in edges if self.roadmap.blocked(*e)]
+        for a, b in blocked:
+            if self.roadmap.active[a] and self.roadmap.active[b]:
+                self.roadmap.search(a, b)
+                self.tell(edges)
+        self.tell(edges)
+        return not blocked
+
+    def order(self, steps: int, before: list[int]) -> list[int]:
+        """Order the views under the current prices, beginning with the order of an earlier tour."""
+        self.drop_unconnected()
+        roadmap, nodes = self.roadmap, [self.roadmap.nodes_of(k) for k in self.views]
+        numbers = np.full(len(roadmap.q), -1)
+        flat = np.concatenate([np.zeros(1, dtype=np.int64), *nodes])
+        numbers[flat] = np.arange(len(flat))
+        place = {view: k for k, view in enumerate(self.views)}
+        start = [place[v] for node in before[1:-1] if (v := self.view_of(node)) in place]
+        found = self.ordering(
+            [roadmap.q[n] for n in nodes],
+            roadmap.q[0],
+            self.limits,
+            T_base_scanner=self.poses[self.views],
+            T_base_home=self.T_base_home,
+            rng=np.random.default_rng([self.seed, self.rounds]),
+            budget=steps,
+            bound_work=self.budget.bound if self.rounds == 0 else None,
+            start=np.array(start) if len(start) == len(self.views) and start else None,
+            leaves=None if self.at_rest else [numbers[roadmap.leave[n]] - numbers[n[0]] for n in nodes],
+            stays=None if self.at_rest else [self.stays[n] for n in nodes],
+            times=roadmap.times()[np.ix_(flat, flat)],
+        )
+        if self.rounds == 0:  # no edge was looked at: times of straight moves, which no path undercuts
+            self.baseline, self.lower_bound = found.baseline_duration, found.lower_bound
+        self.rounds += 1
+        self.promised = found.duration
+        return [0, *(int(nodes[k][i]) for k, i in zip(found.order, found.choice, strict=True)), 0]
+
+    def drop_unconnected(self) -> None:
+        """Move views that lost their last joint solution to `unconnected`."""
+        lost = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
+        self.unconnected += lost
+        self.views = [k for k in self.views if k not in lost]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether every view is left where it is entered, at once."""
+        return bool((self.roadmap.leave == np.arange(len(self.roadmap.q))).all() and not self.stays.any())
+
+    def usable(self, node: int) -> bool:
+        """Whether a node can still be entered and left."""
+        return bool(self.roadmap.active[node] and self.roadmap.active[self.roadmap.leave[node]])
+
+    def edges(self, nodes: list[int]) -> list[Edge]:
+        """Edges of the roadmap that a tour drives: from where each view is left to where the next is entered."""
+        return [(int(self.roadmap.leave[a]), b) for a, b in edges_of(nodes)]
+
+    def view_of(self, node: int) -> int:
+        """View to which a node belongs."""
+        return int(np.searchsorted(self.roadmap.offsets, node, side="right")) - 1
+
+    def path(self, a: int, b: int) -> Floats:
+        """Certified via points of a real edge."""
+        found = self.roadmap.path(a, b)
+        assert found is not None, "only real edges are asked for"
+        return found
+
+    def tell(self, edges: list[Edge]) -> None:
+        """Report how many of the tour's edges are real."""
+        if self.progress is not None:
+            self.progress(sum(self.roadmap.path(a, b) is not None for a, b in edges), len(edges))
+
+
+def edges_of(nodes: list[int]) -> list[Edge]:
+    """Edges of a tour given by its nodes; none where it visits no view."""
+    return list(pairwise(nodes)) if len(nodes) > 2 else []

@@ -1,0 +1,1 @@
+"""Free paths between configurations, certified between the points that were checked."""

@@ -1,0 +1,214 @@
+"""Certified straight joint segments: free between the checks too, not only at them.
+
+The argument. Let `c` be the checker's clearance, so that at a free configuration every guarded pair is at least `c`
+apart. A segment is subdivided evenly at the configurations q_0 .. q_n such that from each q_k to the midpoints between
+it and its neighbours no point of arm or tool moves farther than `d = STEP * c`: with n >= travel / (2 d), as such a
+half is a share 1 / (2 n) of the segment and the checker's `travel` bounds displacement in proportion. Every
+configuration q of the segment lies in such a half, so each point of arm and tool is within `d` of where it was at a
+checked configuration, and
+
+- a pair of a moving and a standing body is at least `c - d = (1 - STEP) c` apart at q;
+- a pair of two moving bodies (housing and forearm, say) is at least `c - 2 d = (1 - 2 STEP) c` apart: both may have
+  moved towards each other, and `travel` bounds each one's motion in the base frame, not their relative motion.
+
+With STEP = 0.45 these are 0.55 c and 0.1 c: no contact anywhere on the segment. STEP = 0.5 would leave two moving
+bodies no distance at all.
+
+Via points are integers of 1e-4 deg (`quantise`) before they are checked, so what is driven is what was certified.
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import PlannerError
+from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.reach.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
+
+STEP = 0.45
+"""Largest travel between a configuration and its nearest checked one, as a share of the clearance; below 0.5."""
+
+_LIMIT_NOISE = 1e-6  # rounding, in steps of 1e-4 deg, of limits that were given in degrees
+
+_FIRST_BATCH, _GROWTH = 8, 4  # a collision is mostly found within a few checks, a free edge needs them all
+
+
+def quantise(q: ArrayLike) -> Floats:
+    """Round joint angles to multiples of 1e-4 deg, the integers on every wire; idempotent.
+
+    Args:
+        q: (..., 6) joint angles [rad].
+
+    Returns:
+        (..., 6) joint angles [rad].
+    """
+    return from_steps(to_steps(q))
+
+
+def quantise_inside(q: ArrayLike, limits: JointLimits) -> Floats:
+    """Quantise, and move what rounding or the caller put outside the joint range to the last multiple inside.
+
+    Args:
+        q: (..., 6) joint angles [rad].
+        limits: limits of the axes.
+
+    Returns:
+        (..., 6) joint angles [rad] inside the range.
+    """
+    low = np.ceil(np.degrees(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE)
+    high = np.floor(np.degrees(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE)
+    return np.clip(from_steps(np.clip(to_steps(q), low, high)), limits.lower, limits.upper)
+
+
+def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats:
+    """The configurations of a straight segment whose freedom certifies all of it (see the module's argument).
+
+    Args:
+        q_from: (6,) [rad].
+        q_to: (6,) [rad].
+        checker: gives clearance and travel.
+
+    Returns:
+        (n + 1, 6) evenly spaced configurations, both ends included; (1, 6) where the ends are equal.
+
+    Raises:
+        PlannerError: if the checker keeps no clearance, without which nothing between two checks is known.
+    """
+    return _subdivide_many(q_from[None], q_to[None], checker)[0]
+
+
+def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker, *, ends_free: bool = False) -> tuple[bool, int]:
+    """Whether a straight segment is free everywhere.
+
+    Args:
+        q_from: (6,) [rad].
+        q_to: (6,) [rad].
+        checker: the collision checker.
+        ends_free: True where both ends are known to be free.
+
+    Returns:
+        True where the segment is certified, and how many configurations were checked. The checks run in bisection order
+        in growing batches and stop at the first batch that holds a collision.
+    """
+    configurations = subdivide(q_from, q_to, checker)
+    checks = 0
+    for batch in _bisection_batches(len(configurations), ends_free):
+        checks += len(batch)
+        if not checker.free(configurations[batch]).all():
+            return False, checks
+    return True, checks
+
+
+def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[NDArray[np.bool_], int]:
+    """Certify several segments with free ends; the same verdicts as `certify`, in fewer and larger calls.
+
+    Args:
+        q_from: (N, 6) [rad], free configurations.
+        q_to: (N, 6) [rad], free configurations.
+        checker: the collision checker.
+
+    Returns:
+        (N,) True where the segment is certified, and how many configurations were checked.
+    """
+    segments = _subdivide_many(q_from, q_to, checker)
+    waiting = [_bisection_batches(len(s), True) for s in segments]
+    certified, checks, active = np.ones(len(segments), dtype=bool), 0, list(range(len(segments)))
+    while active:
+        batches = [(k, batch) for k in active if (batch := next(waiting[k], None)) is not None]
+        active = []
+        if batches:
+            free = checker.free(np.concatenate([segments[k][batch] for k, batch in batches]))
+            checks += len(free)
+            starts = np.cumsum([0, *(len(batch) for _, batch in batches)])
+            for (k, _), start, stop in zip(batches, starts[:-1], starts[1:], strict=True):
+                certified[k] = free[start:stop].all()
+                if certified[k]:
+                    active.append(k)
+    return certified, checks
+
+
+def clearance_along(via: Floats, checker: CollisionChecker, samples: int = 64) -> tuple[float, str]:
+    """Smallest distance found along a path of certified segments, and between what.
+
+    Distances cost far more than yes-or-no checks, so they are taken at about `samples` configurations, shared among the
+    segments by their travel, ends included; then once more around the smallest. The true minimum can be smaller by no
+    more than half the travel between two samples, and is above (1 - 2 STEP) of the clearance by certification.
+
+    Args:
+        via: (m, 6) via points [rad].
+        checker: the collision checker.
+        samples: configurations in the first pass.
+
+    Returns:
+        The distance [m] and the pair's name, such as "housing with part".
+    """
+    path = along(via, checker, samples)
+    distance, pairs = checker.distance(path)
+    k = int(np.argmin(distance))
+    best, pair = float(distance[k]), pairs[k]
+    around = path[max(k - 1, 0) : k + 2]
+    if len(around) > 1:
+        distance, pairs = checker.distance(along(around, checker, 12))
+        k = int(np.argmin(distance))
+        if distance[k] < best:
+            best, pair = float(distance[k]), pairs[k]
+    return best, pair
+
+
+def along(via: Floats, checker: CollisionChecker, samples: int) -> Floats:
+    """(K, 6) configurations on the path through `via` (m, 6), about `samples`, shared by travel, all via points in."""
+    if len(via) < 2:
+        return via
+    lengths = checker.travel(via[:-1], via[1:])
+    total = float(lengths.sum())
+    parts = (
+        np.maximum(1, np.ceil(samples * lengths / total).astype(int)) if total > 0 else np.ones(len(lengths), dtype=int)
+    )
+    pieces = [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(via[:-1], via[1:], parts, strict=True)]
+    return np.concatenate([*pieces, via[-1:]])
+
+
+def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> list[Floats]:
+    """`subdivide` for (N, 6) and (N, 6) ends, with one call for all travels."""
+    allowed = STEP * checker.clearance
+    if not allowed > 0:
+        raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
+    counts = np.maximum(1, np.ceil(checker.travel(q_from, q_to) / (2.0 * allowed))).astype(int)
+    found = []
+    for start, stop, count in zip(q_from, q_to, counts, strict=True):
+        configurations = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (stop - start)
+        configurations[-1] = stop
+        found.append(start[None] if np.array_equal(start, stop) else configurations)
+    return found
+
+
+def _bisection_batches(count: int, ends_free: bool) -> Iterator[NDArray[np.int64]]:
+    """Indices 0..count-1 in bisection order, in batches that grow; the ends come first, or not at all."""
+    order = _bisection_order(count)
+    if ends_free:
+        order = order[min(2, count) :]
+    start, size = 0, _FIRST_BATCH
+    while start < len(order):
+        yield order[start : start + size]
+        start, size = start + size, size * _GROWTH
+
+
+@lru_cache(maxsize=4096)
+def _bisection_order(count: int) -> NDArray[np.int64]:
+    """0, count - 1, then the middles of ever smaller intervals: (count,), each index once."""
+    if count < 3:
+        return np.arange(count)
+    # The radical inverse in base 2 visits the multiples of 1 / 2^bits in bisection order; indices in it, first seen
+    # first.
+    bits = int(np.ceil(np.log2(count)))
+    counter = np.arange(2**bits)
+    inverse = np.zeros(2**bits)
+    for bit in range(bits):
+        inverse += ((counter >> bit) & 1) * 0.5 ** (bit + 1)
+    indices = np.floor(inverse * count).astype(np.int64)
+    _, first = np.unique(indices, return_index=True)
+    middle = indices[np.sort(first)]
+    middle = middle[(middle != 0) & (middle != count - 1)]
+    return np.concatenate((np.array([0, count - 1]), middle))

@@ -1,0 +1,200 @@
+"""A certified path between two configurations: the straight joint segment, else a detour made short.
+
+A detour is found by RRT-Connect and then shortened in time. Each via point is an exact stop, so what counts is few via
+points first and short moves second: stretches of the path are replaced by a straight segment, or by a single via
+point near them, wherever that is certified and faster.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from planner.path.certified_edge import certify, clearance_along, quantise_inside
+from planner.path.rrt_connect import rrt_connect
+from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.timing.motion import check_inside, check_limits, move_time
+from planner.values import readonly
+
+CHECKS = 40_000
+"""Default budget of a search: configurations checked, about half a second at 80,000 per second."""
+
+
+class PathStatus(IntEnum):
+    """How a connection ended."""
+
+    STRAIGHT = 0
+    DETOUR = 1
+    START_IN_COLLISION = 2
+    GOAL_IN_COLLISION = 3
+    NO_PATH_FOUND = 4
+
+    @property
+    def sentence(self) -> str:
+        """The status in words, for reports."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    PathStatus.STRAIGHT: "the straight joint move is free",
+    PathStatus.DETOUR: "the straight joint move collides; a detour is free",
+    PathStatus.START_IN_COLLISION: "the start is nearer to something than the clearance",
+    PathStatus.GOAL_IN_COLLISION: "the goal is nearer to something than the clearance",
+    PathStatus.NO_PATH_FOUND: "no free path was found within the budget (which does not prove that there is none)",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathResult:
+    """A certified path, or why there is none.
+
+    Attributes:
+        via: (m, 6) via points with both ends [rad], multiples of 1e-4 deg, consecutive ones joined by straight joint
+            segments; None where no path was found.
+        status: how the connection ended.
+        checks: configurations checked.
+        clearance: smallest distance [m] found along the path by `planner.path.certified_edge.clearance_along`; of a
+            colliding end, at that end; NaN where it was not measured.
+        between: the pair that is nearest there, "" where it was not measured.
+        duration: time of the moves [s]; inf without a path.
+    """
+
+    via: Floats | None
+    status: PathStatus
+    checks: int
+    clearance: float
+    between: str
+    duration: float
+
+    def __post_init__(self) -> None:
+        if self.via is not None:
+            object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
+
+
+def connect(
+    q_from: Floats,
+    q_to: Floats,
+    checker: CollisionChecker,
+    limits: JointLimits,
+    rng: np.random.Generator,
+    budget: int = CHECKS,
+    *,
+    measure: bool = True,
+) -> PathResult:
+    """Connect two configurations by a path that is certified free.
+
+    Args:
+        q_from: (6,) start [rad], inside the joint range; taken to the nearest multiple of 1e-4 deg.
+        q_to: (6,) goal [rad], likewise.
+        checker: the collision checker; its clearance must be above 0.
+        limits: the joint range that is searched, and the speeds that rate a detour.
+        rng: source of the search's randomness; not used where the straight segment is free.
+        budget: configurations that the search may check; shortening may check half as many again.
+        measure: whether to measure the clearance along the path.
+
+    Returns:
+        The path and its status.
+
+    Raises:
+        PlannerError: if an end lies outside the joint range, a limit cannot be used, or the checker keeps no clearance.
+    """
+    check_limits(limits)
+    ends = np.stack([readonly("q_from", q_from, (6,)), readonly("q_to", q_to, (6,))])
+    check_inside("end", ends, limits)
+    ends = quantise_inside(ends, limits)
+    free = checker.free(ends)
+    if not free.all():
+        end = 0 if not free[0] else 1
+        status = PathStatus.START_IN_COLLISION if end == 0 else PathStatus.GOAL_IN_COLLISION
+        distance, pairs = checker.distance(ends[end : end + 1])
+        return PathResult(None, status, 2, float(distance[0]), pairs[0], float("inf"))
+    straight, checks = certify(ends[0], ends[1], checker, ends_free=True)
+    checks += 2
+    via, status = ends, PathStatus.STRAIGHT
+    if not straight:
+        found, used = rrt_connect(ends[0], ends[1], checker, limits, rng, budget - checks)
+        checks += used
+        if found is None:
+            return PathResult(None, PathStatus.NO_PATH_FOUND, checks, float("nan"), "", float("inf"))
+        via, used = shorten(found, checker, limits, rng, budget // 2)
+        checks += used
+        status = PathStatus.DETOUR
+    clearance, between = clearance_along(via, checker) if measure else (float("nan"), "")
+    return PathResult(via, status, checks, clearance, between, path_time(via, limits))
+
+
+def path_time(via: Floats, limits: JointLimits) -> float:
+    """Time [s] through the via points (m, 6) [rad], stopping at each."""
+    return float(move_time(via[:-1], via[1:], limits).sum())
+
+
+_PATIENCE = 40  # replacements tried without success before a path counts as short
+_CANDIDATES, _TRIED = 96, 3  # single via points drawn per replacement, and certified at most (fastest first)
+
+
+def shorten(
+    via: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
+) -> tuple[Floats, int]:
+    """Make a certified path faster without leaving certified segments.
+
+    Args:
+        via: (m, 6) via points of certified segments [rad].
+        checker: the collision checker.
+        limits: range and speeds.
+        rng: source of the candidates.
+        budget: configurations to check at most, the last replacement's apart.
+
+    Returns:
+        (k, 6) via points with the same ends, never slower, and the configurations checked.
+    """
+    via, checks = _skip(via, checker, budget)
+    failures = 0
+    while len(via) > 2 and checks < budget and failures < _PATIENCE:
+        span = int(rng.integers(2, min(4, len(via) - 1) + 1))
+        i = int(rng.integers(0, len(via) - span))
+        j = i + span
+        inner, sigma = via[i + 1 : j], 10.0 ** rng.uniform(-2.0, 0.0)
+        middle = 0.5 * (via[i] + via[j])
+        # Around a via point of the stretch, or part of the way from it to the middle of the straight segment.
+        seeds = inner[rng.integers(0, len(inner), _CANDIDATES)]
+        seeds = seeds + rng.uniform(0.0, 1.0, (_CANDIDATES, 1)) ** 2 * (middle - seeds)
+        seeds[::2] += sigma * rng.standard_normal(seeds[::2].shape)
+        candidates = quantise_inside(seeds, limits)
+        times = move_time(via[i], candidates, limits) + move_time(candidates, via[j], limits)
+        now = path_time(via[i : j + 1], limits)
+        fastest = np.argsort(times, kind="stable")
+        fastest = fastest[times[fastest] < now * (1.0 - 1e-3)]
+        free = checker.free(candidates[fastest]) if len(fastest) else np.zeros(0, dtype=bool)
+        checks += len(fastest)
+        failures += 1
+        for k in fastest[free][:_TRIED]:
+            certified, used = certify(via[i], candidates[k], checker, ends_free=True)
+            checks += used
+            if certified:
+                certified, used = certify(candidates[k], via[j], checker, ends_free=True)
+                checks += used
+            if certified:
+                via = np.concatenate((via[: i + 1], candidates[k : k + 1], via[j:]))
+                failures = 0
+                break
+    return via, checks
+
+
+def _skip(via: Floats, checker: CollisionChecker, budget: int) -> tuple[Floats, int]:
+    """Leave out via points greedily: from each one kept, go straight to the farthest that can be reached.
+
+    Fewer stops are never slower: the time of a straight move is subadditive.
+    """
+    kept, i, checks = [via[0]], 0, 0
+    while i < len(via) - 1:
+        j = len(via) - 1
+        while j > i + 1:
+            if checks < budget:
+                certified, used = certify(via[i], via[j], checker, ends_free=True)
+                checks += used
+                if certified:
+                    break
+            j -= 1
+        kept.append(via[j])
+        i = j
+    return np.array(kept), checks

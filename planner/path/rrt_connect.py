@@ -1,0 +1,278 @@
+"""RRT-Connect (Kuffner and LaValle 2000, doi:10.1109/ROBOT.2000.844730) on certified edges.
+
+Two trees grow from start and goal towards random targets and towards each other. Every edge of a tree is a straight
+joint segment between quantised configurations that `planner.path.certified_edge` has certified, so a path needs no
+later check. Distances between configurations weigh each joint by how far it moves arm and tool, so that steps and
+neighbours are metres rather than degrees. A share of the targets is drawn in narrow places, where an obstacle is near
+on two sides. There is no wrap-around: A4 at 350 and at -10 deg are different configurations, as for the real cable.
+"""
+
+import numpy as np
+
+from planner.path.certified_edge import STEP, certify_many, quantise_inside
+from planner.ports import CollisionChecker, Floats, JointLimits
+
+_STEP_CHECKS = 32  # checks per tree edge: long enough for large batches, short enough to bend around a part
+_FEWEST_CHECKS = 4  # a blocked step is tried once more at this length, to enter narrow gaps
+_NEAR_SHARE = 0.6  # share of the targets drawn around the straight line; the rest covers the whole joint range
+_BEFORE_BRIDGES, _BRIDGE_SHARE = 20, 0.2  # rounds before narrow places are looked for, and how often then
+_BRIDGES = 256  # bridges tried at once
+_BRIDGE_LENGTH = (-2.0, -0.3)  # decimal logarithm of their half-lengths [m], 1 cm to 50 cm
+_SLIDES, _SLIDE_STEPS = 40, 48  # slides towards a narrow place at most, and random steps drawn for each
+_FIRST_MARGIN, _LAST_MARGIN = 0.3, 1.5  # half-width of the box around the straight line, growing with the search [rad]
+
+
+class _Tree:
+    """Configurations with their parents, in arrays that grow."""
+
+    def __init__(self, root: Floats) -> None:
+        self.q = np.empty((256, 6))
+        self.parent = np.empty(256, dtype=np.int64)
+        self.size = 0
+        self.blocked: list[Floats] = []  # colliding configurations into which a step ran
+        self.add(root, -1)
+
+    def add(self, q: Floats, parent: int) -> int:
+        if self.size == len(self.q):
+            self.q = np.concatenate((self.q, np.empty_like(self.q)))
+            self.parent = np.concatenate((self.parent, np.empty_like(self.parent)))
+        self.q[self.size], self.parent[self.size] = q, parent
+        self.size += 1
+        return self.size - 1
+
+    def nearest(self, q: Floats, weights: Floats) -> int:
+        return int((((self.q[: self.size] - q) * weights) ** 2).sum(axis=1).argmin())
+
+    def branch(self, node: int) -> list[Floats]:
+        """Configurations from the root to the node."""
+        found = []
+        while node >= 0:
+            found.append(self.q[node])
+            node = int(self.parent[node])
+        return found[::-1]
+
+
+def rrt_connect(
+    q_from: Floats,
+    q_to: Floats,
+    checker: CollisionChecker,
+    limits: JointLimits,
+    rng: np.random.Generator,
+    budget: int,
+) -> tuple[Floats | None, int]:
+    """Search a path of certified edges between two free configurations.
+
+    Args:
+        q_from: (6,) free, quantised [rad].
+        q_to: (6,) free, quantised [rad].
+        checker: the collision checker.
+        limits: the joint range to search.
+        rng: source of the random targets.
+        budget: configurations to check; the search ends with the step that reaches it.
+
+    Returns:
+        (m, 6) via points with both ends, or None, and the configurations checked. None proves nothing but that the
+        budget was spent: the search is probabilistically complete, not exhaustive.
+    """
+    weights = joint_weights(q_from, checker)
+    low, high = np.minimum(q_from, q_to), np.maximum(q_from, q_to)
+    trees = [_Tree(q_from), _Tree(q_to)]
+    grown, other, checks, rounds, margin = 0, 1, 0, 0, _FIRST_MARGIN
+    gates: list[Floats] = []
+    through_gate = False
+    target = q_to
+    while checks < budget:
+        tip, used = _advance(trees[grown], target, checker, limits, weights)
+        checks += used
+        if through_gate:
+            tip, used = _slide(trees[grown], target, checker, limits, weights, rng)
+            checks += used
+        if tip >= 0:
+            goal = trees[grown].q[tip].copy()
+            meeting, used = _advance(trees[other], goal, checker, limits, weights)
+            checks += used
+            if meeting >= 0 and np.array_equal(trees[other].q[meeting], goal):
+                branches = [
+                    trees[0].branch(tip if grown == 0 else meeting),
+                    trees[1].branch(meeting if grown == 0 else tip),
+                ]
+                return np.array(branches[0] + branches[1][::-1][1:]), checks
+        elif used == 0:
+            checks += 1  # the target was a node already; count the round, so that the search ends
+        grown, other = other, grown
+        rounds += 1
+        if not gates and rounds > _BEFORE_BRIDGES and rng.random() < _BRIDGE_SHARE:
+            gates, used = _bridges(trees, low - margin, high + margin, checker, limits, weights, rng)
+            checks += used
+        through_gate = bool(gates)
+        if gates:
+            target = gates.pop()
+        elif rng.random() < _NEAR_SHARE:
+            target = rng.uniform(np.maximum(low - margin, limits.lower), np.minimum(high + margin, limits.upper))
+            margin = min(margin * 1.02, _LAST_MARGIN)
+        else:
+            target = rng.uniform(limits.lower, limits.upper)
+        target = quantise_inside(target, limits)
+    return None, checks
+
+
+def joint_weights(q: Floats, checker: CollisionChecker) -> Floats:
+    """(6,) metres that arm and tool move per radian of each joint, at least 2 % of the largest."""
+    nudged = q + 1e-3 * np.eye(6)
+    weights = checker.travel(np.broadcast_to(q, (6, 6)), nudged) / 1e-3
+    return np.maximum(weights, max(0.02 * float(weights.max()), 1e-6))
+
+
+def _bridges(
+    trees: list[_Tree],
+    low: Floats,
+    high: Floats,
+    checker: CollisionChecker,
+    limits: JointLimits,
+    weights: Floats,
+    rng: np.random.Generator,
+) -> tuple[list[Floats], int]:
+    """Free configurations in narrow places: middles of short bridges of which both ends collide.
+
+    One end is a place where a tree was blocked, or drawn from the box.
+
+    The bridge test of Hsu, Jiang, Reif and Sun (2003, doi:10.1109/ROBOT.2003.1242285).
+
+    Returns:
+        Each configuration twice, so that both trees get it as a target, and the checks.
+    """
+    low, high = np.maximum(low, limits.lower), np.minimum(high, limits.upper)
+    hit = [q for tree in trees for q in tree.blocked[-_BRIDGES:]]
+    drawn = rng.uniform(low, high, (_BRIDGES if not hit else _BRIDGES // 4, 6))
+    ends, checks = drawn[~checker.free(drawn)], len(drawn)
+    if hit:
+        ends = np.concatenate((ends, np.array(hit)[rng.integers(0, len(hit), _BRIDGES)]))
+    lengths = 10.0 ** rng.uniform(*_BRIDGE_LENGTH, (len(ends), 1))
+    others = np.clip(ends + lengths * rng.standard_normal(ends.shape) / weights, limits.lower, limits.upper)
+    if not len(ends):
+        return [], checks
+    colliding = ~checker.free(others)
+    checks += len(ends)
+    middles = quantise_inside(0.5 * (ends + others)[colliding], limits)
+    if not len(middles):
+        return [], checks
+    free = checker.free(middles)
+    return [middle for middle in middles[free] for _ in range(2)], checks + len(middles)
+
+
+def _slide(
+    tree: _Tree,
+    target: Floats,
+    checker: CollisionChecker,
+    limits: JointLimits,
+    weights: Floats,
+    rng: np.random.Generator,
+) -> tuple[int, int]:
+    """Grow the tree from its nearest node towards a target in a narrow place, sliding along what is in the way.
+
+    Random steps are drawn about the direction to the target; the certified one that ends nearest to it is taken, until
+    none comes nearer or the straight way is free.
+
+    Returns:
+        The node nearest to the target, and the checks.
+    """
+    spacing = 2.0 * STEP * checker.clearance
+    near, checks = tree.nearest(target, weights), 0
+    for _ in range(_SLIDES):
+        q = tree.q[near].copy()
+        ahead = (target - q) * weights
+        distance = float(np.linalg.norm(ahead))
+        if distance == 0.0:
+            break
+        lengths = spacing * 2.0 ** rng.integers(0, 4, (_SLIDE_STEPS, 1))
+        steps = ahead / distance + rng.standard_normal((_SLIDE_STEPS, 6)) * rng.uniform(0.0, 1.0, (_SLIDE_STEPS, 1))
+        steps *= np.minimum(lengths, distance) / np.linalg.norm(steps, axis=1, keepdims=True)
+        ends = quantise_inside(q + steps / weights, limits)
+        left = np.linalg.norm((target - ends) * weights, axis=1)
+        ends = ends[np.argsort(left, kind="stable")[: int((left < distance - 0.1 * spacing).sum())]]
+        if not len(ends):
+            break
+        checks += len(ends)
+        ends = ends[checker.free(ends)]
+        moved = False
+        for end in ends[:3]:
+            certified, used = certify_many(q[None], end[None], checker)
+            checks += used
+            if certified[0]:
+                near, moved = tree.add(end, near), True
+                break
+        if not moved:
+            break
+        tip, used = _advance(tree, target, checker, limits, weights)
+        checks += used
+        if tip >= 0:
+            near = tip
+    return near, checks
+
+
+def _advance(
+    tree: _Tree, target: Floats, checker: CollisionChecker, limits: JointLimits, weights: Floats
+) -> tuple[int, int]:
+    """Grow the tree from its nearest node straight towards the target until a step is blocked.
+
+    Returns:
+        The last node added (or the node that is the target already), -1 where the first step is blocked, and the
+        checks.
+    """
+    near = tree.nearest(target, weights)
+    q = tree.q[near].copy()
+    if np.array_equal(q, target):
+        return near, 0
+    travel = float(checker.travel(q[None], target[None])[0])
+    spacing = 2.0 * STEP * checker.clearance
+    steps = max(1, int(np.ceil(travel / (_STEP_CHECKS * spacing))))
+    stops = _stops(q, target, steps, limits)
+    tip, checks, done, size = near, 0, 0, 1
+    while done < len(stops) - 1:
+        batch = stops[done : done + size + 1]
+        count, used = _free_prefix(batch, checker)
+        checks += used
+        for stop in batch[1 : count + 1]:
+            tip = tree.add(stop, tip)
+        if count < len(batch) - 1:
+            _note(tree, batch[count + 1], checker)
+            checks += 1
+            break
+        done, size = done + size, size * 2
+    if tip == near:
+        short = _stops(q, target, max(steps, int(np.ceil(travel / (_FEWEST_CHECKS * spacing)))), limits)[:2]
+        if len(short) == 2 and not np.array_equal(short[1], stops[1]):
+            count, used = _free_prefix(short, checker)
+            checks += used
+            if count:
+                tip = tree.add(short[1], near)
+            else:
+                _note(tree, short[1], checker)
+                checks += 1
+    return (tip if tip != near else -1), checks
+
+
+def _note(tree: _Tree, q: Floats, checker: CollisionChecker) -> None:
+    """Remember where a step was blocked, if the configuration itself collides (and not something on the way to it)."""
+    if not checker.free(q[None])[0]:
+        tree.blocked.append(q)
+
+
+def _stops(q: Floats, target: Floats, steps: int, limits: JointLimits) -> Floats:
+    """(k, 6) quantised configurations from q to the target, repeats left out; k <= steps + 1."""
+    stops = quantise_inside(q + np.arange(steps + 1)[:, None] / steps * (target - q), limits)
+    stops[0], stops[-1] = q, target
+    keep = np.concatenate(([True], (np.diff(stops, axis=0) != 0).any(axis=1)))
+    return stops[keep]
+
+
+def _free_prefix(stops: Floats, checker: CollisionChecker) -> tuple[int, int]:
+    """How many edges of a chain are certified before the first that is not, and the checks; stops[0] is free."""
+    free = checker.free(stops[1:])
+    count = len(free) if free.all() else int(free.argmin())
+    checks = len(free)
+    if count:
+        certified, used = certify_many(stops[:count], stops[1 : count + 1], checker)
+        checks += used
+        count = count if certified.all() else int(certified.argmin())
+    return count, checks

@@ -1,0 +1,1 @@
+"""Views that sweep: lines at constant speed, proven free, and the arm's way along them."""

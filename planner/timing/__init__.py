@@ -1,0 +1,1 @@
+"""Motion over time: jerk-limited profiles through via points."""

@@ -1,0 +1,387 @@
+"""Time of synchronised straight joint moves, rest to rest, and the sampled motion along via points.
+
+A move from `q_from` to `q_to` is `q(s) = q_from + s (q_to - q_from)`, s from 0 to 1: all axes start and stop together
+and the path is the straight joint segment that was checked for collision. An axis' limit on speed, acceleration or jerk
+divided by its `|dq|` limits s; the smallest over the axes holds, and `planner.timing.s_curve` gives the fastest profile
+of s under the three. All limits are taken `MARGIN` smaller than given, so that rounding never lifts a sample, or a
+finite difference of samples, above a limit.
+
+Every via point is an exact stop: rounding a corner would leave the path that was checked, and driving it exactly means
+to stop there. So the same moves under trapezoids of speed are the time-optimal motion along the path without a limit of
+jerk; `jerk_free` gives those limits. The line of a sweep is the exception: it brings its own timing, and its via points
+are passed on it.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import PlannerError
+from planner.ports import Floats, JointLimits
+from planner.timing.s_curve import Profile, fastest, sample
+from planner.values import readonly
+
+MARGIN = 1e-8
+"""Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second
+difference."""
+
+RESOLUTION = 1e-13
+"""A joint difference [rad] up to which two angles are equal: their rounding, a millionth of what any controller
+resolves."""
+
+SAMPLE_PERIOD = 0.012
+"""Interpolation cycle of a KR C2 [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A timed motion through via points, at rest at each of them but those inside the line of a sweep.
+
+    Samples are spaced evenly inside a move, at most `sample_period` apart, and every via point is a sample. A sample
+    at a via point belongs to the move that ends there.
+
+    Attributes:
+        via_q: (N, 6) via points [rad], KUKA signs.
+        segment: (N,) number of the tour's leg that ends at or passes the via point; not decreasing.
+        view: (N,) view taken at the via point, -1 where none is (home, and via points of a detour).
+        via_t: (N,) times at which the via points are reached [s].
+        t: (M,) sample times [s], increasing from 0.
+        q: (M, 6) joint angles [rad].
+        qd: (M, 6) joint speeds [rad/s].
+        qdd: (M, 6) joint accelerations [rad/s^2] that begin at the sample; 0 at the last one.
+        segment_of_sample: (M,) number of the leg to which the sample belongs.
+        duration: time from first to last via point [s].
+        limits: the limits used, after scaling.
+        pose: (N,) pose of the view that is taken at the via point: 0 of a view at rest, -1 where none is.
+        line: (N,) number of the sweep on whose line the via point is reached, from 0; -1 where a joint move reaches it.
+    """
+
+    via_q: Floats
+    segment: NDArray[np.int64]
+    view: NDArray[np.int64]
+    via_t: Floats
+    t: Floats
+    q: Floats
+    qd: Floats
+    qdd: Floats
+    segment_of_sample: NDArray[np.int64]
+    duration: float
+    limits: JointLimits
+    pose: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    line: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "via_q", readonly("via_q", self.via_q, (None, 6)))
+        n = len(self.via_q)
+        pose = self.pose if len(self.pose) else np.where(np.asarray(self.view) >= 0, 0, -1)
+        line = self.line if len(self.line) else np.full(n, -1)
+        object.__setattr__(self, "pose", readonly("pose", pose, (n,), np.int64))
+        object.__setattr__(self, "line", readonly("line", line, (n,), np.int64))
+        object.__setattr__(self, "segment", readonly("segment", self.segment, (n,), np.int64))
+        object.__setattr__(self, "view", readonly("view", self.view, (n,), np.int64))
+        object.__setattr__(self, "via_t", readonly("via_t", self.via_t, (n,)))
+        object.__setattr__(self, "t", readonly("t", self.t, (None,)))
+        m = len(self.t)
+        for name in ("q", "qd", "qdd"):
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (m, 6)))
+        segment_of_sample = readonly("segment_of_sample", self.segment_of_sample, (m,), np.int64)
+        object.__setattr__(self, "segment_of_sample", segment_of_sample)
+
+    @property
+    def stops(self) -> NDArray[np.int64]:
+        """(n,) via point of each view in driving order: where it stands, or the middle pose of its sweep."""
+        rows = np.flatnonzero(self.view >= 0)
+        groups = np.split(rows, np.flatnonzero(np.diff(self.view[rows])) + 1) if len(rows) else []
+        return np.array([group[self.pose[group] == len(group) // 2][0] for group in groups], dtype=np.int64)
+
+
+class TimedLine(Protocol):
+    """The line of a sweep, from rest to rest, with a timing of its own."""
+
+    @property
+    def times(self) -> Floats:
+        """(m,) times after its start at which its via points are passed [s], from 0; the last is its duration."""
+        ...
+
+    def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """(n, 6) joint angles [rad], speeds [rad/s] and accelerations [rad/s^2] at (n,) times after its start [s]."""
+        ...
+
+
+def check_limits(limits: JointLimits) -> None:
+    """Refuse limits under which no motion can be timed.
+
+    Single limits may be infinite (a speed, an acceleration, a jerk that is not limited), but not acceleration and jerk
+    of one axis: its motion would jump in speed.
+
+    Raises:
+        PlannerError: if a limit is not above 0, acceleration and jerk of an axis are infinite, or a range is empty.
+    """
+    positive = (limits.velocity > 0) & (limits.acceleration > 0) & (limits.jerk > 0)
+    bounded = np.minimum(limits.acceleration, limits.jerk) < np.inf
+    if (positive & bounded & (limits.lower <= limits.upper)).all():
+        return
+    for axis in range(6):
+        name = f"A{axis + 1}"
+        for what, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2"), ("jerk", "rad/s^3")):
+            value = getattr(limits, what)[axis]
+            if not value > 0:
+                raise PlannerError(f"the {what} limit of {name} is {value} {unit}; it must be above 0")
+        if limits.acceleration[axis] == np.inf and limits.jerk[axis] == np.inf:
+            raise PlannerError(
+                f"the acceleration limit of {name} is inf rad/s^2 and its jerk limit inf rad/s^3; "
+                "one of them must be finite, or its speed would jump"
+            )
+        if not limits.lower[axis] <= limits.upper[axis]:
+            raise PlannerError(
+                f"the range of {name} is empty: its lower limit {limits.lower[axis]} rad is above its upper limit "
+                f"{limits.upper[axis]} rad"
+            )
+
+
+def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -> JointLimits:
+    """Limits with velocity and acceleration reduced to a fraction.
+
+    `speed` is the controller's override: a percentage of the velocity, as KUKA defines $OV_PRO. It leaves accelerations
+    as they are, so that an arm at low override stops the sooner. `acceleration` takes the jerk with it: the
+    acceleration is reached in the same time.
+
+    Args:
+        limits: limits at full speed.
+        speed: fraction of every velocity, above 0 up to 1.
+        acceleration: fraction of every acceleration and jerk, above 0 up to 1.
+
+    Raises:
+        PlannerError: if a fraction is outside (0, 1].
+    """
+    for name, fraction in (("speed", speed), ("acceleration", acceleration)):
+        if not 0 < fraction <= 1:
+            raise PlannerError(f"the {name} fraction is {fraction}; it must be above 0 and at most 1")
+    return replace(
+        limits,
+        velocity=limits.velocity * speed,
+        acceleration=limits.acceleration * acceleration,
+        jerk=limits.jerk * acceleration,
+    )
+
+
+def jerk_free(limits: JointLimits) -> JointLimits:
+    """The limits without that of the jerk: the bound against which jerk-limited motions are compared."""
+    return replace(limits, jerk=np.full(6, np.inf))
+
+
+def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats:
+    """Shortest time of the synchronised straight move, rest to rest, over broadcast arrays.
+
+    Args:
+        q_from: (..., 6) joint angles [rad].
+        q_to: (..., 6) joint angles [rad]; broadcast against `q_from`, so `(n, 1, 6)` and `(m, 6)` give a cost matrix.
+        limits: limits of velocity, acceleration and jerk.
+
+    Returns:
+        (...) time [s]; 0 where both ends are equal.
+    """
+    a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
+    times = np.empty(np.broadcast_shapes(a.shape, b.shape)[:-1])
+    for rows, profile in _profiles(a, b, limits):
+        times[rows] = profile.duration
+    return np.asarray(times[()])
+
+
+def retime(
+    via_q: ArrayLike,
+    segment: ArrayLike,
+    view: ArrayLike,
+    limits: JointLimits,
+    sample_period: float = SAMPLE_PERIOD,
+    *,
+    speed: float = 1.0,
+    acceleration: float = 1.0,
+    pose: ArrayLike | None = None,
+    lines: Mapping[int, TimedLine] | None = None,
+) -> Motion:
+    """Time a motion that stops exactly at every via point, those inside the lines of sweeps excepted.
+
+    Args:
+        via_q: (N, 6) via points [rad], N >= 1, inside the joint range.
+        segment: (N,) number of the tour's leg that ends at or passes each via point; not decreasing.
+        view: (N,) view taken at each via point, -1 where none is.
+        limits: limits of the axes.
+        sample_period: largest time between samples [s].
+        speed: fraction of the velocity limits to use, above 0 up to 1.
+        acceleration: fraction of the acceleration and jerk limits to use, above 0 up to 1.
+        pose: (N,) pose of the view taken at each via point; None: every view is one pose.
+        lines: by the number of the via point at which each begins; the via points that follow are its own.
+
+    Returns:
+        The motion; a via point that repeats its predecessor takes no time and adds no sample.
+
+    Raises:
+        PlannerError: if a limit cannot be used, a via point lies outside the joint range, or the tags do not fit.
+    """
+    check_limits(limits)
+    limits = scaled(limits, speed, acceleration)
+    if not 0 < sample_period < np.inf:
+        raise PlannerError(f"the sample period is {sample_period} s; it must be above 0 and finite")
+    vias = readonly("via_q", via_q, (None, 6))
+    if len(vias) == 0:
+        raise PlannerError("via_q is empty; a motion needs at least one via point")
+    check_inside("via point", vias, limits)
+    segments = readonly("segment", segment, (len(vias),), np.int64)
+    if (np.diff(segments) < 0).any():
+        raise PlannerError(
+            "segment decreases along the via points; the legs of a tour must be numbered in driving order"
+        )
+
+    widths = np.zeros((3, len(vias) - 1))
+    for rows, profile in _profiles(vias[:-1], vias[1:], limits):
+        widths[:, *rows] = profile
+    durations = Profile(*widths).duration
+    on_line = np.full(len(vias), -1)
+    for number, begin in enumerate(sorted(lines or {})):
+        times = (lines or {})[begin].times
+        if begin + len(times) > len(vias) or (on_line[begin + 1 : begin + len(times)] >= 0).any():
+            raise PlannerError(
+                f"the line that begins at via point {begin} has {len(times)} via points, and there is no room for them"
+            )
+        on_line[begin + 1 : begin + len(times)] = number
+        durations[begin : begin + len(times) - 1] = np.diff(times)
+    via_t = np.concatenate(([0.0], np.cumsum(durations)))
+    t, q, qd, qdd, owner = [np.zeros(1)], [vias[:1]], [np.zeros((1, 6))], [np.zeros((1, 6))], [segments[:1]]
+    for k in np.flatnonzero(durations > 0).tolist():
+        if on_line[k + 1] >= 0:
+            if lines is not None and k in lines:
+                own = slice(k, k + len(lines[k].times))
+                times, *sampled = _along(lines[k], vias[own], via_t[own], sample_period)
+                qdd[-1][-1] = sampled[2][0]
+                t.append(times[1:])
+                for kept, values in zip((q, qd, qdd), sampled, strict=True):
+                    kept.append(values[1:])
+                owner.append(np.full(len(times) - 1, segments[k + 1]))
+            continue
+        steps = max(2, int(np.ceil(durations[k] / sample_period)))
+        tau = np.arange(steps + 1) * (durations[k] / steps)
+        s, sd, sdd = sample(Profile(*widths[:, k]), tau)
+        delta = vias[k + 1] - vias[k]
+        low, high = np.minimum(vias[k], vias[k + 1]), np.maximum(vias[k], vias[k + 1])
+        positions = np.clip(vias[k] + s[:, None] * delta, low, high)
+        positions[-1] = vias[k + 1]
+        qdd[-1][-1] = sdd[0] * delta  # the acceleration that begins at the stop replaces the one that ended there
+        times = via_t[k] + tau[1:]
+        times[-1] = via_t[k + 1]
+        t.append(times)
+        q.append(positions[1:])
+        qd.append(sd[1:, None] * delta)
+        qdd.append(sdd[1:, None] * delta)
+        owner.append(np.full(steps, segments[k + 1]))
+    qdd[-1][-1] = 0.0
+    return Motion(
+        via_q=vias,
+        segment=segments,
+        view=readonly("view", view, (len(vias),), np.int64),
+        via_t=via_t,
+        t=np.concatenate(t),
+        q=np.concatenate(q),
+        qd=np.concatenate(qd),
+        qdd=np.concatenate(qdd),
+        segment_of_sample=np.concatenate(owner),
+        duration=float(via_t[-1]),
+        limits=limits,
+        pose=np.zeros(0, dtype=np.int64) if pose is None else readonly("pose", pose, (len(vias),), np.int64),
+        line=on_line,
+    )
+
+
+def _along(line: TimedLine, vias: Floats, via_t: Floats, period: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Times, angles, speeds and accelerations of a line's samples, its via points among their times, its ends exact."""
+    pieces = [
+        begin + np.arange(steps := max(1, int(np.ceil((end - begin) / period)))) * ((end - begin) / steps)
+        for begin, end in pairwise(via_t)
+        if end > begin
+    ]
+    times = np.concatenate([*pieces, via_t[-1:]])
+    q, qd, qdd = (np.array(values) for values in line.at(np.minimum(times - via_t[0], line.times[-1])))
+    q[0], q[-1] = vias[0], vias[-1]
+    return times, q, qd, qdd
+
+
+def jerk_free_duration(motion: Motion) -> float:
+    """Time of the same moves without a limit of jerk [s]: what any motion along the path needs at least.
+
+    The path has corners at its via points, so driving it exactly means to stop at each; between two stops a trapezoid
+    of speed is time-optimal. A sweep has a speed of its own, and keeps its time.
+    """
+    moves = move_time(motion.via_q[:-1], motion.via_q[1:], jerk_free(motion.limits))
+    return float(np.where(motion.line[1:] >= 0, np.diff(motion.via_t), moves).sum())
+
+
+def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
+    """Refuse joint angles outside the range; there is no wrap-around of A4 and A6.
+
+    Args:
+        what: what the error calls a row of q.
+        q: (N, 6) joint angles [rad].
+        limits: limits of the axes.
+
+    Raises:
+        PlannerError: naming the first row and axis outside.
+    """
+    outside = ~((q >= limits.lower) & (q <= limits.upper))
+    if outside.any():
+        row, axis = np.argwhere(outside)[0]
+        low, high = np.degrees(limits.lower[axis]), np.degrees(limits.upper[axis])
+        raise PlannerError(
+            f"{what} {row} has A{axis + 1} at {np.degrees(q[row, axis]):.4f} deg; it must lie in "
+            f"{low:.4f} to {high:.4f} deg"
+        )
+
+
+_BLOCK = 4096  # moves that are timed at once: their temporaries stay in the core's cache
+_EQUAL_RATIO = 1e-12  # relative differences up to which limits of the axes are in one ratio
+
+
+@lru_cache(maxsize=64)
+def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
+    """Inverse limits of speed, acceleration and jerk, and what makes the first the others, for limits that can be used.
+
+    Where the limits of all axes are in one ratio (each acceleration reached in the same time, say), the axis that
+    limits the speed limits acceleration and jerk as well, and two of the three maxima over the axes can be left out.
+
+    Returns:
+        (3, 6) 1 / limit, `MARGIN` added, and the ratios of acceleration and jerk to speed; NaN where the axes differ.
+    """
+    check_limits(limits)
+    inverse = (1.0 + MARGIN) / np.stack([limits.velocity, limits.acceleration, limits.jerk])
+    ratios = np.divide(inverse[1:], inverse[0], out=np.full((2, 6), np.inf), where=inverse[0] > 0)
+    one = np.isfinite(ratios).all(axis=1) & (ratios.max(axis=1) <= ratios.min(axis=1) * (1.0 + _EQUAL_RATIO))
+    acceleration, jerk = np.where(one, ratios.max(axis=1), np.nan).tolist()
+    return inverse, (acceleration, jerk)
+
+
+def _profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
+    """Profiles of all moves, in blocks along the first axis of the broadcast shape."""
+    inverse, ratios = _inverse(limits)
+    shape = np.broadcast_shapes(q_from.shape, q_to.shape)[:-1]
+    if 0 in shape:
+        return
+    ends = [np.ascontiguousarray(np.moveaxis(q, -1, 0)) for q in (q_from, q_to)]  # axis by axis
+    a, b = (q.reshape(6, *[1] * (len(shape) + 1 - q.ndim), *q.shape[1:]) for q in ends)
+    speed, *others = (rates.reshape(6, *[1] * len(shape)) for rates in inverse)
+    step = max(1, _BLOCK * shape[0] // math.prod(shape)) if shape else 1
+    for start in range(0, shape[0] if shape else 1, step):
+        rows = (slice(start, start + step),) if shape else ()
+        distance = (b[:, *rows] if b.shape[1:2] != (1,) else b) - (a[:, *rows] if a.shape[1:2] != (1,) else a)
+        np.abs(distance, out=distance)
+        distance *= distance > RESOLUTION
+        at_speed = (distance * speed).max(axis=0)
+        at_acceleration, at_jerk = (
+            (distance * rates).max(axis=0) if math.isnan(ratio) else at_speed * ratio
+            for rates, ratio in zip(others, ratios, strict=True)
+        )
+        yield rows, fastest(at_speed, at_acceleration, at_jerk)

@@ -1,0 +1,178 @@
+"""Candidate viewpoints: the optimal scanning zone (Section 3.4.2) and the view sphere (Section 3.4.1).
+
+A viewpoint is one column of the measurability matrix: K poses of the scanner in the object frame, K = 1 for an area
+scanner. The scanner's origin is the laser source, +z the viewing direction, +x from source to sensor (the baseline).
+
+Roll turns the scanner about its viewing axis. At roll 0 the baseline is as parallel as possible to the object's z axis
+(to its x axis where the view is along z); a positive roll turns the baseline from scanner +x towards scanner +y, right
+handed about the viewing direction: clockwise for someone who looks along with the scanner. Metres and radians.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import PlannerError
+from planner.surface.surface import TriangleMesh, face_areas, face_centres, face_normals
+from planner.values import readonly
+
+Floats = NDArray[np.float64]
+
+_ALONG_Z = 1e-3  # sine below which a view counts as along z: a flat top's normals scatter by less in a float32 mesh
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Viewpoints:
+    """Candidate viewpoints.
+
+    Attributes:
+        T_object_scanner: (V, K, 4, 4) poses of the scanner [m].
+        face: (V,) int32 planning face that the viewpoint was made for, -1 where it was made for none.
+        standoff: (V,) distance from the source to the point it is aimed at [m].
+        roll: (V,) angle about the viewing axis [rad].
+    """
+
+    T_object_scanner: Floats
+    face: NDArray[np.int32]
+    standoff: Floats
+    roll: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "T_object_scanner", readonly("T_object_scanner", self.T_object_scanner, (None, None, 4, 4))
+        )
+        count = len(self.T_object_scanner)
+        object.__setattr__(self, "face", readonly("face", self.face, (count,), np.int32))
+        object.__setattr__(self, "standoff", readonly("standoff", self.standoff, (count,)))
+        object.__setattr__(self, "roll", readonly("roll", self.roll, (count,)))
+
+    def __len__(self) -> int:
+        return len(self.T_object_scanner)
+
+
+def optimal_scanning_zone(planning: TriangleMesh, standoffs: Sequence[float], rolls: Sequence[float]) -> Viewpoints:
+    """One viewpoint per planning face, standoff and roll, in this order (the last changes fastest).
+
+    The source stands at the standoff from the face's centre along its normal and looks against the normal. A face
+    without area has no normal and gives no viewpoint.
+
+    Args:
+        planning: the decimated mesh, object frame.
+        standoffs: distances from the face's centre [m], > 0.
+        rolls: angles about the viewing axis [rad].
+
+    Raises:
+        PlannerError: if a standoff is not positive, or there is no standoff or no roll.
+    """
+    distances = _positive("standoffs", standoffs)
+    face = np.flatnonzero(face_areas(planning) > 0)
+    centres, normals = face_centres(planning)[face], face_normals(planning)[face]
+    return _aimed(centres, normals, face, distances, _angles(rolls))
+
+
+def view_sphere(
+    centre: ArrayLike, radius: float, step_x: float, step_y: float, rolls: Sequence[float] = (0.0,)
+) -> Viewpoints:
+    """Viewpoints on a sphere about a point, all looking at it.
+
+    The direction out of the centre is +z, turned about x by multiples of `step_x` from -90 to 90 degrees and then about
+    y by multiples of `step_y` below 360 degrees. The poles (on the y axis), which every turn about y leaves where they
+    are, are there once: 15 degree steps give 11 x 24 + 2 = 266 directions.
+
+    Args:
+        centre: (3,) point to look at [m], object frame.
+        radius: of the sphere [m]; it must enclose the part, see `enclosing_radius`.
+        step_x: resolution of the turn about x [rad], in (0, pi].
+        step_y: resolution of the turn about y [rad], in (0, pi].
+        rolls: angles about the viewing axis [rad].
+
+    Raises:
+        PlannerError: if the radius is not positive, a step is outside its range, or there is no roll.
+    """
+    distance = _positive("radius", [radius])
+    for name, step in (("step_x", step_x), ("step_y", step_y)):
+        if not 0 < step <= np.pi:
+            raise PlannerError(f"{name} is {step:g} rad; it must be above 0 and at most pi")
+    n_x = int(np.floor(np.pi / 2 / step_x + 1e-9))
+    n_y = int(np.ceil(2 * np.pi / step_y - 1e-9))
+    about_x, about_y = np.meshgrid(np.arange(-n_x, n_x + 1) * step_x, np.arange(n_y) * step_y, indexing="ij")
+    pole = np.abs(np.cos(about_x)) < 1e-9
+    once = ~pole | (about_y == 0)
+    a, b = about_x[once], about_y[once]
+    outward = np.stack([np.cos(a) * np.sin(b), -np.sin(a), np.cos(a) * np.cos(b)], axis=1)  # Ry(b) Rx(a) e_z
+    middle = np.broadcast_to(readonly("centre", centre, (3,)), outward.shape)
+    return _aimed(middle, outward, np.full(len(outward), -1), distance, _angles(rolls))
+
+
+def looking_at(
+    targets: Floats, outward: Floats, face: NDArray[np.integer], standoffs: Sequence[float], rolls: Sequence[float]
+) -> Viewpoints:
+    """Views of given points from given directions; standoffs and rolls change fastest, the rolls last.
+
+    Args:
+        targets: (N, 3) points to look at [m], object frame.
+        outward: (N, 3) unit directions from the points to the scanner.
+        face: (N,) planning face of each point, -1 for none.
+        standoffs: distances from point to source [m], > 0.
+        rolls: angles about the viewing axis [rad].
+
+    Raises:
+        PlannerError: if a standoff is not positive, or there is no standoff or no roll.
+    """
+    return _aimed(targets, outward, np.asarray(face), _positive("standoffs", standoffs), _angles(rolls))
+
+
+def enclosing_radius(mesh: TriangleMesh, centre: ArrayLike) -> float:
+    """Radius [m] of the smallest sphere about `centre` ((3,) [m], object frame) that holds every vertex."""
+    return float(np.linalg.norm(mesh.vertices - readonly("centre", centre, (3,)), axis=1).max())
+
+
+def _aimed(targets: Floats, outward: Floats, face: NDArray[np.integer], standoffs: Floats, rolls: Floats) -> Viewpoints:
+    """Every target (N, 3) seen from outside along its unit direction (N, 3), at every standoff and roll."""
+    rotations = _look_along(-outward)
+    cos, sin, zero = np.cos(rolls), np.sin(rolls), np.zeros(len(rolls))
+    about_z = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], axis=1).reshape(-1, 3, 3)
+    shape = (len(targets), len(standoffs), len(rolls))
+    poses = np.zeros((*shape, 4, 4))
+    poses[..., :3, :3] = np.einsum("nij,rjk->nrik", rotations, about_z)[:, None]
+    poses[..., :3, 3] = (targets[:, None] + standoffs[:, None] * outward[:, None])[:, :, None]
+    poses[..., 3, 3] = 1.0
+    return Viewpoints(
+        poses.reshape(-1, 1, 4, 4),
+        np.broadcast_to(face[:, None, None], shape).ravel().astype(np.int32),
+        np.broadcast_to(standoffs[None, :, None], shape).ravel(),
+        np.broadcast_to(rolls, shape).ravel(),
+    )
+
+
+def _look_along(directions: Floats) -> Floats:
+    """(N, 3, 3) rotations R_object_scanner of roll 0 for unit viewing directions (N, 3)."""
+    towards_z = np.array([0.0, 0.0, 1.0]) - directions[:, 2:] * directions
+    towards_x = np.array([1.0, 0.0, 0.0]) - directions[:, :1] * directions
+    along_z = np.hypot(directions[:, 0], directions[:, 1]) < _ALONG_Z
+    baseline = np.where(along_z[:, None], towards_x, towards_z)
+    baseline /= np.linalg.norm(baseline, axis=1, keepdims=True)
+    # Once more at right angles: near the z axis the first subtraction cancels digits.
+    baseline -= np.einsum("nj,nj->n", baseline, directions)[:, None] * directions
+    baseline /= np.linalg.norm(baseline, axis=1, keepdims=True)
+    return np.stack([baseline, np.cross(directions, baseline), directions], axis=2)
+
+
+def _positive(name: str, values: Sequence[float]) -> Floats:
+    """The values as (n,) array; every one a finite length above zero [m]."""
+    lengths = readonly(name, values, (None,))
+    if not len(lengths):
+        raise PlannerError(f"{name} is empty; give at least one length in metres")
+    if not (np.isfinite(lengths).all() and (lengths > 0).all()):
+        raise PlannerError(f"{name} contains {float(lengths.min()):g} m; every length must be above 0 and finite")
+    return lengths
+
+
+def _angles(rolls: Sequence[float]) -> Floats:
+    """The rolls as (n,) array of finite angles [rad]."""
+    angles = readonly("rolls", rolls, (None,))
+    if not len(angles) or not np.isfinite(angles).all():
+        raise PlannerError("rolls must hold at least one finite angle in radians")
+    return angles
