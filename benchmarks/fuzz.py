@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from drivers import modbus_adu as adu
-from drivers import register_map as registers
-from drivers import serial_messages as messages
 from drivers.commands import Answer, Move, Reset, Stop
 from drivers.contract import Mode, RobotState
 from drivers.errors import ProtocolError
-from drivers.frames import decode, encode, split
 from drivers.wire import Stage, pieces
+from drivers.wires.modbus import adu
+from drivers.wires.modbus import register_map as registers
+from drivers.wires.serial import messages
+from drivers.wires.serial.frames import decode, encode, split
 
 GOOD = 500
 """Different good frames of each form, each mangled many times."""

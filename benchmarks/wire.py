@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers import register_map as registers
 from drivers.client import ControllerClient
 from drivers.commands import Reset, next_sequence
 from drivers.registry import open_driver
+from drivers.wires.modbus import register_map as registers
 
 FIGURE_MS = {"modbus": 3.0, "modbus-rtu": 15.0, "serial": 5.0}
 """Medians [ms] that are to be kept."""

@@ -10,16 +10,16 @@ from cell.emulate.memory import Memory
 from cell.errors import DriverFailureError, UsageError
 from drivers.clock import RealTimeClock
 from drivers.contract import Fault
-from drivers.endpoint import Endpoint, PoseOf
+from drivers.emulated.endpoint import Endpoint, PoseOf
+from drivers.emulated.lines import Line, PtyLine, TcpLine
+from drivers.emulated.modbus_station import ModbusStation
+from drivers.emulated.serial_station import SerialStation
+from drivers.emulated.serve import Server, Station
+from drivers.emulated.wire_faults import Injector, parse
 from drivers.errors import DriverError
 from drivers.limits import kr16
-from drivers.lines import Line, PtyLine, TcpLine
-from drivers.modbus_station import ModbusStation
 from drivers.plant import IdealPlant, PlantFactory
-from drivers.serial_station import SerialStation
-from drivers.serve import Server, Station
 from drivers.setpoints import Floats, to_rad
-from drivers.wire_faults import Injector, parse
 
 PROTOCOLS = ("serial", "modbus", "modbus-rtu")
 
@@ -34,7 +34,7 @@ class Settings:
         link: symbolic link to the pseudo-terminal; None: none.
         baud: speed of the pseudo-terminal.
         unit: Modbus device address.
-        faults: list of faults, see `drivers.wire_faults`.
+        faults: list of faults, see `drivers.emulated.wire_faults`.
         seed: of the faults.
         time_scale: seconds of the arm per second.
         state: file of the arm's position; None: it is forgotten.

@@ -13,7 +13,7 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from drivers.contract import RobotState
-from drivers.endpoint import Entry
+from drivers.emulated.endpoint import Entry
 from drivers.setpoints import AXES, SetPoints
 
 SCHEMA = "cell-emulator-state/1"

@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import modbus_adu as adu
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
 from drivers.contract import RobotState
-from drivers.endpoint import Endpoint, Entry
+from drivers.emulated.endpoint import Endpoint, Entry
+from drivers.emulated.modbus_station import ModbusStation
+from drivers.emulated.serial_station import SerialStation
+from drivers.emulated.serve import Server, Station
+from drivers.emulated.wire_faults import Injector, parse
 from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
 from drivers.limits import kr16
-from drivers.modbus_link import ModbusLink
-from drivers.modbus_station import ModbusStation
 from drivers.plant import IdealPlant
 from drivers.reopening import ReopeningLink
-from drivers.serial_link import SerialLink
-from drivers.serial_station import SerialStation
-from drivers.serve import Server, Station
 from drivers.wire import Patience
-from drivers.wire_faults import Injector, parse
+from drivers.wires.modbus import adu
+from drivers.wires.modbus.link import ModbusLink
+from drivers.wires.serial.link import SerialLink
 
 PATIENCE = Patience(answer=0.08, watchdog=0.5, poll=0.01)
 STEP = 0.01
@@ -47,7 +47,7 @@ class Journal:
 
 
 class MemoryLine:
-    """Both ends of a wire: `drivers.lines.Line` for the server, bytes for the client."""
+    """Both ends of a wire: `drivers.emulated.lines.Line` for the server, bytes for the client."""
 
     name = "memory"
 
@@ -105,7 +105,7 @@ class FastClock:
 
 
 class BytePort:
-    """`drivers.serial_link.Port` on a memory line."""
+    """`drivers.wires.serial.link.Port` on a memory line."""
 
     name = "memory"
 
@@ -138,7 +138,7 @@ class BytePort:
 
 
 class RegisterPort:
-    """`drivers.modbus_link.Port` on a memory line: a Modbus client of the tests' own, in place of pymodbus."""
+    """`drivers.wires.modbus.link.Port` on a memory line: a Modbus client of the tests' own, in place of pymodbus."""
 
     name = "memory"
 

@@ -163,7 +163,7 @@ def test_ports_that_cannot_be(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 def test_a_port_that_gives_up_writing_is_a_lost_line() -> None:
     """The other end of a pseudo-terminal is closed under the client."""
-    from drivers.serial_port import SerialPort
+    from drivers.wires.serial.port import SerialPort
 
     controller, peer = os.openpty()
     port = SerialPort(os.ttyname(peer), 115200)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import register_map as registers
 from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop
 from drivers.contract import Fault, Mode
 from drivers.errors import (
@@ -17,10 +16,11 @@ from drivers.errors import (
     RefusedError,
     StateUnknownError,
 )
-from drivers.frames import Frame, decode, encode
 from drivers.limits import kr16
 from drivers.setpoints import SetPoints, from_rad
 from drivers.wire import MOST_POINTS
+from drivers.wires.modbus import register_map as registers
+from drivers.wires.serial.frames import Frame, decode, encode
 
 HOME = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
 
@@ -387,8 +387,8 @@ class Replies:
 @pytest.fixture
 def scripted(bench: Callable[..., Any]) -> tuple[Any, Replies]:
     """A serial link whose answers a test rewrites."""
-    from drivers.serial_link import SerialLink
     from drivers.wire import Patience
+    from drivers.wires.serial.link import SerialLink
 
     made = bench("serial")
     port = Replies(made.server._station)
@@ -492,8 +492,8 @@ def test_a_foreign_or_broken_map_is_refused(
     bench: Callable[..., Any], rewrite: Callable[[int, list[int]], list[int]], words: str
 ) -> None:
     """At connecting, with what is wrong; and just so while connected."""
-    from drivers.modbus_link import ModbusLink
     from drivers.wire import Patience
+    from drivers.wires.modbus.link import ModbusLink
 
     made = bench("modbus")
     port = Rewritten(made.port)
@@ -526,8 +526,8 @@ def test_words_swapped_on_the_way_to_the_controller_execute_nothing(bench: Calla
 
 def test_a_status_from_before_the_write_is_not_the_current_one(bench: Callable[..., Any]) -> None:
     """It echoes an older heartbeat: read again, and given up where it stays so."""
-    from drivers.modbus_link import ModbusLink
     from drivers.wire import Patience
+    from drivers.wires.modbus.link import ModbusLink
 
     made = bench("modbus-rtu")
     port = Rewritten(made.port)

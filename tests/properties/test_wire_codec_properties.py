@@ -8,15 +8,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import modbus_adu as adu
-from drivers import register_map as registers
-from drivers import serial_messages as messages
 from drivers.commands import Answer, Move, Reset, Stop
 from drivers.contract import Mode, RobotState
 from drivers.errors import ProtocolError
-from drivers.frames import FROM_CONTROLLER, MAX_FRAME, TO_CONTROLLER, Frame, decode, encode, plain, split
 from drivers.limits import kr16
 from drivers.wire import SPEEDS, Stage, Staging, pieces, points_crc, speed_from_wire, speed_to_wire
+from drivers.wires.modbus import adu
+from drivers.wires.modbus import register_map as registers
+from drivers.wires.serial import messages
+from drivers.wires.serial.frames import (
+    FROM_CONTROLLER,
+    MAX_FRAME,
+    TO_CONTROLLER,
+    Frame,
+    decode,
+    encode,
+    plain,
+    split,
+)
 
 numbers = st.integers(0, 65535)
 int32 = st.integers(-(2**31), 2**31 - 1)

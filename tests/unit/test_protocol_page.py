@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers import register_map as registers
 from drivers.clock import SimulatedClock
 from drivers.commands import Result
-from drivers.endpoint import Endpoint
-from drivers.frames import MAX_FRAME, decode
+from drivers.emulated.endpoint import Endpoint
+from drivers.emulated.modbus_station import ModbusStation
+from drivers.emulated.serial_station import SerialStation
 from drivers.limits import kr16
-from drivers.modbus_station import ModbusStation
 from drivers.plant import IdealPlant
-from drivers.serial_messages import POINTS_PER_FRAME, hello_of, request_of, status_of
-from drivers.serial_station import SerialStation
 from drivers.wire import MOST_POINTS
+from drivers.wires.modbus import register_map as registers
+from drivers.wires.serial.frames import MAX_FRAME, decode
+from drivers.wires.serial.messages import POINTS_PER_FRAME, hello_of, request_of, status_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
 SERIAL, MODBUS = re.findall(r"^```\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)

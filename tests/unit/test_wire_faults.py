@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.emulated.lines import LOOPBACK, PtyLine, TcpLine
+from drivers.emulated.wire_faults import NAMES, WIRE_FAULTS, Appointment, Chance, Injector, parse
 from drivers.errors import DriverError, LinkError
-from drivers.lines import LOOPBACK, PtyLine, TcpLine
-from drivers.wire_faults import NAMES, WIRE_FAULTS, Appointment, Chance, Injector, parse
 
 TELEGRAM = bytes(range(40))
 

@@ -12,9 +12,9 @@ from functools import partial
 from typing import Protocol
 
 from drivers.clock import Clock
-from drivers.endpoint import Endpoint
-from drivers.lines import Line
-from drivers.wire_faults import MOVE_FAULTS, Injector
+from drivers.emulated.endpoint import Endpoint
+from drivers.emulated.lines import Line
+from drivers.emulated.wire_faults import MOVE_FAULTS, Injector
 
 LONGEST_TURN = 0.02
 """Longest time [s] that the loop waits for bytes before it looks at the watchdog and the arm."""

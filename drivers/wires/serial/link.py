@@ -31,10 +31,12 @@ from drivers.errors import (
     LinkLostError,
     ProtocolError,
 )
-from drivers.frames import Frame, decode, encode, split
 from drivers.registry import Context
 from drivers.reopening import ReopeningLink
-from drivers.serial_messages import (
+from drivers.url import DriverUrl
+from drivers.wire import Patience, pieces
+from drivers.wires.serial.frames import Frame, decode, encode, split
+from drivers.wires.serial.messages import (
     POINTS_PER_FRAME,
     Beat,
     Hello,
@@ -46,8 +48,6 @@ from drivers.serial_messages import (
     status_of,
     trouble_of,
 )
-from drivers.url import DriverUrl
-from drivers.wire import Patience, pieces
 
 T = TypeVar("T")
 
@@ -56,7 +56,7 @@ _ANSWER_BYTES = 500  # more than any answer but a hello needs
 
 
 class Port(Protocol):
-    """Bytes in and out (`drivers.serial_port.SerialPort`); it raises LinkLostError."""
+    """Bytes in and out (`drivers.wires.serial.port.SerialPort`); it raises LinkLostError."""
 
     name: str
 
@@ -182,7 +182,7 @@ class SerialDriver(ControllerClient):
         patience = Patience.from_url(url)
         url.finish()
         path = port_path(url)
-        from drivers.serial_port import SerialPort
+        from drivers.wires.serial.port import SerialPort
 
         clock = context.clock or RealTimeClock()
         link = SerialLink(SerialPort(path, baud), clock, patience, seconds_per_byte=BITS_PER_BYTE / baud)

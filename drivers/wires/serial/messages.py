@@ -15,9 +15,9 @@ import numpy as np
 from drivers.commands import Answer, Reset, Stop
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import ProtocolError
-from drivers.frames import FROM_CONTROLLER, MAX_BODY, TO_CONTROLLER, Frame, plain
 from drivers.setpoints import AXES, SetPoints
 from drivers.wire import SPEEDS, Commit, Stage, speed_from_wire, speed_to_wire
+from drivers.wires.serial.frames import FROM_CONTROLLER, MAX_BODY, TO_CONTROLLER, Frame, plain
 
 VERSION: Final = 1
 

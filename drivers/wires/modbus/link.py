@@ -24,7 +24,6 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers import register_map as registers
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
 from drivers.commands import Answer, Command, Move, Stop
@@ -32,16 +31,17 @@ from drivers.contract import Capabilities, Fault, Mode, RobotState
 from drivers.errors import DriverUrlError, LinkLostError, ProtocolError
 from drivers.registry import Context
 from drivers.reopening import ReopeningLink
-from drivers.serial_link import port_path, require_taken
 from drivers.setpoints import SetPoints
 from drivers.url import DriverUrl
 from drivers.wire import Patience, pieces, speed_from_wire
+from drivers.wires.modbus import register_map as registers
+from drivers.wires.serial.link import port_path, require_taken
 
 STANDING_FLAG = 0b01
 
 
 class Port(Protocol):
-    """Registers of one device (`drivers.modbus_port.ModbusPort`); it raises LinkErrors."""
+    """Registers of one device (`drivers.wires.modbus.port.ModbusPort`); it raises LinkErrors."""
 
     name: str
 
@@ -215,7 +215,7 @@ class ModbusDriver(ControllerClient):
         url.finish()
         if not url.host or url.path not in ("", "/"):
             raise DriverUrlError(f"'{url.text}' must name a host and no path: modbus://192.168.0.10:502?unit=1")
-        from drivers.modbus_port import ModbusPort
+        from drivers.wires.modbus.port import ModbusPort
 
         clock = context.clock or RealTimeClock()
         port = ModbusPort.tcp(url.host, url.port or 502, unit, patience.answer)
@@ -236,7 +236,7 @@ class ModbusRtuDriver(ControllerClient):
         patience = Patience.from_url(url)
         url.finish()
         path = port_path(url)
-        from drivers.modbus_port import ModbusPort
+        from drivers.wires.modbus.port import ModbusPort
 
         clock = context.clock or RealTimeClock()
         return cls(ModbusLink(ModbusPort.rtu(path, baud, unit, patience.answer), clock, patience), clock)

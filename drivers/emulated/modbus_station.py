@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
-from drivers import modbus_adu as adu
-from drivers import register_map as registers
 from drivers.commands import Answer, Result
 from drivers.contract import Mode
-from drivers.endpoint import Endpoint, Report, counts_of_pose
+from drivers.emulated.endpoint import Endpoint, Report, counts_of_pose
 from drivers.errors import ProtocolError
 from drivers.setpoints import AXES
 from drivers.wire import Commit, Stage, speed_to_wire
+from drivers.wires.modbus import adu
+from drivers.wires.modbus import register_map as registers
 
 RTU_SILENCE = 0.05
 """Silence [s] after which the rest of a broken telegram is dropped; the specification's 3.5 characters are far less."""

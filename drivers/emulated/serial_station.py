@@ -4,9 +4,10 @@ import logging
 import math
 
 from drivers.commands import Answer, Reset, Result, Stop
-from drivers.endpoint import Endpoint
-from drivers.frames import Frame, decode, encode, split
-from drivers.serial_messages import (
+from drivers.emulated.endpoint import Endpoint
+from drivers.wire import Commit, Stage
+from drivers.wires.serial.frames import Frame, decode, encode, split
+from drivers.wires.serial.messages import (
     VERSION,
     Beat,
     Hello,
@@ -17,7 +18,6 @@ from drivers.serial_messages import (
     status_frame,
     trouble_frame,
 )
-from drivers.wire import Commit, Stage
 
 _log = logging.getLogger(__name__)
 

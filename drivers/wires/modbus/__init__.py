@@ -1,0 +1,1 @@
+"""The Modbus wire, TCP and RTU: registers of a published map."""

@@ -1,0 +1,1 @@
+"""The serial wire: frames with a checksum, and the messages in them."""
