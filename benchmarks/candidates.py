@@ -37,7 +37,8 @@ from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, fill, measured, occlude
 from planner.reach import reach
 from planner.reach.reach import Reach
-from planner.surface import surface
+from planner.surface.decimate import decimate
+from planner.surface.sample import sample
 from planner.viewpoints.viewpoints import Viewpoints
 
 GENERATORS = ("optimal-scanning-zone", "view-sphere", "targeted")
@@ -111,9 +112,9 @@ class _Bench:
         self.part = workpiece.load(scene.part.source, scene.part.units)
         self.settings = resolve(scene, self.part)
         reference = self.part.reference
-        self.planning = surface.decimate(reference, self.settings.faces)
+        self.planning = decimate(reference, self.settings.faces)
         self.features = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))
-        self.held_out = surface.sample(reference, self.planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
+        self.held_out = sample(reference, self.planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
         self.scanner = LaserArea(**self.settings.scanner)
         self.world = compile_world(
             scene, reference.vertices, part_faces=reference.faces, baseline_mm=self.settings.scanner["baseline_mm"]

@@ -71,7 +71,7 @@ def part_visibility(part: str, fov_deg: float, count: int = 1500) -> Any:
     from cell.scene.resolve import resolve
     from cell.scene.scene import load_scene
     from planner.measurability.matrix import fill
-    from planner.surface import surface
+    from planner.surface.decimate import decimate
 
     tables = {
         "part": {"name": part},
@@ -82,7 +82,7 @@ def part_visibility(part: str, fov_deg: float, count: int = 1500) -> Any:
     scene = load_scene(None, tables)
     piece = workpiece.load(scene.part.source, scene.part.units)
     settings = resolve(scene, piece)
-    planning = surface.decimate(piece.reference, count)
+    planning = decimate(piece.reference, count)
     features = surface_features(scene, piece.reference, planning, np.random.default_rng([0, 0]))
     views = candidates.first(scene, settings, piece, planning)
     caster = EmbreeRayCaster(piece.reference.vertices, piece.reference.faces)

@@ -127,16 +127,17 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.scene.resolve import resolve
     from cell.scene.scene import load_scene
     from planner.measurability.matrix import fill
-    from planner.surface import surface
+    from planner.surface.decimate import decimate
+    from planner.surface.sample import sample
 
     tables = {"part": {"name": part}, "placement": {"position_mm": [1200.0, 500.0, 0.0]}, "plan": {"rolls_deg": [0.0]}}
     scene = load_scene(None, tables)
     loaded = workpiece.load(scene.part.source, scene.part.units)
     settings = resolve(scene, loaded)
-    planning = surface.decimate(loaded.reference, settings.faces)
+    planning = decimate(loaded.reference, settings.faces)
     views = candidates.first(scene, settings, loaded, planning)
     features = surface_features(scene, loaded.reference, planning, np.random.default_rng(0))
     scanner = LaserArea(**settings.scanner)
     caster = EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces)
-    samples = surface.sample(loaded.reference, planning, 5_000, np.random.default_rng(1))
+    samples = sample(loaded.reference, planning, 5_000, np.random.default_rng(1))
     return fill(views, features, scanner, caster), views, scanner, caster, samples

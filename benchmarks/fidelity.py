@@ -36,7 +36,7 @@ from cell.world.triangle_tree import TriangleTree
 from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.reach import reach
-from planner.surface import surface
+from planner.surface.decimate import decimate
 
 FIDELITIES = ("hull", "decomposed", "exact")
 _CANDIDATES, _NEAR = 250, 250  # configurations of each kind, per part
@@ -133,7 +133,7 @@ def deep_bucket() -> trimesh.Trimesh:
 def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
     mesh = part.reference
     settings = resolve(scene, part)
-    planning = surface.decimate(mesh, settings.faces)
+    planning = decimate(mesh, settings.faces)
     views = first(scene, settings, part, planning)
     worlds, rows, judged = {}, [], None
     for fidelity in FIDELITIES:

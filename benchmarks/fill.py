@@ -28,10 +28,12 @@ from cell.study.claims import claim
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, fill
 from planner.ports import RayCaster
-from planner.surface import surface
 from planner.surface.closest import closest_face
-from planner.surface.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.sample import SurfaceSamples, face_features, sample
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 RESOLUTIONS_DEG = (4.0, 2.0, 1.0, 0.5)
 SAMPLES_PER_FACE = (1, 2, 4, 8)
@@ -126,16 +128,16 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     options = {"part": {"name": name}}
     settings = resolve(load_scene(None, options), part)
     reference = part.reference
-    planning = surface.decimate(reference, LARGE_FACES if large else settings.faces)
+    planning = decimate(reference, LARGE_FACES if large else settings.faces)
     views = optimal_scanning_zone(planning, settings.standoffs, (0.0,) if large else settings.rolls)
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
-    held_out = surface.sample(reference, planning, coverage.SAMPLES, rng)
+    held_out = sample(reference, planning, coverage.SAMPLES, rng)
     row_of_face = closest_face(
-        surface.face_centres(reference), surface.face_normals(reference),
-        planning.vertices[planning.faces], surface.face_normals(planning),
+        face_centres(reference), face_normals(reference),
+        planning.vertices[planning.faces], face_normals(planning),
     )  # fmt: skip
-    faces = surface.face_features(reference, planning)
+    faces = face_features(reference, planning)
 
     def rays(step: float) -> Measurability:
         scanner = LaserArea(**{**settings.scanner, "resolution_deg": (step, step)})
@@ -151,7 +153,7 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     for step in (1.0,) if large else RESOLUTIONS_DEG:
         works.append((f"rays {step:g}°", lambda step=step: rays(step)))  # type: ignore[misc]
     for count in (1,) if large else SAMPLES_PER_FACE:
-        features = surface.sample(reference, planning, count * len(planning.faces), rng)
+        features = sample(reference, planning, count * len(planning.faces), rng)
         works.append((f"aimed {count}/face", lambda features=features: aimed(features)))  # type: ignore[misc]
     label = f"{name} {len(planning.faces)} x {len(views)}" if large else name
     rows = [_row(label, method, work, views, held_out, scanner, caster, reference) for method, work in works]

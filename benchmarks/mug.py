@@ -19,9 +19,11 @@ from cell.scanners.laser_area import LaserArea
 from planner import cover
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, fill
-from planner.surface import surface
 from planner.surface.closest import closest_face
-from planner.viewpoints.viewpoints import optimal_scanning_zone
+from planner.surface.decimate import decimate
+from planner.surface.mesh import face_centres, face_normals
+from planner.surface.sample import face_features, sample
+from planner.viewpoints.zone import optimal_scanning_zone
 
 RESOLUTIONS_DEG = (4.0, 2.0, 1.0, 0.5, 0.25, 0.2)
 STANDOFF = 0.3
@@ -35,17 +37,17 @@ def run() -> list[dict[str, Any]]:
     """Two rows per resolution: `rays`, and the same `aimed` matrix judged at that resolution."""
     part = workpiece.load("mug")
     reference = part.reference
-    planning = surface.decimate(reference, FACES)
+    planning = decimate(reference, FACES)
     views = optimal_scanning_zone(planning, (STANDOFF,), (0.0,))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
-    features = surface.sample(reference, planning, _SAMPLES_PER_FACE * len(planning.faces), rng)
-    held_out = surface.sample(reference, planning, coverage.SAMPLES, rng)
+    features = sample(reference, planning, _SAMPLES_PER_FACE * len(planning.faces), rng)
+    held_out = sample(reference, planning, coverage.SAMPLES, rng)
     row_of_face = closest_face(
-        surface.face_centres(reference), surface.face_normals(reference),
-        planning.vertices[planning.faces], surface.face_normals(planning),
+        face_centres(reference), face_normals(reference),
+        planning.vertices[planning.faces], face_normals(planning),
     )  # fmt: skip
-    rows = surface.face_features(reference, planning)
+    rows = face_features(reference, planning)
 
     def judged(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:
         scanner = _scanner(step)

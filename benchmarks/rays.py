@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cell.rays.embree import HAIR, EmbreeRayCaster
 from planner.ports import Floats
-from planner.surface.surface import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh, face_normals
 
 RAYS = int(os.environ.get("SCAN_CELL_RAYS", "1000000"))
 _BLOCK = 4000

@@ -25,7 +25,7 @@ from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import REACH, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from cell.study.clouds import eight_scans, noisy
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 Floats = NDArray[np.float64]
 

@@ -21,10 +21,10 @@ from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.reach import reach
 from planner.reach.reach import Reach
-from planner.surface import surface
-from planner.surface.surface import TriangleMesh
-from planner.viewpoints import viewpoints
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
 from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 PARTS = ("mseke", "mug", "robinet", "petanque", "humerus", "st-jean")
 
@@ -74,7 +74,7 @@ def usable(number: int, least: int = 2) -> SeededCell:
             world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=75.0)
         except SceneError:
             continue
-        candidates = viewpoints.optimal_scanning_zone(planning, (_STANDOFF,), tuple(_ROLLS))
+        candidates = optimal_scanning_zone(planning, (_STANDOFF,), tuple(_ROLLS))
         checker = MujocoCollisionChecker(world)
         if not checker.free(world.home[None])[0]:
             continue
@@ -89,7 +89,7 @@ def usable(number: int, least: int = 2) -> SeededCell:
 @lru_cache
 def _part(name: str) -> tuple[Workpiece, TriangleMesh]:
     part = workpiece.load(name)
-    return part, surface.decimate(part.reference, _FACES)
+    return part, decimate(part.reference, _FACES)
 
 
 def content(number: int, draw: int = 0) -> dict[str, Any]:

@@ -22,9 +22,10 @@ from cell.scene.scene import load_scene
 from planner.measurability.matrix import fill
 from planner.measurability.quality import sigma_layer
 from planner.ports import Floats
-from planner.surface import surface
-from planner.surface.surface import face_normals
-from planner.viewpoints.viewpoints import optimal_scanning_zone
+from planner.surface.decimate import decimate
+from planner.surface.mesh import face_normals
+from planner.surface.sample import sample
+from planner.viewpoints.zone import optimal_scanning_zone
 
 PARTS = ("mseke", "mug", "humerus")
 VIEWS = 5
@@ -80,7 +81,7 @@ def _row(name: str) -> dict[str, Any]:
     settings = resolve(scene, part)
     scanner = LaserArea(**{**settings.scanner, "resolution_deg": (1.0, 1.0)})
     caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
-    planning = surface.decimate(part.reference, settings.faces)
+    planning = decimate(part.reference, settings.faces)
     views = optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
     rng = np.random.default_rng(0)
     normals = face_normals(part.reference)
@@ -98,7 +99,7 @@ def _row(name: str) -> dict[str, Any]:
         incidence = np.degrees(np.arccos(np.clip(-(turned * rays).sum(axis=1), -1, 1)))
         found.append((sigma, noise.std(axis=0), _light(scanner, local, turned, rng), incidence))
     model, seen, light, incidence = (np.concatenate(column) for column in zip(*found, strict=True))
-    features = surface.sample(part.reference, planning, 4 * len(planning.faces), rng)
+    features = sample(part.reference, planning, 4 * len(planning.faces), rng)
     start = time.perf_counter()
     M = fill(views, features, scanner, caster)
     filled = time.perf_counter()

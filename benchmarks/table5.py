@@ -21,8 +21,9 @@ from cell.world.world import compile as compile_world
 from planner import cover
 from planner.measurability import coverage
 from planner.reach import reach
-from planner.surface import surface
-from planner.viewpoints import viewpoints
+from planner.surface.decimate import decimate
+from planner.surface.sample import sample
+from planner.viewpoints.zone import optimal_scanning_zone
 
 # robot position [mm], viewpoints, views, cover % of the paper's rows
 PAPER = (
@@ -42,9 +43,9 @@ def run() -> list[dict[str, Any]]:
     scene = Scene()
     part = workpiece.load("mseke")
     settings = resolve(scene, part)
-    planning = surface.decimate(part.reference, settings.faces)
+    planning = decimate(part.reference, settings.faces)
     features = surface_features(scene, part.reference, planning, np.random.default_rng([0, 0]))
-    held_out = surface.sample(part.reference, planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
+    held_out = sample(part.reference, planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
     caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
     scanner = LaserArea(**settings.scanner)
     world = compile_world(
@@ -53,7 +54,7 @@ def run() -> list[dict[str, Any]]:
     kinematics = Kr16Kinematics.from_model(world.model)
     rows: list[dict[str, Any]] = []
     for rolls in ((0.0,), settings.rolls):
-        candidates = viewpoints.optimal_scanning_zone(planning, settings.standoffs, rolls)
+        candidates = optimal_scanning_zone(planning, settings.standoffs, rolls)
         start = perf_counter()
         M = part_matrix(
             scene, settings, part.reference, planning, features, candidates, caster, use_cache=False

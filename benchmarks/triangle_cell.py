@@ -14,7 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from cell.world.world import World
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 Floats = NDArray[np.float64]
 

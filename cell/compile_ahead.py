@@ -92,7 +92,7 @@ def distances() -> None:
     """Call the kernels that measure how far the arm is from the part's triangles, and whether it is inside."""
     from cell.world.triangle_distance import BOX
     from cell.world.triangle_tree import TriangleTree
-    from planner.surface.surface import TriangleMesh
+    from planner.surface.mesh import TriangleMesh
 
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 __all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "load"]

@@ -21,14 +21,16 @@ from cell.errors import SceneError
 from cell.part.workpiece import Workpiece
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
-from planner.measurability import columns
+from planner.measurability.columns import join_measurability
 from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Scanner
-from planner.reach.reach import Reach
-from planner.surface.surface import TriangleMesh
-from planner.viewpoints import targeted, viewpoints
+from planner.reach.reach import Reach, join_reach
+from planner.surface.mesh import TriangleMesh
+from planner.viewpoints import targeted
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.sphere import view_sphere
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 TARGETS = 96
 """Open features that are aimed at in one round."""
@@ -69,12 +71,12 @@ def first(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleM
     """The generator's candidates; of `targeted`, the base set."""
     step_x, step_y = np.deg2rad(scene.plan.view_sphere_step_deg)
     if scene.plan.candidates == "view-sphere":
-        return viewpoints.view_sphere(part.centre, settings.sphere_radius, step_x, step_y, settings.rolls)
+        return view_sphere(part.centre, settings.sphere_radius, step_x, step_y, settings.rolls)
     if scene.plan.candidates == "targeted":
         return targeted.base_set(
             planning, part.centre, settings.sphere_radius, (step_x, step_y), settings.standoffs, settings.rolls
         )
-    return viewpoints.optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
+    return optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
 
 
 def grow(
@@ -127,7 +129,7 @@ def grow(
             break
         still = np.flatnonzero(is_open)
         seen = targeted.measured_rows(views, targets, still, scanner, casters)
-        views = columns.pick_viewpoints(views, targeted.most_useful(seen, features.areas[still], _DEPTH))
+        views = pick_viewpoints(views, targeted.most_useful(seen, features.areas[still], _DEPTH))
         views_of.append(views)
         reaches.append(reach_of(views))
         matrices.append(measure(views))
@@ -136,9 +138,9 @@ def grow(
         if progress is not None:
             progress(int((is_open & ~untried).sum()), int(is_open.sum()))
     return Grown(
-        columns.join_viewpoints(views_of),
-        columns.join_reach(reaches),
-        columns.join_measurability(matrices),
+        join_viewpoints(views_of),
+        join_reach(reaches),
+        join_measurability(matrices),
         added=sum(map(len, views_of[1:])),
         rounds=rounds,
         given_up=int((is_open & ~untried).sum()),
@@ -165,9 +167,9 @@ def _reachable_views(
         targets.points[:, rows].T, targets.normals[:, rows].T, planning_face[rows], standoff, within
     )
     which = np.flatnonzero(targeted.sees_its_point(views, targets, rows[owner], scanner, casters))
-    which = which[reach_of(columns.pick_viewpoints(views, which)).reachable]
+    which = which[reach_of(pick_viewpoints(views, which)).reachable]
     kept = [np.empty(0, dtype=np.int64)]
     for target in range(len(rows)):
         mine = which[owner[which] == target]
         kept.append(mine[np.unique(np.linspace(0, len(mine) - 1, min(_LOOKS, len(mine))).round().astype(np.int64))])
-    return columns.pick_viewpoints(views, np.concatenate(kept))
+    return pick_viewpoints(views, np.concatenate(kept))

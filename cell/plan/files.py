@@ -23,7 +23,7 @@ from planner.measurability.matrix import Measurability
 from planner.order.tour import Tour
 from planner.ports import Floats
 from planner.reach.reach import Reach
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
 from planner.viewpoints.viewpoints import Viewpoints
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from planner.ports import Floats, JointLimits
 from planner.reach.reach import Verdict
-from planner.surface.surface import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh, face_normals
 
 _UNSEEN = "#b03a2e"
 _UNKNOWN = (0.75, 0.75, 0.75)

@@ -46,7 +46,7 @@ from planner.measurability.matrix import Measurability, occlude
 from planner.ports import Scanner
 from planner.reach import reach
 from planner.reach.reach import Reach
-from planner.surface import surface
+from planner.surface.decimate import decimate
 from planner.timing.motion import retime, scaled
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -152,7 +152,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: A
     settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
 
     with run.step("decimate and sample"):
-        planning = surface.decimate(reference, settings.faces)
+        planning = decimate(reference, settings.faces)
         _note_other_count(run.narrator, len(planning.faces), settings.faces)
         candidates = first(scene, settings, part, planning)
         features = surface_features(scene, reference, planning, run.rng(_FEATURES))

@@ -23,7 +23,7 @@ from planner.measurability.pose_ensemble import (
 )
 from planner.ports import Floats, RayCaster, Scanner
 from planner.reach.reach import Reach
-from planner.surface.surface import SurfaceSamples
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 EXECUTIONS = 200

@@ -18,7 +18,7 @@ from cell.world.world import World
 from planner.measurability.matrix import Measurability
 from planner.ports import Floats
 from planner.reach.reach import Reach
-from planner.surface.surface import TriangleMesh, face_areas
+from planner.surface.mesh import TriangleMesh, face_areas
 from planner.timing.motion import Motion, jerk_free_duration
 from planner.viewpoints.viewpoints import Viewpoints
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from cell.plan.view_exchange import Groups
 from cell.world.world import World
-from planner.order.tour import Passage, Tour
+from planner.order.tour import Tour
 from planner.path.sweeps.line import DEFAULT_SPEED
 from planner.path.sweeps.motion import sweeps_of
+from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import SweepPath, Sweeps, passages_of
 from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics

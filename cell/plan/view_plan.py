@@ -29,10 +29,9 @@ from planner.cover import Cover
 from planner.cover.overlap import OverlapCover
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import Measurability
-from planner.order import tour
 from planner.order.order_overlap import overlapping
 from planner.order.orderings import Ordering
-from planner.order.tour import Tour, TourStatus
+from planner.order.tour import Tour, TourStatus, plan_motion
 from planner.path.sweeps.path import SweepPath
 from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
 from planner.reach.reach import Reach
@@ -151,7 +150,7 @@ def select_and_connect(
     sweeping = None if at_rest else SweepSolutions(candidates, world, kinematics, checker, limits)
 
     def connect(groups: view_exchange.Groups) -> Tour:
-        return tour.plan_motion(
+        return plan_motion(
             groups.configurations,
             world.home,
             checker,

@@ -15,13 +15,13 @@ from cell.rays.matrix_cache import Hashes
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
 from planner.measurability import quality
-from planner.measurability.columns import join_measurability, pick_measurability, pick_viewpoints
+from planner.measurability.columns import join_measurability, pick_measurability
 from planner.measurability.matrix import Measurability, fill
 from planner.ports import RayCaster, Scanner
-from planner.surface import surface
 from planner.surface.closest import closest_face
-from planner.surface.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.sample import SurfaceSamples, face_features, sample
+from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 if TYPE_CHECKING:
     from cell.commands.narrator import Narrator
@@ -46,8 +46,8 @@ def surface_features(
 ) -> SurfaceSamples:
     """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`)."""
     if scene.plan.fill == "rays":
-        return surface.face_features(reference, planning)
-    return surface.sample(reference, planning, scene.plan.samples_per_face * len(planning.faces), rng)
+        return face_features(reference, planning)
+    return sample(reference, planning, scene.plan.samples_per_face * len(planning.faces), rng)
 
 
 def part_matrix(
@@ -84,8 +84,8 @@ def part_matrix(
     row_of_face = None
     if method == "rays":
         row_of_face = closest_face(
-            surface.face_centres(reference), surface.face_normals(reference),
-            planning.vertices[planning.faces], surface.face_normals(planning),
+            face_centres(reference), face_normals(reference),
+            planning.vertices[planning.faces], face_normals(planning),
         )  # fmt: skip
     else:
         parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid

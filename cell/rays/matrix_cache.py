@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from planner.measurability.matrix import Measurability
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 FORMAT = 2

@@ -10,8 +10,8 @@ from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import measured
 from planner.ports import Floats, RayCaster, Scanner
-from planner.surface import surface
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples, sample
 
 HELD_OUT_STREAM = 1
 """Stream of randomness of the held-out samples: plan, execution and `cell why` speak of the same ones."""
@@ -28,7 +28,7 @@ def held_out(
         seed: the plan's.
         count: how many; the definition of coverage has 100,000.
     """
-    return surface.sample(reference, planning, count, np.random.default_rng([seed, HELD_OUT_STREAM]))
+    return sample(reference, planning, count, np.random.default_rng([seed, HELD_OUT_STREAM]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

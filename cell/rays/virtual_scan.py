@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cell.errors import SceneError
 from planner.ports import Floats, RayCaster, Rejection, Scanner
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 from planner.viewpoints.lines_of_sight import flat_poses, lift
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.reconstruction.cloud import PointCloud
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 
 def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32]) -> Iterator[bytes]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
-from planner.surface.surface import TriangleMesh, face_areas
+from planner.surface.mesh import TriangleMesh, face_areas
 from planner.values import readonly
 
 Floats = NDArray[np.float64]

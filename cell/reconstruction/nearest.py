@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cell.reconstruction import kdtree
 from cell.reconstruction.face_blocks import FaceBlocks
 from planner.surface.closest import squared_distance
-from planner.surface.surface import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh, face_normals
 from planner.values import readonly
 
 Floats = NDArray[np.float64]

@@ -19,7 +19,7 @@ from cell.reconstruction.cloud import PointCloud, point_spacing
 from cell.reconstruction.holes import close_holes
 from cell.reconstruction.implicit import FieldValues, ImplicitSurface
 from planner.errors import PlannerError
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 Floats = NDArray[np.float64]

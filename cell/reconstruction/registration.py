@@ -20,7 +20,7 @@ from cell.reconstruction.freedom import FreeMotion, name, shape_of, split
 from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingScan
 from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 Floats = NDArray[np.float64]

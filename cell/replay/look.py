@@ -9,7 +9,8 @@ import numpy as np
 
 from cell.robot import model as robot
 from planner.ports import Floats
-from planner.surface.surface import TriangleMesh, decimate
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     import mujoco

@@ -21,7 +21,7 @@ from cell.replay.marks import GLYPH_SHARE
 from cell.robot import model as robot
 from cell.run.record import RunRecord, artefact, understood
 from planner.ports import Floats
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cell.errors import CellError, FileError
 from planner.errors import PlannerError
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 SCHEMA = "scan-cell/run/1"
 """Version of the layout; it changes together with a line in CHANGELOG.md."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cell.run.record import RunRecord, arrays, artefact, artefact_json, understood
 from planner.ports import Floats, JointLimits
 from planner.reach.reach import Reach
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
 from planner.values import readonly
 from planner.viewpoints.viewpoints import Viewpoints

@@ -15,7 +15,7 @@ from cell.scene.scene import Scene
 from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.ports import Floats
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 

@@ -23,7 +23,7 @@ from cell.scan.scene import ScanScene
 from planner.measurability import coverage
 from planner.measurability import matrix as measurability
 from planner.ports import Floats, Rejection
-from planner.surface.surface import SurfaceSamples
+from planner.surface.sample import SurfaceSamples
 from planner.values import readonly
 
 _CLOUD_SAMPLES = 40_000  # points whose distance to the reference stands for that of all

@@ -21,7 +21,7 @@ from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, understood
 from planner.measurability.quality import Limited
 from planner.ports import Floats, Scanner
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ The numbers are the borders of the maps of docs/stability.md, which read them fr
 import numpy as np
 
 from cell.scene.scene import Scene
-from planner.surface import surface
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.sample import SurfaceSamples
 
 STEEPEST_GRAZING_DEG = 77.0
 """Surface at more than this to the rays counts as measured up to 90 degrees, but a scan hardly has a point on it."""
@@ -45,8 +45,8 @@ def off_mesh(features: SurfaceSamples, planning: TriangleMesh) -> float:
         features: samples of the part (the centres of the planning faces themselves, of `rays`, are 0 off).
         planning: the planning mesh.
     """
-    off = features.points - surface.face_centres(planning)[features.planning_face]
-    height = np.abs(np.einsum("nj,nj->n", off, surface.face_normals(planning)[features.planning_face]))
+    off = features.points - face_centres(planning)[features.planning_face]
+    height = np.abs(np.einsum("nj,nj->n", off, face_normals(planning)[features.planning_face]))
     return float(np.quantile(height, 0.95) / planning.diagonal)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from cell import caches
 from cell.errors import UsageError
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 _log = logging.getLogger(__name__)
 

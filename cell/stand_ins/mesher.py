@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.stand_ins.fields import Field
-from planner.surface.surface import TriangleMesh, collapse_edges
+from planner.surface.decimate import collapse_edges
+from planner.surface.mesh import TriangleMesh
 
 Grid = NDArray[np.float32]
 

@@ -30,14 +30,15 @@ from planner import cover
 from planner.cover import Cover
 from planner.cover.most_coverage import most_coverage
 from planner.measurability import coverage
-from planner.measurability.columns import pick_measurability, pick_viewpoints
+from planner.measurability.columns import pick_measurability
 from planner.measurability.matrix import Measurability
 from planner.ports import Floats, Scanner
 from planner.reach import reach
 from planner.reach.reach import Reach
-from planner.surface import surface
-from planner.surface.surface import SurfaceSamples, TriangleMesh
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
+from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 Mask = NDArray[np.bool_]
 
@@ -98,7 +99,7 @@ class Bench:
     @cached_property
     def planning(self) -> TriangleMesh:
         """The decimated copy."""
-        return surface.decimate(self.part.reference, self.settings.faces)
+        return decimate(self.part.reference, self.settings.faces)
 
     @cached_property
     def caster(self) -> EmbreeRayCaster:

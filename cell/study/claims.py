@@ -12,7 +12,7 @@ from planner import cover
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Scanner
-from planner.surface.surface import SurfaceSamples
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 

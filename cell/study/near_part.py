@@ -11,7 +11,7 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from planner.ports import Floats
-from planner.surface import surface
+from planner.surface.mesh import face_normals
 
 _APART_M = 50.0  # where the part is put so that only the rest of the cell counts
 _TILT = 0.4  # of the viewing axis against the normal, one sigma and component
@@ -47,7 +47,7 @@ def configurations(
         return np.asarray(q[elsewhere.free(q)][:count])
 
     faces = rng.integers(len(part.reference.faces), size=4 * counts[1])
-    normals = surface.face_normals(part.reference)[faces]
+    normals = face_normals(part.reference)[faces]
     near = np.tile(np.eye(4), (len(faces), 1, 1))
     for k, normal in enumerate(normals):
         tilted = normal + _TILT * rng.normal(size=3)

@@ -15,11 +15,12 @@ from cell.robot.frames import pose_from_kuka_abc
 from cell.study.scenes import bench_of
 from planner import cover
 from planner.measurability import coverage
-from planner.measurability.columns import pick_measurability, pick_viewpoints
+from planner.measurability.columns import pick_measurability
 from planner.measurability.matrix import occlude
 from planner.order.orderings import sequence
 from planner.reach import reach
 from planner.timing.motion import scaled
+from planner.viewpoints.viewpoints import pick_viewpoints
 
 COVERAGE_ONLY, WHOLE = "coverage", "whole"
 

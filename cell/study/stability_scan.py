@@ -19,7 +19,7 @@ from cell.study.clouds import eight_scans, noisy
 from cell.study.stability_body import body
 from cell.study.stability_map import Map, Seen
 from planner.ports import Floats
-from planner.surface import surface
+from planner.surface.sample import sample
 
 _FINEST_DEG = 1.0
 _NEAR = 0.01  # of the diagonal: surface so near to a place counts as found there
@@ -48,7 +48,7 @@ def _diagonal() -> float:
 def _in_sight(count: int) -> Floats:
     """(n, 3) samples of the part that a source of the eight scans sees."""
     reference = _part().reference
-    samples = surface.sample(reference, reference, count, np.random.default_rng(0))
+    samples = sample(reference, reference, count, np.random.default_rng(0))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     seen = np.zeros(count, dtype=np.bool_)
     lifted = samples.points + 1e-6 * _diagonal() * samples.normals

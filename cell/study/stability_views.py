@@ -26,10 +26,12 @@ from planner.cover import CoverStatus
 from planner.measurability import coverage
 from planner.measurability.matrix import fill, measured
 from planner.ports import Floats
-from planner.surface import surface
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.sample import SurfaceSamples, sample
 from planner.viewpoints.lines_of_sight import Targets, in_view
-from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 _FACES, _VIEWS = 400, 40  # of the part that is asked about in float64, and about as many views
 _AWAY = np.array([0.8, -0.5, 0.33])  # direction of an offset
@@ -39,7 +41,7 @@ _ON_ITS_FACE = 1e-9  # of a leg: nearer to its end, a triangle is the one that t
 @lru_cache(maxsize=1)
 def _part() -> TriangleMesh:
     """The body, coarse, 1 m long, its middle at the origin."""
-    mesh = surface.decimate(body(4).reference, _FACES)
+    mesh = decimate(body(4).reference, _FACES)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     return TriangleMesh((mesh.vertices - (low + high) / 2) / float((high - low).max()), mesh.faces)
 
@@ -49,8 +51,8 @@ def _question(size: float, count: int) -> tuple[LaserArea, SurfaceSamples, Viewp
     part = _part()
     mesh = TriangleMesh(part.vertices * size, part.faces)
     scanner = LaserArea(range_mm=(200 * size, 3000 * size), baseline_mm=250 * size)
-    features = surface.sample(mesh, mesh, count, np.random.default_rng(0))
-    return scanner, features, optimal_scanning_zone(surface.decimate(mesh, _VIEWS), [1.0 * size], [0.3])
+    features = sample(mesh, mesh, count, np.random.default_rng(0))
+    return scanner, features, optimal_scanning_zone(decimate(mesh, _VIEWS), [1.0 * size], [0.3])
 
 
 def _by_brute_force(
@@ -136,9 +138,7 @@ def _carried(features: SurfaceSamples, part: TriangleMesh, mesh: TriangleMesh) -
     w = np.einsum("nj,nj->n", np.cross(b - a, features.points - a), n) / (n * n).sum(axis=1)
     weights = np.stack([1 - v - w, v, w], axis=1)
     points = np.einsum("nc,ncj->nj", weights, mesh.vertices[mesh.faces[features.face]])
-    return SurfaceSamples(
-        points, surface.face_normals(mesh)[features.face], features.areas, features.face, features.face
-    )
+    return SurfaceSamples(points, face_normals(mesh)[features.face], features.areas, features.face, features.face)
 
 
 _PLATE_M, _AT_M, _PART_M = 0.05, 0.3, 0.4  # a plate before the scanner; the diagonal of the part that it belongs to
@@ -155,7 +155,7 @@ def grazing(line: str, angle_deg: float, count: int) -> Seen:
     caster = EmbreeRayCaster(plate.vertices, plate.faces)
     step = float(line.removesuffix(" deg"))
     scanner = LaserArea(resolution_deg=(step, step), grazing_max_deg=90.0)
-    samples = surface.sample(plate, plate, count, np.random.default_rng(0))
+    samples = sample(plate, plate, count, np.random.default_rng(0))
     predicted = measured(np.eye(4)[None, None], samples, scanner, [caster])
     points = virtual_scan.scan(scanner, np.eye(4), caster, plate).points
     found = np.zeros(count, dtype=np.bool_)
@@ -176,7 +176,7 @@ _STANDOFF_M, _ROLLS = 0.3, (0.0, np.pi / 2)
 def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, SurfaceSamples]:
     """A part, rays on it, and samples to judge with."""
     mesh = body(5).reference if line == _BUMPY else stand_ins.build(line)
-    judged = surface.sample(mesh, mesh, samples, np.random.default_rng(1))
+    judged = sample(mesh, mesh, samples, np.random.default_rng(1))
     return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), judged
 
 
@@ -184,9 +184,9 @@ def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, Surf
 def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, float]:
     """What the plan of a planning mesh measures; its views; the mesh's faces, and how far the part is off it."""
     mesh, caster, judged = _asked(line, samples)
-    planning, scanner = surface.decimate(mesh, faces), LaserArea()
+    planning, scanner = decimate(mesh, faces), LaserArea()
     views = optimal_scanning_zone(planning, [_STANDOFF_M], _ROLLS)
-    features = surface.sample(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
+    features = sample(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
     M = fill(views, features, scanner, caster)
     plan = cover.solve(M.matrix(), features.areas, rng=np.random.default_rng(0), solver="greedy", budget=0)
     visible = coverage.visible(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction

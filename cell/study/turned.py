@@ -25,9 +25,10 @@ from planner.order.generalised_tsp import STEPS
 from planner.order.orderings import sequence
 from planner.ports import Floats
 from planner.reach.reach import Reach
-from planner.surface import surface
 from planner.surface.closest import closest_face
-from planner.surface.surface import TriangleMesh
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.sample import SurfaceSamples, face_features, sample
 from planner.timing.motion import scaled
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -67,7 +68,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> Turned:
         candidates = first(bench.scene, bench.settings, bench.part, planning)
         rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
         count = bench.scene.plan.samples_per_face * len(planning.faces)
-        features = surface.sample(bench.part.reference, planning, count, rng)
+        features = sample(bench.part.reference, planning, count, rng)
         M = fill(candidates, features, bench.scanner, bench.caster)
         rng = np.random.default_rng([bench.scene.plan.seed, _SELECTION])
         return candidates, cover.solve(M.matrix(), features.areas, rng=rng)
@@ -82,7 +83,7 @@ def samples(bench: Bench, per_face: int, repeats: int) -> Turned:
     """Aimed samples per face: how far the matrix's claim for its plan is from the truth."""
     planning, candidates = bench.planning, bench.zone
     rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
-    features = surface.sample(bench.part.reference, planning, per_face * len(planning.faces), rng)
+    features = sample(bench.part.reference, planning, per_face * len(planning.faces), rng)
     M, seconds = timed(lambda: fill(candidates, features, bench.scanner, bench.caster), repeats)
     return _claimed(bench, M, seconds)
 
@@ -133,7 +134,7 @@ def ordering(bench: Bench, tours: int, repeats: int) -> Turned:
 
 
 def _planning(bench: Bench, share: float) -> TriangleMesh:
-    return surface.decimate(bench.part.reference, max(4, round(share * bench.settings.faces)))
+    return decimate(bench.part.reference, max(4, round(share * bench.settings.faces)))
 
 
 def reached(bench: Bench) -> Reach:
@@ -169,13 +170,13 @@ def _claimed(bench: Bench, M: Measurability, seconds: Mapping[str, float]) -> Tu
 
 
 @lru_cache(maxsize=2)
-def _face_rows(bench: Bench) -> tuple[surface.SurfaceSamples, Any]:
+def _face_rows(bench: Bench) -> tuple[SurfaceSamples, Any]:
     reference, planning = bench.part.reference, bench.planning
     rows = closest_face(
-        surface.face_centres(reference), surface.face_normals(reference),
-        planning.vertices[planning.faces], surface.face_normals(planning),
+        face_centres(reference), face_normals(reference),
+        planning.vertices[planning.faces], face_normals(planning),
     )  # fmt: skip
-    return surface.face_features(reference, planning), rows
+    return face_features(reference, planning), rows
 
 
 @lru_cache(maxsize=2)

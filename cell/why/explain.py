@@ -31,7 +31,8 @@ from cell.why.search import Named, search
 from planner.measurability import coverage
 from planner.measurability.quality import Limited
 from planner.ports import Scanner
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.lines_of_sight import Indices, Targets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run.folder import SCHEMA, json_text
-from planner.surface.surface import face_normals
+from planner.surface.mesh import face_normals
 from planner.why.reasons import Reason
 
 if TYPE_CHECKING:

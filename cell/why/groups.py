@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.ports import Floats
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.lines_of_sight import Indices
 from planner.why.reasons import Reason
 from planner.why.why import Diagnosis

@@ -14,7 +14,7 @@ from cell.commands.narrator import ProgressCallback
 from cell.why.changes import Changes, ladder_masks
 from cell.why.groups import OpenGroup
 from planner.ports import Floats
-from planner.surface.surface import SurfaceSamples
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.lines_of_sight import Indices, Targets
 from planner.why import what_if
 from planner.why.reasons import Reason

@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from cell.world import piece_cache
 from cell.world.solid_hull import solid_hull
-from planner.surface.surface import TriangleMesh, face_areas, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cell import caches
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 FORMAT = 1
 """Version of the file and of the algorithm: raised with every change of what is found for the same mesh."""

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from cell.robot import model as robot
 from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene
 from cell.world.solid_hull import solid_hull
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     import mujoco

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cell.world.crossings import crossings
 from cell.world.decomposition import is_closed
 from cell.world.triangle_distance import nearest_triangle
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from planner.ports import Floats

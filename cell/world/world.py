@@ -21,7 +21,7 @@ from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
 from planner.ports import JointLimits
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.stand_ins import STAND_INS, build
-from planner.surface.surface import face_normals
+from planner.surface.mesh import face_normals
 
 # Where the viewer stands (object frame), what is up, and the pixels' share of the diagonal.
 VIEWS = {

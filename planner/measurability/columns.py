@@ -1,4 +1,4 @@
-"""Candidates put side by side: viewpoints, their reach and the columns of M, appended or picked in the same order.
+"""Columns of M put side by side or picked, in the order of the candidates that they belong to.
 
 A candidate is one row of `Viewpoints` and of `Reach` and one column of `Measurability`; a generator that adds
 candidates appends to all three, and the numbers of those that were there before stay.
@@ -12,40 +12,10 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
-from planner.reach.reach import Reach
-from planner.surface.surface import SurfaceSamples
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.surface.sample import SurfaceSamples
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-
-def join_viewpoints(parts: Sequence[Viewpoints]) -> Viewpoints:
-    """All viewpoints in the order of the parts; every part has as many poses per viewpoint as the first."""
-    return Viewpoints(
-        np.concatenate([part.T_object_scanner for part in parts]),
-        np.concatenate([part.face for part in parts]),
-        np.concatenate([part.standoff for part in parts]),
-        np.concatenate([part.roll for part in parts]),
-    )
-
-
-def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | NDArray[np.bool_]) -> Viewpoints:
-    """Some viewpoints: (n,) rows in the order that is wanted, or (V,) bool."""
-    return Viewpoints(
-        viewpoints.T_object_scanner[which], viewpoints.face[which], viewpoints.standoff[which], viewpoints.roll[which]
-    )
-
-
-def join_reach(parts: Sequence[Reach]) -> Reach:
-    """Verdicts and solutions in the order of the parts."""
-    counts = np.concatenate([np.diff(part.offsets) for part in parts])
-    return Reach(
-        np.concatenate([part.verdict for part in parts]),
-        np.concatenate([part.q for part in parts]),
-        np.concatenate([[0], np.cumsum(counts)]),
-        tuple(name for part in parts for name in part.blocker),
-    )
 
 
 def join_measurability(parts: Sequence[Measurability]) -> Measurability:

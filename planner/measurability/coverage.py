@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.measurability.matrix import Progress, measured
 from planner.ports import Floats, RayCaster, Scanner
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 from planner.values import readonly
 
 SAMPLES = 100_000

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.measurability.raygrid import scanned_rows
 from planner.ports import Floats, RayCaster, Scanner
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 from planner.values import readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.ports import Floats, RayCaster, Rejection, Scanner
-from planner.surface.surface import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh, face_normals
 from planner.viewpoints.lines_of_sight import BUNDLE, Indices, lift
 
 

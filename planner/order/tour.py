@@ -20,35 +20,10 @@ from planner.order.roadmap import Roadmap
 from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, Progress, TourSearch
 from planner.path.certified_edge import clearance_along
 from planner.path.path import path_time
+from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, Floats, JointLimits
 from planner.timing.motion import check_inside, check_limits
 from planner.values import readonly
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Passage:
-    """What the arm does at a view between arriving and leaving: the line of a sweep.
-
-    Attributes:
-        via: (m, 6) via points [rad], certified, the first where the arm arrives and the last where it leaves.
-        pose: (m,) pose of the view that is taken at each, -1 for none.
-        duration: of the passage [s].
-        leaves: joint solution of the same view (its index) that begins where this one ends.
-    """
-
-    via: Floats
-    pose: NDArray[np.int64]
-    duration: float
-    leaves: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
-        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.via),), np.int64))
-
-    @property
-    def middle(self) -> Floats:
-        """(6,) joint angles at the middle one of its poses [rad]."""
-        return np.asarray(self.via[int(np.flatnonzero(self.pose == (self.pose >= 0).sum() // 2)[0])])
 
 
 class TourStatus(IntEnum):

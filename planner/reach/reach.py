@@ -11,7 +11,7 @@ Rounding moves the scanner by at most 6 axes x 5e-5 deg x reach, about 8 microme
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -206,3 +206,14 @@ def _rigid(name: str, T: ArrayLike) -> Floats:
             f"{name} is not a rigid transform; its rotation must be right-handed and orthonormal to {_RIGID:g}"
         )
     return pose
+
+
+def join_reach(parts: Sequence[Reach]) -> Reach:
+    """Verdicts and solutions in the order of the parts."""
+    counts = np.concatenate([np.diff(part.offsets) for part in parts])
+    return Reach(
+        np.concatenate([part.verdict for part in parts]),
+        np.concatenate([part.q for part in parts]),
+        np.concatenate([[0], np.cumsum(counts)]),
+        tuple(name for part in parts for name in part.blocker),
+    )

@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.measurability.columns import join_viewpoints, pick_viewpoints
 from planner.ports import Floats, RayCaster, Rejection, Scanner
-from planner.surface.surface import TriangleMesh, face_areas, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
-from planner.viewpoints.viewpoints import Viewpoints, looking_at, optimal_scanning_zone, view_sphere
+from planner.viewpoints.sphere import view_sphere
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, looking_at, pick_viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 NORMALS = 200
 """Faces whose normals join the view sphere; benchmarks/candidates.py is drawn with it."""

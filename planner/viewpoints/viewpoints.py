@@ -1,4 +1,4 @@
-"""Candidate viewpoints: the optimal scanning zone (Section 3.4.2) and the view sphere (Section 3.4.1).
+"""Candidate viewpoints: poses of the scanner from which the part may be measured (Section 3.4).
 
 A viewpoint is one column of the measurability matrix: K poses of the scanner in the object frame, K = 1 for an area
 scanner. The scanner's origin is the laser source, +z the viewing direction, +x from source to sensor (the baseline).
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.surface.surface import TriangleMesh, face_areas, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
 Floats = NDArray[np.float64]
@@ -52,60 +52,6 @@ class Viewpoints:
         return len(self.T_object_scanner)
 
 
-def optimal_scanning_zone(planning: TriangleMesh, standoffs: Sequence[float], rolls: Sequence[float]) -> Viewpoints:
-    """One viewpoint per planning face, standoff and roll, in this order (the last changes fastest).
-
-    The source stands at the standoff from the face's centre along its normal and looks against the normal. A face
-    without area has no normal and gives no viewpoint.
-
-    Args:
-        planning: the decimated mesh, object frame.
-        standoffs: distances from the face's centre [m], > 0.
-        rolls: angles about the viewing axis [rad].
-
-    Raises:
-        PlannerError: if a standoff is not positive, or there is no standoff or no roll.
-    """
-    distances = _positive("standoffs", standoffs)
-    face = np.flatnonzero(face_areas(planning) > 0)
-    centres, normals = face_centres(planning)[face], face_normals(planning)[face]
-    return _aimed(centres, normals, face, distances, _angles(rolls))
-
-
-def view_sphere(
-    centre: ArrayLike, radius: float, step_x: float, step_y: float, rolls: Sequence[float] = (0.0,)
-) -> Viewpoints:
-    """Viewpoints on a sphere about a point, all looking at it.
-
-    The direction out of the centre is +z, turned about x by multiples of `step_x` from -90 to 90 degrees and then about
-    y by multiples of `step_y` below 360 degrees. The poles (on the y axis), which every turn about y leaves where they
-    are, are there once: 15 degree steps give 11 x 24 + 2 = 266 directions.
-
-    Args:
-        centre: (3,) point to look at [m], object frame.
-        radius: of the sphere [m]; it must enclose the part, see `enclosing_radius`.
-        step_x: resolution of the turn about x [rad], in (0, pi].
-        step_y: resolution of the turn about y [rad], in (0, pi].
-        rolls: angles about the viewing axis [rad].
-
-    Raises:
-        PlannerError: if the radius is not positive, a step is outside its range, or there is no roll.
-    """
-    distance = _positive("radius", [radius])
-    for name, step in (("step_x", step_x), ("step_y", step_y)):
-        if not 0 < step <= np.pi:
-            raise PlannerError(f"{name} is {step:g} rad; it must be above 0 and at most pi")
-    n_x = int(np.floor(np.pi / 2 / step_x + 1e-9))
-    n_y = int(np.ceil(2 * np.pi / step_y - 1e-9))
-    about_x, about_y = np.meshgrid(np.arange(-n_x, n_x + 1) * step_x, np.arange(n_y) * step_y, indexing="ij")
-    pole = np.abs(np.cos(about_x)) < 1e-9
-    once = ~pole | (about_y == 0)
-    a, b = about_x[once], about_y[once]
-    outward = np.stack([np.cos(a) * np.sin(b), -np.sin(a), np.cos(a) * np.cos(b)], axis=1)  # Ry(b) Rx(a) e_z
-    middle = np.broadcast_to(readonly("centre", centre, (3,)), outward.shape)
-    return _aimed(middle, outward, np.full(len(outward), -1), distance, _angles(rolls))
-
-
 def looking_at(
     targets: Floats, outward: Floats, face: NDArray[np.integer], standoffs: Sequence[float], rolls: Sequence[float]
 ) -> Viewpoints:
@@ -121,7 +67,21 @@ def looking_at(
     Raises:
         PlannerError: if a standoff is not positive, or there is no standoff or no roll.
     """
-    return _aimed(targets, outward, np.asarray(face), _positive("standoffs", standoffs), _angles(rolls))
+    distances, angles = _positive("standoffs", standoffs), _angles(rolls)
+    rotations = _look_along(-outward)
+    cos, sin, zero = np.cos(angles), np.sin(angles), np.zeros(len(angles))
+    about_z = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], axis=1).reshape(-1, 3, 3)
+    shape = (len(targets), len(distances), len(angles))
+    poses = np.zeros((*shape, 4, 4))
+    poses[..., :3, :3] = np.einsum("nij,rjk->nrik", rotations, about_z)[:, None]
+    poses[..., :3, 3] = (targets[:, None] + distances[:, None] * outward[:, None])[:, :, None]
+    poses[..., 3, 3] = 1.0
+    return Viewpoints(
+        poses.reshape(-1, 1, 4, 4),
+        np.broadcast_to(np.asarray(face)[:, None, None], shape).ravel().astype(np.int32),
+        np.broadcast_to(distances[None, :, None], shape).ravel(),
+        np.broadcast_to(angles, shape).ravel(),
+    )
 
 
 def enclosing_radius(mesh: TriangleMesh, centre: ArrayLike) -> float:
@@ -129,21 +89,20 @@ def enclosing_radius(mesh: TriangleMesh, centre: ArrayLike) -> float:
     return float(np.linalg.norm(mesh.vertices - readonly("centre", centre, (3,)), axis=1).max())
 
 
-def _aimed(targets: Floats, outward: Floats, face: NDArray[np.integer], standoffs: Floats, rolls: Floats) -> Viewpoints:
-    """Every target (N, 3) seen from outside along its unit direction (N, 3), at every standoff and roll."""
-    rotations = _look_along(-outward)
-    cos, sin, zero = np.cos(rolls), np.sin(rolls), np.zeros(len(rolls))
-    about_z = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], axis=1).reshape(-1, 3, 3)
-    shape = (len(targets), len(standoffs), len(rolls))
-    poses = np.zeros((*shape, 4, 4))
-    poses[..., :3, :3] = np.einsum("nij,rjk->nrik", rotations, about_z)[:, None]
-    poses[..., :3, 3] = (targets[:, None] + standoffs[:, None] * outward[:, None])[:, :, None]
-    poses[..., 3, 3] = 1.0
+def join_viewpoints(parts: Sequence[Viewpoints]) -> Viewpoints:
+    """All viewpoints in the order of the parts; every part has as many poses per viewpoint as the first."""
     return Viewpoints(
-        poses.reshape(-1, 1, 4, 4),
-        np.broadcast_to(face[:, None, None], shape).ravel().astype(np.int32),
-        np.broadcast_to(standoffs[None, :, None], shape).ravel(),
-        np.broadcast_to(rolls, shape).ravel(),
+        np.concatenate([part.T_object_scanner for part in parts]),
+        np.concatenate([part.face for part in parts]),
+        np.concatenate([part.standoff for part in parts]),
+        np.concatenate([part.roll for part in parts]),
+    )
+
+
+def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | NDArray[np.bool_]) -> Viewpoints:
+    """Some viewpoints: (n,) rows in the order that is wanted, or (V,) bool."""
+    return Viewpoints(
+        viewpoints.T_object_scanner[which], viewpoints.face[which], viewpoints.standoff[which], viewpoints.roll[which]
     )
 
 

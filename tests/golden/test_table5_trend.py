@@ -9,16 +9,16 @@ from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
 from planner.reach import reach
-from planner.surface import surface
-from planner.viewpoints import viewpoints
+from planner.surface.decimate import decimate
+from planner.viewpoints.zone import optimal_scanning_zone
 
 
 @pytest.mark.slow
 def test_reachable_counts_fall_as_the_part_moves_away() -> None:
     """1500 < 1400 < 1300 < 1200 at y = 500 and 500 > 600 > 700 > 800 at x = 1200; without a robot all are usable."""
     part = workpiece.load("mseke")
-    planning = surface.decimate(part.reference, 930)
-    candidates = viewpoints.optimal_scanning_zone(planning, [0.3], [0.0])
+    planning = decimate(part.reference, 930)
+    candidates = optimal_scanning_zone(planning, [0.3], [0.0])
     world = compile_world(Scene(), part.reference.vertices, baseline_mm=75.0)
     kinematics = Kr16Kinematics.from_model(world.model)
 

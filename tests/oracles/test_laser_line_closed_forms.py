@@ -8,7 +8,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
 from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.surface.surface import SurfaceSamples
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 HEIGHT = 0.3

@@ -8,7 +8,8 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
 from planner.measurability.matrix import measured
-from planner.surface.surface import SurfaceSamples, TriangleMesh, sample
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples, sample
 
 RADIUS = 0.1
 

@@ -9,7 +9,7 @@ from cell.reconstruction.deviation import deviation
 from cell.reconstruction.face_blocks import FaceBlocks
 from cell.reconstruction.nearest import NearestSurface
 from planner.surface.closest import squared_distance
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 
 def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:

@@ -20,7 +20,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.triangle_tree import TriangleTree
 from cell.world.world import compile as compile_world
 from planner.path.path import connect
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)
 ZERO, UPRIGHT = np.zeros(3), np.eye(3).ravel()

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from cell.world import piece_cache
 from cell.world.decomposition import enclosing_pieces, is_closed
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 ROUNDING = 1e-9  # m
 

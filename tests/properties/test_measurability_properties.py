@@ -12,7 +12,8 @@ from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
 from planner.measurability.matrix import fill, measured, occlude
 from planner.ports import Rejection
-from planner.surface.surface import TriangleMesh, sample
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view
 from planner.viewpoints.viewpoints import Viewpoints
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.registration import register
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 _BOX = trimesh.creation.box((0.06, 0.04, 0.03)).subdivide().subdivide()
 _MODEL = TriangleMesh(_BOX.vertices, _BOX.faces)

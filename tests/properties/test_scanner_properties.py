@@ -11,9 +11,9 @@ from cell.scanners.laser_area import LaserArea
 from planner.measurability.matrix import measured
 from planner.measurability.quality import Limited
 from planner.ports import Rejection
-from planner.surface import surface
-from planner.surface.surface import TriangleMesh
-from planner.viewpoints.viewpoints import optimal_scanning_zone
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
+from planner.viewpoints.zone import optimal_scanning_zone
 
 _ANGLE = st.floats(5, 85)
 _LIMITS = st.fixed_dictionaries({
@@ -91,7 +91,7 @@ def test_an_arm_in_the_way_never_adds_a_sample_and_hides_only_its_own_view():
     ball = trimesh.creation.icosphere(2, 0.05)
     part = TriangleMesh(ball.vertices, ball.faces)
     caster = EmbreeRayCaster(part.vertices, part.faces)
-    samples = surface.sample(part, part, 2000, np.random.default_rng(0))
+    samples = sample(part, part, 2000, np.random.default_rng(0))
     views = optimal_scanning_zone(TriangleMesh(part.vertices, part.faces[::40]), (0.2,), (0.0,))
     scanner = LaserArea(range_mm=(50, 400), baseline_mm=40)
     rng = np.random.default_rng(4)

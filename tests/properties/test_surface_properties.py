@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.surface.closest import closest_face, squared_distance
-from planner.surface.surface import TriangleMesh, decimate, face_normals, sample
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.sample import sample
 
 
 @given(st.integers(0, 2**32 - 1))

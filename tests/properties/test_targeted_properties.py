@@ -10,13 +10,17 @@ from cell.plan import candidates as growing
 from cell.plan.candidates import grow
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner.measurability import columns, coverage
+from planner.measurability import coverage
+from planner.measurability.columns import join_measurability, pick_measurability
 from planner.measurability.matrix import Measurability, fill
-from planner.reach.reach import Reach, Verdict
-from planner.surface import surface
-from planner.viewpoints import targeted, viewpoints
+from planner.reach.reach import Reach, Verdict, join_reach
+from planner.surface.decimate import decimate
+from planner.surface.sample import SurfaceSamples, sample
+from planner.viewpoints import targeted
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.sphere import view_sphere
+from planner.viewpoints.viewpoints import Viewpoints, looking_at, pick_viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 STANDOFF = 0.1
 
@@ -25,8 +29,8 @@ STANDOFF = 0.1
 def mug():
     """Planning mesh, features, scanner and caster of the Mug, coarse."""
     part = load("mug")
-    planning = surface.decimate(part.reference, 120)
-    features = surface.sample(part.reference, planning, 600, np.random.default_rng(0))
+    planning = decimate(part.reference, 120)
+    features = sample(part.reference, planning, 600, np.random.default_rng(0))
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=25)
     return part, planning, features, scanner, EmbreeRayCaster(part.reference.vertices, part.reference.faces)
 
@@ -81,11 +85,11 @@ def test_the_base_set_is_sphere_and_normals_as_their_generators_make_them(mug):
     part, planning, *_ = mug
     rolls = (0.0, 1.0)
     base = targeted.base_set(planning, part.centre, 0.15, (0.5, 0.5), (0.1, 0.12), rolls, normals=30)
-    sphere = viewpoints.view_sphere(part.centre, 0.15, 0.5, 0.5, rolls)
-    zone = viewpoints.optimal_scanning_zone(planning, (0.1, 0.12), rolls)
+    sphere = view_sphere(part.centre, 0.15, 0.5, 0.5, rolls)
+    zone = optimal_scanning_zone(planning, (0.1, 0.12), rolls)
     n = len(sphere)
     assert base.T_object_scanner[:n].tobytes() == sphere.T_object_scanner.tobytes()
-    rest = columns.pick_viewpoints(base, np.arange(n, len(base)))
+    rest = pick_viewpoints(base, np.arange(n, len(base)))
     assert len(rest) == 30 * 2 * 2
     kept = np.isin(zone.face, rest.face)
     for name in Viewpoints.__dataclass_fields__:
@@ -115,7 +119,7 @@ def test_a_view_that_is_aimed_at_a_point_is_aimed_at_it(mug):
     assert (views.face == face[owner]).all()
     assert views.standoff.min() == within.near
     assert views.standoff.max() == within.far
-    again = viewpoints.looking_at(p + views.standoff[:, None] * R[:, :, 2], -R[:, :, 2], views.face, [1.0], [0.0])
+    again = looking_at(p + views.standoff[:, None] * R[:, :, 2], -R[:, :, 2], views.face, [1.0], [0.0])
     flat = again.T_object_scanner[:, 0, :3, :3]
     turn = np.einsum("nji,njk->nik", flat, R)
     np.testing.assert_allclose(np.cos(views.roll), turn[:, 0, 0], atol=1e-9)
@@ -152,7 +156,7 @@ def test_growing_only_adds_and_makes_more_coverable(mug):
     before = M.matrix()[:, _from_above(base).reachable].sum(axis=1) > 0
     new = both.matrix()[:, n:].toarray()
     assert (new & ~before[:, None]).any(axis=0).all()
-    held_out = surface.sample(part.reference, planning, 4000, np.random.default_rng(1))
+    held_out = sample(part.reference, planning, 4000, np.random.default_rng(1))
     shares = [
         coverage.visible(v.T_object_scanner[r.reachable], held_out, scanner, [caster]).fraction
         for v, r in ((base, _from_above(base)), (views, reached))
@@ -206,19 +210,19 @@ def test_sweeps_are_refused(mug):
 def test_columns_are_joined_and_picked_alike():
     """Joining and picking of viewpoints, reach and M commute with NumPy's on dense arrays, sigma included."""
     rng = np.random.default_rng(3)
-    features = surface.SurfaceSamples(rng.random((5, 3)), rng.random((5, 3)), rng.random(5), [0] * 5, [0] * 5)
+    features = SurfaceSamples(rng.random((5, 3)), rng.random((5, 3)), rng.random(5), [0] * 5, [0] * 5)
     dense = [rng.random((5, n)) < 0.5 for n in (4, 1, 6)]
     parts = []
     for block in dense:
         indptr = np.concatenate([[0], np.cumsum(block.sum(axis=1))])
         sigma = (np.nonzero(block)[1] + 1 + len(parts) * 10).astype(np.float32)
         parts.append(Measurability(indptr, np.nonzero(block)[1], features, block.shape[1], sigma))
-    joined = columns.join_measurability(parts)
+    joined = join_measurability(parts)
     assert (joined.matrix().toarray() == np.hstack(dense)).all()
     expected = np.hstack([np.where(block, np.arange(block.shape[1]) + 1 + 10 * i, 0) for i, block in enumerate(dense)])
     assert (joined.sigma == expected[expected > 0]).all()
     which = rng.permutation(11)[:7]
-    assert (columns.pick_measurability(joined, which).matrix().toarray() == np.hstack(dense)[:, which]).all()
+    assert (pick_measurability(joined, which).matrix().toarray() == np.hstack(dense)[:, which]).all()
     reaches = [_reach(np.zeros(n), rng.random(n) < 0.5) for n in (4, 6)]
-    both = columns.join_reach(reaches)
+    both = join_reach(reaches)
     assert both.verdict.tolist() == [*reaches[0].verdict, *reaches[1].verdict]

@@ -24,7 +24,8 @@ from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.measurability import coverage
 from planner.reach import reach
-from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 from planner.why.reasons import Reason
 from planner.why.what_if import Kind
 

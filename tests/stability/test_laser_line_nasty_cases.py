@@ -10,8 +10,10 @@ from cell.scanners.laser_line import LaserLine
 from planner.errors import PlannerError
 from planner.measurability.matrix import fill, occlude
 from planner.ports import Rejection
-from planner.surface.surface import SurfaceSamples, TriangleMesh, sample
-from planner.viewpoints.viewpoints import Viewpoints, view_sphere
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples, sample
+from planner.viewpoints.sphere import view_sphere
+from planner.viewpoints.viewpoints import Viewpoints
 
 _MESH = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
 _BALL = TriangleMesh(_MESH.vertices, _MESH.faces.astype(np.int32))

@@ -10,7 +10,7 @@ from cell.reconstruction.reconstruct import ReconstructionStatus, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from cell.scanners.laser_area import LaserArea
 from planner.ports import Rejection
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 PLATE = TriangleMesh(
     np.array([[-0.05, -0.05, 0.0], [0.05, -0.05, 0.0], [0.05, 0.05, 0.0], [-0.05, 0.05, 0.0]]),

@@ -10,7 +10,8 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.measurability.matrix import measured
 from planner.ports import Rejection
-from planner.surface.surface import SurfaceSamples, TriangleMesh
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 
 BACK = np.array([[0.0, 0.0, -1.0]])
 AHEAD = np.array([[0.0, 0.0, 0.3]])

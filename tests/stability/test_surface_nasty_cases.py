@@ -7,8 +7,10 @@ import pytest
 import trimesh
 
 from planner.surface.closest import squared_distance
-from planner.surface.surface import TriangleMesh, decimate, face_areas, face_features, face_normals, sample
-from planner.viewpoints.viewpoints import optimal_scanning_zone
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_areas, face_normals
+from planner.surface.sample import face_features, sample
+from planner.viewpoints.zone import optimal_scanning_zone
 
 
 def sliver_cylinder() -> trimesh.Trimesh:

@@ -7,8 +7,9 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
 from planner.measurability import coverage
-from planner.surface.surface import SurfaceSamples, TriangleMesh, sample
-from planner.viewpoints.viewpoints import optimal_scanning_zone
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples, sample
+from planner.viewpoints.zone import optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(1, 1))
 

@@ -31,7 +31,7 @@ from drivers.limits import kr16
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_rad
 from planner.ports import JointLimits, Rejection
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, retime
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])

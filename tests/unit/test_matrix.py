@@ -14,9 +14,10 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
 from planner.measurability import matrix as measurability
-from planner.measurability.columns import pick_viewpoints
-from planner.surface import surface
-from planner.viewpoints.viewpoints import optimal_scanning_zone
+from planner.surface.decimate import decimate
+from planner.surface.sample import face_features, sample
+from planner.viewpoints.viewpoints import pick_viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 
 @pytest.fixture
@@ -26,8 +27,8 @@ def asked(tmp_path, monkeypatch):
     assert "humerus" in NAMES
     part = load("humerus")
     reference = part.reference
-    planning = surface.decimate(reference, 60)
-    features = surface.sample(reference, planning, 120, np.random.default_rng(0))
+    planning = decimate(reference, 60)
+    features = sample(reference, planning, 120, np.random.default_rng(0))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     calculated = []
 
@@ -40,7 +41,7 @@ def asked(tmp_path, monkeypatch):
 
     def ask(views, *, method="aimed", **keys):
         scene = load_scene(None, {"part": {"name": "humerus"}, "plan": {"fill": method}})
-        rows = features if method == "aimed" else surface.face_features(reference, planning)
+        rows = features if method == "aimed" else face_features(reference, planning)
         calculated.clear()
         M = part_matrix(scene, resolve(scene, part), reference, planning, rows, views, caster, **keys)
         return M, sum(calculated)

@@ -7,8 +7,10 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.surface.surface import SurfaceSamples, TriangleMesh, face_features, sample
-from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples, face_features, sample
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(2, 2))
 

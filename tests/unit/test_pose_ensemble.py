@@ -16,7 +16,7 @@ from planner.measurability.pose_ensemble import (
     times_measured,
 )
 from planner.ports import Hits, Rejection
-from planner.surface.surface import SurfaceSamples
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 

@@ -13,7 +13,7 @@ from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from planner.errors import PlannerError
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 
 VIEWS = 0.25 * np.array([[1, 0, 0.2], [-1, 0.1, 0], [0, 1, 0], [0, -1, 0.1], [0.3, 0, 1], [0, 0.2, -1]])
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
 from planner.surface.remesh import contract_short_edges, split_long_edges, stout
-from planner.surface.surface import TriangleMesh, decimate
 
 
 def needles() -> trimesh.Trimesh:

@@ -21,7 +21,7 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.world.world import World
 from cell.world.world import compile as compile_world
-from planner.surface.surface import decimate
+from planner.surface.decimate import decimate
 
 SCENE = """
 [placement]

@@ -15,9 +15,10 @@ from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.measurability.matrix import Measurability, fill
 from planner.reach.reach import Reach, Verdict
-from planner.surface import surface
-from planner.surface.surface import TriangleMesh
-from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.zone import optimal_scanning_zone
 
 BALL = trimesh.creation.icosphere(2, 0.05)
 PART = TriangleMesh(BALL.vertices, BALL.faces)
@@ -43,7 +44,7 @@ def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
     offsets = np.concatenate([[0], np.cumsum([len(q) for q in solutions])])
     verdict = np.full(len(views), Verdict.REACHABLE, dtype=np.uint8)
     reached = Reach(verdict, np.concatenate(solutions), offsets, ("",) * len(views))
-    features = surface.sample(PART, PART, 800, np.random.default_rng(0))
+    features = sample(PART, PART, 800, np.random.default_rng(0))
     return fill(views, features, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces)), reached, views
 
 

@@ -17,7 +17,8 @@ from cell.scene.scene import Scene
 from cell.study.stability import MAPS, broken_promises, sentences, stability_study
 from cell.study.stability_body import body
 from cell.study.trial import Outcome, Trial
-from planner.surface import surface
+from planner.surface.decimate import decimate
+from planner.surface.sample import sample
 
 _NUMBERS = [
     (name, line, border, outward)
@@ -123,8 +124,8 @@ def test_a_coarse_planning_mesh_is_told_and_a_fine_one_is_not() -> None:
     part = body(4).reference
     off = {}
     for faces in (12, 150, 600):
-        planning = surface.decimate(part, faces)
-        off[faces] = doubts.off_mesh(surface.sample(part, planning, 2000, np.random.default_rng(0)), planning)
+        planning = decimate(part, faces)
+        off[faces] = doubts.off_mesh(sample(part, planning, 2000, np.random.default_rng(0)), planning)
     assert off[12] > off[150] > off[600]
     assert doubts.planning_mesh(off[600], 600) == ""
     assert "of 12 faces is coarse" in doubts.planning_mesh(off[12], 12)

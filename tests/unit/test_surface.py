@@ -8,15 +8,9 @@ import trimesh
 
 from planner.errors import PlannerError
 from planner.surface.closest import squared_distance
-from planner.surface.surface import (
-    TriangleMesh,
-    decimate,
-    face_areas,
-    face_centres,
-    face_features,
-    face_normals,
-    sample,
-)
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
+from planner.surface.sample import face_features, sample
 
 
 def sphere(subdivisions: int = 4, radius: float = 0.1) -> TriangleMesh:

@@ -27,7 +27,7 @@ from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import Floats
-from planner.surface.surface import TriangleMesh
+from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, retime
 from planner.viewpoints.sweeps import straight_poses, turned_poses
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
+from planner.viewpoints.sphere import view_sphere
 from planner.viewpoints.sweeps import straight_poses, straight_sweep, swept, turned_poses, turned_sweep
-from planner.viewpoints.viewpoints import Viewpoints, view_sphere
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 def _views() -> Viewpoints:

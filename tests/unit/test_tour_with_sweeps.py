@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.order.tour import Passage, TourStatus, plan_motion
+from planner.order.tour import TourStatus, plan_motion
 from planner.path.sweeps.motion import sweeps_of
+from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import SweepPath, passages_of
 from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import Floats

@@ -7,8 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.errors import PlannerError
-from planner.surface.surface import TriangleMesh, face_centres, face_normals
-from planner.viewpoints.viewpoints import Viewpoints, enclosing_radius, optimal_scanning_zone, view_sphere
+from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.viewpoints.sphere import view_sphere
+from planner.viewpoints.viewpoints import Viewpoints, enclosing_radius
+from planner.viewpoints.zone import optimal_scanning_zone
 
 
 def ball(subdivisions: int = 2) -> TriangleMesh:

@@ -13,7 +13,7 @@ import trimesh
 
 from cell.errors import CellError, FileError, UsageError
 from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
-from planner.surface.surface import face_areas
+from planner.surface.mesh import face_areas
 
 
 def body() -> trimesh.Trimesh:

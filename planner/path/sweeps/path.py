@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.order.tour import Passage
 from planner.path.sweeps.line import SweepLine
+from planner.path.sweeps.passage import Passage
 from planner.ports import Floats
 from planner.reach.setpoints import to_steps
 from planner.timing.s_curve import Profile

@@ -1,0 +1,134 @@
+"""The planning mesh: a coarser copy of the reference, from which viewpoints are generated (Section 3.1).
+
+Object frame (the mesh file's axes), metres.
+"""
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.surface.mesh import Floats, Ints, TriangleMesh, face_areas
+from planner.surface.remesh import split_long_edges, stout
+
+_AGGRESSIONS = (7, 5, 6, 8, 4)  # in this order; 7 is the library's default, see `decimate`
+_TOO_LONG = 2.5  # edges above so many face sizes are split: a right triangle then has at most 1.6 times the wanted area
+
+_decimation_lock = threading.Lock()  # fast_simplification keeps its mesh in module globals
+
+
+def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
+    """A coarser copy with about so many faces, by quadric edge collapse.
+
+    The library's thresholds are absolute, so the mesh is brought to a diagonal of 1 first: the result does not depend
+    on the unit. At a high aggression it sometimes leaves edges with more than two faces, at a low one it stops short of
+    the count; the first aggression that does neither is taken, else the one that came nearest. Where the needles of a
+    CAD mesh hold it far above the count, it is made stout first (see `planner.surface.remesh`). Faces without area and
+    faces that appear twice are dropped from the result.
+
+    Args:
+        mesh: the reference, object frame.
+        face_count: how many faces to keep, > 0. A mesh that has no more keeps them all; faces far larger than wanted
+            are split, so that a box of 12 triangles still gives viewpoints all over its sides.
+
+    Returns:
+        The planning mesh, object frame. The count that came out is `len(result.faces)`: a miss is the caller's to judge
+        (needle-thin parts, several bodies or a count near the coarsest closed shape miss).
+
+    Raises:
+        PlannerError: if `face_count` is not positive, or no face has an area.
+    """
+    if face_count < 1:
+        raise PlannerError(f"face_count is {face_count}; it must be at least 1")
+    clean = _clean(mesh.vertices, mesh.faces)
+    if face_count >= len(clean.faces):
+        return _split(clean, face_count)
+    middle = (clean.vertices.min(axis=0) + clean.vertices.max(axis=0)) / 2
+    diagonal = clean.diagonal
+    fine = TriangleMesh((clean.vertices - middle) / diagonal, clean.faces)
+    best = _collapse(fine, face_count)
+    if len(best.faces) > face_count + _allowed_miss(face_count):
+        area = float(face_areas(fine).sum())
+        repaired = _clean(*stout(fine.vertices, fine.faces, np.sqrt(area / face_count)))
+        candidate = _collapse(repaired, face_count)
+        if len(candidate.faces) < len(best.faces) and abs(float(face_areas(candidate).sum()) / area - 1) < 0.2:
+            best = candidate
+    return TriangleMesh(best.vertices * diagonal + middle, best.faces)
+
+
+def collapse_edges(vertices: Floats, faces: Ints, face_count: int, aggression: int) -> tuple[Floats, Ints]:
+    """One run of the library's quadric edge collapse, safe to call from several threads.
+
+    Args:
+        vertices: (V, 3), scaled to a diagonal of about 1, see `decimate`.
+        faces: (F, 3).
+        face_count: how many faces to stop at; each collapse in a closed surface removes two.
+        aggression: how fast the error threshold grows from pass to pass; 7 is the library's default.
+
+    Returns:
+        (V', 3) vertices and (F', 3) faces as the library leaves them.
+    """
+    import fast_simplification  # kept out of the start-up of commands that decimate nothing
+
+    with _decimation_lock:
+        points, triangles = fast_simplification.simplify(
+            np.array(vertices), np.array(faces), target_count=face_count, agg=aggression
+        )
+    return points.astype(np.float64), triangles.astype(np.int32)
+
+
+def _split(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
+    """The same surface, its longest edges halved until they suit `face_count` faces; a mesh that does stays."""
+    longest = _TOO_LONG * np.sqrt(float(face_areas(mesh).sum()) / face_count)
+    vertices, faces = mesh.vertices, mesh.faces
+    before = 0
+    while before < len(faces) < face_count:  # a needle would be cut into ever more pieces
+        before = len(faces)
+        vertices, faces = split_long_edges(vertices, faces, longest)
+    return TriangleMesh(vertices, faces)
+
+
+def _collapse(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
+    """The best of several aggressions: first the count, then no edge of more than two faces. Diagonal of about 1."""
+    best, best_key = mesh, (True, float("inf"))
+    for aggression in _AGGRESSIONS:
+        vertices, faces = collapse_edges(mesh.vertices, mesh.faces, face_count, aggression)
+        if not len(faces):
+            continue
+        result = _clean(vertices, faces)
+        miss = abs(len(result.faces) - face_count)
+        key = (miss > _allowed_miss(face_count), float(_crowded_edges(result.faces) + max(miss - 2, 0)))
+        if key < best_key:
+            best, best_key = result, key
+        if key == (False, 0) or miss > face_count:  # nothing to improve; or stuck on slivers at any aggression
+            break
+    return best
+
+
+def _allowed_miss(face_count: int) -> float:
+    """Faces by which the count may be missed before another way is tried."""
+    return 2 + 0.02 * face_count
+
+
+def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
+    """Drop faces without area, faces that appear twice and vertices that no face uses; the order stays."""
+    extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
+    corners = vertices[faces]
+    twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    kept = faces[twice > 1e-14 * extent**2]  # below, the cross product is rounding
+    low, between, high = np.sort(kept, axis=1).T
+    order = np.lexsort((high, between, low))  # stable: of equal faces the first stays
+    again = (np.diff(low[order]) == 0) & (np.diff(between[order]) == 0) & (np.diff(high[order]) == 0)
+    kept = np.delete(kept, order[1:][again], axis=0)
+    if not len(kept):
+        raise PlannerError("no face of the mesh has an area; a surface needs at least one")
+    used, compact = np.unique(kept, return_inverse=True)
+    return TriangleMesh(vertices[used], compact.reshape(-1, 3).astype(np.int32))
+
+
+def _crowded_edges(faces: Ints) -> int:
+    """Number of edges that more than two faces share."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    _, uses = np.unique(edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1], return_counts=True)
+    return int((uses > 2).sum())

@@ -1,0 +1,71 @@
+"""Triangle meshes: the *reference* mesh is the part, the *planning* mesh its decimated copy (Section 3.1).
+
+Object frame (the mesh file's axes), metres.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.values import readonly
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriangleMesh:
+    """A triangle mesh; a face's corners turn counter-clockwise when seen from outside.
+
+    Attributes:
+        vertices: (V, 3) [m], object frame.
+        faces: (F, 3) int32 indices of vertices, F > 0.
+        diagonal: length of the bounding box's diagonal [m]; tolerances are shares of it.
+    """
+
+    vertices: Floats
+    faces: Ints
+    diagonal: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", readonly("vertices", self.vertices, (None, 3)))
+        object.__setattr__(self, "faces", readonly("faces", self.faces, (None, 3), np.int32))
+        if not np.isfinite(self.vertices).all():
+            raise PlannerError("vertices contains infinity; every coordinate must be finite")
+        if not len(self.faces):
+            raise PlannerError("faces is empty; a mesh needs at least one face")
+        if self.faces.min() < 0 or self.faces.max() >= len(self.vertices):
+            raise PlannerError(
+                f"faces refers to vertices {self.faces.min()} to {self.faces.max()}; "
+                f"valid are 0 to {len(self.vertices) - 1}"
+            )
+        object.__setattr__(self, "diagonal", float(np.linalg.norm(np.ptp(self.vertices, axis=0))))
+
+
+def face_normals(mesh: TriangleMesh) -> Floats:
+    """(F, 3) outward unit normals, object frame; zero for a face without area."""
+    cross = _cross(mesh)
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    normals: Floats = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
+    return normals
+
+
+def face_areas(mesh: TriangleMesh) -> Floats:
+    """(F,) areas [m^2]."""
+    areas: Floats = np.linalg.norm(_cross(mesh), axis=1) / 2
+    return areas
+
+
+def face_centres(mesh: TriangleMesh) -> Floats:
+    """(F, 3) centres of gravity of the faces [m], object frame."""
+    centres: Floats = mesh.vertices[mesh.faces].mean(axis=1)
+    return centres
+
+
+def _cross(mesh: TriangleMesh) -> Floats:
+    """(F, 3) cross product of two edges: twice the area long, outward."""
+    corners = mesh.vertices[mesh.faces]
+    cross: Floats = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return cross

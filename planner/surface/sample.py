@@ -1,0 +1,114 @@
+"""Samples that stand for the surface: rows of the measurability matrix, or points on which coverage is measured.
+
+Coverage is a sum of the areas of samples of the *reference* mesh (Section 3.2). Object frame, metres.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import PlannerError
+from planner.surface.closest import closest_face
+from planner.surface.mesh import Floats, Ints, TriangleMesh, face_areas, face_centres, face_normals
+from planner.values import readonly
+
+_GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceSamples:
+    """Surface features: the rows of the measurability matrix, or the points on which coverage is measured.
+
+    Attributes:
+        points: (S, 3) [m], object frame.
+        normals: (S, 3) outward unit normals, object frame.
+        areas: (S,) area that each one stands for [m^2].
+        face: (S,) int32 face of the reference mesh that it lies on (for a feature of the planning mesh: the closest).
+        planning_face: (S,) int32 face of the planning mesh that it belongs to.
+    """
+
+    points: Floats
+    normals: Floats
+    areas: Floats
+    face: Ints
+    planning_face: Ints
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", readonly("points", self.points, (None, 3)))
+        count = len(self.points)
+        object.__setattr__(self, "normals", readonly("normals", self.normals, (count, 3)))
+        object.__setattr__(self, "areas", readonly("areas", self.areas, (count,)))
+        object.__setattr__(self, "face", readonly("face", self.face, (count,), np.int32))
+        object.__setattr__(self, "planning_face", readonly("planning_face", self.planning_face, (count,), np.int32))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.random.Generator) -> SurfaceSamples:
+    """Area-weighted, stratified samples of the reference surface.
+
+    The faces are laid end to end by area along a space-filling (Morton) curve and the line is cut into `count` equal
+    strata; each gives one sample at a random place. So a patch of the surface holds its share of the samples to within
+    a few, where independent samples scatter with the square root. A face without area holds none.
+
+    Args:
+        reference: the part, object frame.
+        planning: its decimated copy, object frame, from which the planning faces are taken.
+        count: how many samples, > 0.
+        rng: source of randomness.
+
+    Returns:
+        `count` samples of equal area (total / count), in the order of the curve.
+
+    Raises:
+        PlannerError: if `count` is not positive or the reference has no area.
+    """
+    if count < 1:
+        raise PlannerError(f"count is {count}; at least 1 sample is needed")
+    areas = face_areas(reference)
+    order = _morton_order(face_centres(reference))
+    ends = np.cumsum(areas[order])
+    total = float(ends[-1])
+    if not total > 0:
+        raise PlannerError("the reference mesh has no area; every face of it is degenerate")
+    places = np.minimum((np.arange(count) + rng.random(count)) * (total / count), np.nextafter(total, 0))
+    slot = np.searchsorted(ends, places, side="right")  # 'right' passes over faces of zero length on the line
+    face = order[slot]
+    # Where on the face: the place within its stretch of the line is one coordinate (so stratified too), a golden-ratio
+    # sequence with a random start the other. The square root makes the density even over the triangle.
+    along = np.clip((places - (ends[slot] - areas[face])) / areas[face], 0, 1)
+    across = (rng.random() + _GOLDEN * np.arange(count)) % 1.0
+    root = np.sqrt(along)
+    weights = np.stack([1 - root, root * (1 - across), root * across], axis=1)
+    points = np.einsum("sc,scj->sj", weights, reference.vertices[reference.faces[face]])
+    normals = face_normals(reference)[face]
+    planning_face = closest_face(points, normals, planning.vertices[planning.faces], face_normals(planning))
+    return SurfaceSamples(points, normals, np.full(count, total / count), face.astype(np.int32), planning_face)
+
+
+def face_features(reference: TriangleMesh, planning: TriangleMesh) -> SurfaceSamples:
+    """The paper's rows: one feature per planning face, its centre, with the face's area (Section 3.5).
+
+    Args:
+        reference: the part, object frame.
+        planning: its decimated copy, object frame.
+
+    Returns:
+        As many features as the planning mesh has faces; `face` is the closest face of the reference.
+    """
+    points, normals = face_centres(planning), face_normals(planning)
+    face = closest_face(points, normals, reference.vertices[reference.faces], face_normals(reference))
+    return SurfaceSamples(points, normals, face_areas(planning), face, np.arange(len(points), dtype=np.int32))
+
+
+def _morton_order(points: Floats) -> NDArray[np.int64]:
+    """(N,) the order of points along a Z-shaped space-filling curve of 2^10 cells per axis."""
+    low = points.min(axis=0)
+    extent = float(np.ptp(points, axis=0).max()) or 1.0
+    cells = np.minimum((points - low) / extent * 1024, 1023).astype(np.uint32)
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)  # spread the bits of each coordinate apart
+    code = cells[:, 0] | (cells[:, 1] << np.uint32(1)) | (cells[:, 2] << np.uint32(2))
+    return np.argsort(code, kind="stable")
