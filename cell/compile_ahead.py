@@ -27,7 +27,7 @@ import planner
 from cell import caches
 
 if TYPE_CHECKING:
-    from cell.commands.narrator import Narrator
+    from cell.narrator import Narrator
 
 _PATIENCE_S = 120.0
 

@@ -4,6 +4,7 @@ Frames: `base` (robot foot, z up), `flange`, `scanner` (origin at the laser sour
 to sensor), `object` (the mesh file's axes, metres). `T_a_b` maps b-coordinates to a.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 from planner.values import readonly
 
 Floats = NDArray[np.float64]
+
+Progress = Callable[[int, int], None]
+"""Told `(done, total)` while something long goes on; what it raises ends the work."""
 
 
 class Rejection(IntEnum):

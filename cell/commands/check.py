@@ -24,7 +24,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
-    from cell.commands.narrator import Narrator
+    from cell.commands.terminal import Terminal
     from cell.scene.scene import load_scene
     from cell.world.check import check_scene
 
@@ -41,5 +41,8 @@ def check(
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
-        Narrator().check_table(result)
+        terminal = Terminal()
+        terminal.pairs("Scene", result.rows())
+        for problem in result.problems:
+            terminal.error(f"wrong: {problem}")
     raise typer.Exit(result.exit_code)

@@ -75,6 +75,6 @@ def cover(
     if as_json:
         sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
     else:
-        from cell.cover.cover_table import print_table
+        from cell.commands.terminal import Terminal
 
-        print_table(outcome)
+        Terminal().pairs(f"{outcome.path.name}: {outcome.result.sentence}", outcome.rows())

@@ -74,7 +74,7 @@ def export(
     ] = False,
 ) -> None:
     """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
-    from cell.commands.narrator import Narrator
+    from cell.commands.terminal import Terminal
     from cell.export.export import Format, Wanted
     from cell.export.export import export as run_export
 
@@ -90,7 +90,7 @@ def export(
     }
     outcome = run_export(run, Wanted(Format(kind), out, name, speed, acceleration, signals))
     if Format(kind) is Format.KRL:
-        Narrator(quiet_stdout=as_json).note(
+        Terminal(quiet_stdout=as_json).note(
             "before this program runs on a robot, check tool, base, signals and cell as docs/export.md says, and run "
             "it in T1 first"
         )

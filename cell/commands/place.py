@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import Preset
-from cell.commands.study import AsJson, Cluster, Out, Part, Processes, SceneFile, Units, scene_maker
+from cell.commands.study import AsJson, Cluster, Out, Part, Processes, SceneFile, Units, scene_maker, tell
 
 EPILOG = (
     "Examples:\n\n"
@@ -35,7 +35,7 @@ def place(
     as_json: AsJson = False,
 ) -> None:
     """Search where the part should stand: most coverage, then fewest views, then the shortest cycle."""
-    from cell.commands.narrator import Narrator
+    from cell.commands.terminal import Terminal
     from cell.study.place import Range, pictures, search, sentences
     from cell.study.ranges import span
     from cell.study.study import StudyResult, study_folder, write_folder
@@ -47,10 +47,10 @@ def place(
     where = Range((x0, y0, z0, a0), (x1, y1, z1, a1))
     checked = scene_maker(part, units, scene, preset)({} if seed is None else {"plan": {"seed": seed}})
     folder = study_folder("place", out)
-    narrator = Narrator(quiet_stdout=as_json)
+    terminal = Terminal(quiet_stdout=as_json)
     with (
         open_workers(os.cpu_count() or 1 if processes is None else processes, cluster) as workers,
-        narrator.rounds() as progress,
+        terminal.rounds() as progress,
     ):
         found = search(checked, where, workers, progress=progress)
     result = StudyResult(folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]))
@@ -59,4 +59,4 @@ def place(
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
-        narrator.study_table(result)
+        tell(terminal, result)

@@ -193,7 +193,8 @@ def plan(
     ] = False,
 ) -> None:
     """Plan the views that measure a part: which, whether the robot reaches them, in which order, along which motion."""
-    from cell.commands.narrator import Narrator
+    from cell.commands.terminal import Terminal
+    from cell.plan import report
     from cell.plan.pipeline import plan as run_plan
     from cell.scene.scene import load_scene
 
@@ -236,7 +237,7 @@ def plan(
     if speed is not None:
         tables["robot"] = {"speed_scaling": speed}
     tables["scanner"] = {k: v for k, v in {"sensor": sensor, "baseline_mm": baseline}.items() if v is not None}
-    narrator = Narrator(quiet_stdout=as_json)
+    terminal = Terminal(quiet_stdout=as_json)
     with options.named_as_options(tables):
         checked = load_scene(scene, tables)
     outcome = run_plan(
@@ -245,10 +246,11 @@ def plan(
         out=out,
         argv=sys.argv[1:],
         use_cache=not no_cache,
-        narrator=narrator,
+        narrator=terminal,
     )
     if as_json:
         sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
     else:
-        narrator.plan_table(outcome)
+        rows = [*report.table(outcome.summary), ("run folder", str(outcome.folder))]
+        terminal.pairs(f"View plan of {outcome.summary['part']['name']}", rows)
     raise typer.Exit(outcome.exit_code)

@@ -43,7 +43,7 @@ def replay(
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of frames and picture in pixels.")] = "960x720",
 ) -> None:
     """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
-    from cell.commands.narrator import Narrator
+    from cell.commands.terminal import Terminal
     from cell.replay.replay import ReplayOptions
     from cell.replay.replay import replay as run_replay
 
@@ -53,6 +53,6 @@ def replay(
     wanted = ReplayOptions(
         execution, view, tightest, speed, frames, picture, fps, every, (int(width), int(height)), once
     )
-    made = run_replay(run, wanted, Narrator())
+    made = run_replay(run, wanted, Terminal())
     if made:
         sys.stdout.write(made + "\n")

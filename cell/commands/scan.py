@@ -126,8 +126,8 @@ def scan(
     ] = False,
 ) -> None:
     """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
-    from cell.commands.narrator import Narrator
-    from cell.scan import post_processing
+    from cell.commands.terminal import Terminal
+    from cell.scan import execution_report, post_processing
     from cell.scan import scan as scan_command
     from cell.scan.options import ScanOptions
 
@@ -148,8 +148,8 @@ def scan(
         url, realtime, view, resolution, range_noise, errors[0], errors[1], register, close_holes, seed, noise,
         confirm_motion, speed, reset,
     )  # fmt: skip
-    narrator = Narrator(quiet_stdout=as_json)
-    ask = narrator.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
+    terminal = Terminal(quiet_stdout=as_json)
+    ask = terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
     if report is not None and resume is not None:
         raise UsageError("--report makes the report of what is there, --resume scans what is missing; give one of them")
     if resume is not None:
@@ -159,15 +159,16 @@ def scan(
                 "--resume goes on as the execution was begun; beside it give only --driver, --realtime, --speed, "
                 "--confirm-motion and --reset"
             )
-        outcome = scan_command.resume(run, resume, this_time, argv=sys.argv[1:], narrator=narrator, ask=ask)
+        outcome = scan_command.resume(run, resume, this_time, argv=sys.argv[1:], narrator=terminal, ask=ask)
     elif report is None:
-        outcome = scan_command.scan(run, wanted, argv=sys.argv[1:], narrator=narrator, ask=ask)
+        outcome = scan_command.scan(run, wanted, argv=sys.argv[1:], narrator=terminal, ask=ask)
     elif wanted == ScanOptions():
-        outcome = post_processing.report(run, report, narrator)
+        outcome = post_processing.report(run, report, terminal)
     else:
         raise UsageError("--report makes the report of what was scanned; leave the options of a new scan away")
     if as_json:
         sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
     else:
-        narrator.scan_table(outcome)
+        rows = [*execution_report.table(outcome.summary), ("execution", str(outcome.folder))]
+        terminal.pairs(f"Scan of {outcome.summary['part']['name']}", rows)
     raise typer.Exit(outcome.exit_code)

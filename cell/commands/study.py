@@ -12,9 +12,10 @@ import typer
 from cell.commands.options import Preset
 
 if TYPE_CHECKING:
+    from cell.commands.terminal import Terminal
     from cell.scene.scene import Scene
     from cell.study.curves import SceneWith
-    from cell.study.study import Study
+    from cell.study.study import Study, StudyResult
 
 EPILOG = (
     "Examples:\n\n"
@@ -49,19 +50,32 @@ def conducted(
     make: "Callable[[], Study]", processes: int | None, cluster: str | None, out: Path | None, as_json: bool
 ) -> None:
     """Run a study and show what it says."""
-    from cell.commands.narrator import Narrator
+    from cell.commands.terminal import Terminal
     from cell.study.study import conduct
     from cell.study.workers import open_workers
 
-    narrator = Narrator(quiet_stdout=as_json)
+    terminal = Terminal(quiet_stdout=as_json)
     with open_workers(os.cpu_count() or 1 if processes is None else processes, cluster) as workers:
-        result = conduct(make(), workers, out=out, narrator=narrator)
+        result = conduct(make(), workers, out=out, narrator=terminal)
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
-        narrator.study_table(result)
+        tell(terminal, result)
     if not result.rows:
         raise typer.Exit(_NOTHING)
+
+
+def tell(terminal: "Terminal", result: "StudyResult") -> None:
+    """What a study says; the rows are in its folder."""
+    from cell.study.study import shown
+
+    if result.rows:
+        terminal.grid(result.shown, [[shown(row.get(column)) for column in result.shown] for row in result.rows])
+    for sentence in result.sentences:
+        terminal.say(sentence)
+    kept = f"{result.computed} trials computed now" if result.rows else "nothing succeeded"
+    failed = f", {len(result.failed)} failed (see report.md)" if result.failed else ""
+    terminal.say(f"{kept}{failed}; study folder {result.folder}")
 
 
 def _table(name: str, help_text: str) -> None:

@@ -30,12 +30,19 @@ def why(
     ] = False,
 ) -> None:
     """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
-    from cell.commands.narrator import Narrator
+    from cell.commands.terminal import Terminal
+    from cell.why import files as why_files
     from cell.why.explain import explain
 
-    narrator = Narrator(quiet_stdout=as_json)
-    outcome = explain(run, narrator, samples=samples)
+    terminal = Terminal(quiet_stdout=as_json)
+    outcome = explain(run, terminal, samples=samples)
     if as_json:
         sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
     else:
-        narrator.why_table(outcome)
+        summary = outcome.summary
+        if summary["groups"]:
+            title = f"Why {100 * summary['open']:.2f} % of {summary['part']} stay open"
+            terminal.grid(why_files.TABLE_COLUMNS, why_files.table_rows(summary), title)
+        else:
+            terminal.say("nothing stays open")
+        terminal.say(f"files: {outcome.folder}")

@@ -52,6 +52,20 @@ class CoverOutcome:
             "seconds": round(self.seconds, 3),
         }
 
+    def rows(self) -> list[tuple[str, str]]:
+        """What a terminal shows: the problem, the cover, what is proven about it, and the columns."""
+        said, result = self.as_json(), self.result
+        return [
+            ("problem", f"{said['rows']} rows, {said['columns']} columns, {said['entries']} ones ({said['format']})"),
+            ("columns", str(said["n_views"])),
+            *([] if result.price is None else [("cost", f"{said['cost']:.10g}")]),
+            ("lower bound", f"{said['lower_bound']:.10g}"),
+            ("gap", f"{100 * said['gap']:.1f} %"),
+            *([("rows without a column", str(len(result.uncoverable_rows)))] if len(result.uncoverable_rows) else []),
+            ("solver", f"{said['solver']}, {said['seconds']:.2f} s"),
+            ("chosen", " ".join(map(str, said["views"]))),
+        ]
+
 
 def solve_file(
     path: Path,

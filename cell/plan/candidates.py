@@ -16,14 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.commands.narrator import ProgressCallback
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
 from planner.measurability.columns import join_measurability
 from planner.measurability.matrix import Measurability
-from planner.ports import RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.reach.reach import Reach, join_reach
 from planner.surface.mesh import TriangleMesh
 from planner.viewpoints import targeted
@@ -89,7 +88,7 @@ def grow(
     casters: Sequence[RayCaster],
     reach_of: Callable[[Viewpoints], Reach],
     measure: Callable[[Viewpoints], Measurability],
-    progress: ProgressCallback | None = None,
+    progress: Progress | None = None,
 ) -> Grown:
     """Append candidates until nothing more becomes coverable.
 

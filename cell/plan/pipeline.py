@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from cell import compile_ahead, scanners
-from cell.commands.narrator import Narrator, ProgressCallback
 from cell.compile_ahead import Ahead
 from cell.errors import FileError, UnreachableError
+from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
@@ -43,7 +43,7 @@ from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import compile as compile_world
 from planner.measurability.matrix import Measurability, occlude
-from planner.ports import Scanner
+from planner.ports import Progress, Scanner
 from planner.reach import reach
 from planner.reach.reach import Reach
 from planner.surface.decimate import decimate
@@ -95,7 +95,7 @@ class Run:
     use_cache: bool
 
     @contextmanager
-    def step(self, name: str) -> Iterator[ProgressCallback]:
+    def step(self, name: str) -> Iterator[Progress]:
         """Name the step to the person and to the manifest."""
         with self.narrator.stage(name) as progress, self.folder.stage(name):
             yield progress
@@ -174,7 +174,7 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: A
 
     with run.step("reach") as progress:
 
-        def reach_of(views: Viewpoints, progress: ProgressCallback | None = None) -> Reach:
+        def reach_of(views: Viewpoints, progress: Progress | None = None) -> Reach:
             poses = scanners.swept(scanner, views)
             return reach.solve(
                 poses, world.T_base_object, world.T_flange_scanner, kinematics, checker, progress=progress

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.commands.narrator import ProgressCallback
 from cell.rays.prediction import Prediction
 from cell.scene.scene import Plan
 from planner.measurability.matrix import Measurability, measured
@@ -21,7 +20,7 @@ from planner.measurability.pose_ensemble import (
     probability_layer,
     times_measured,
 )
-from planner.ports import Floats, RayCaster, Scanner
+from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.reach.reach import Reach
 from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
@@ -47,7 +46,7 @@ def layer(
     casters: Sequence[RayCaster],
     rng: np.random.Generator,
     *,
-    progress: ProgressCallback | None = None,
+    progress: Progress | None = None,
 ) -> ProbabilityLayer | None:
     """Probabilities of the matrix' entries; None where the scene knows no pose error.
 
@@ -98,7 +97,7 @@ def simulate(
     T_object_poses: Floats,
     prediction: Prediction,
     rng: np.random.Generator,
-    progress: ProgressCallback,
+    progress: Progress,
 ) -> Kept:
     """Execute the plan's views with errors, and compare with what is promised of the same samples.
 

@@ -92,6 +92,36 @@ def markdown(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def table(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What a terminal shows of the plan: names and values.
+
+    Args:
+        summary: the object that `report.json` holds.
+    """
+    coverage, motion, verdicts = summary["coverage"], summary["motion"], summary["verdicts"]
+    clearance, bound = motion["minimum_clearance_mm"], motion["jerk_free_bound_s"]
+    fewest = summary["lower_bound"]
+    rows = [
+        ("views", f"{summary['n_views']}  ({summary['status']})"),
+        ("lower bound", f"{'1 view' if fewest == 1 else f'{fewest} views'} for these candidates and samples"),
+        (
+            "visible coverage",
+            f"{_percent(coverage['visible'])} of the surface, {_percent(coverage['visible_of_coverable'])} of what "
+            "reachable candidates can measure",
+        ),
+        *told.rows(summary),
+        ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in verdicts.items())),
+    ]
+    if summary["dropped"]:
+        rows.append(("dropped", "; ".join(f"view {view['id']}: {view['reason']}" for view in summary["dropped"])))
+    took = (
+        f"{motion['duration_s']:.1f} s from home to home through {motion['via_points']} points"
+        + (f", {motion['duration_s'] / bound:.3f} x the time-optimal bound without jerk limit" if bound else "")
+        + ("" if clearance is None else f"; nearest {clearance:.1f} mm ({motion['between']})")
+    )
+    return [*rows, ("motion", took)]
+
+
 def _scanner_rows(settings: Mapping[str, Any]) -> list[str]:
     """The scanner's rows of the table; a plug-in's own keys stand as they are named."""
     row = f"| scanner | {settings.get('sensor') or settings['scanner']}, standoff {_list(settings['standoffs_mm'])} mm"

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.commands.narrator import ProgressCallback
 from cell.errors import SceneError, UnreachableError
 from cell.plan import view_exchange
 from cell.plan.request import Request, Selected, select
@@ -33,7 +32,7 @@ from planner.order.order_overlap import overlapping
 from planner.order.orderings import Ordering
 from planner.order.tour import Tour, TourStatus, plan_motion
 from planner.path.sweeps.path import SweepPath
-from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
+from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics, Progress
 from planner.reach.reach import Reach
 from planner.timing.motion import TimedLine
 from planner.values import readonly
@@ -122,7 +121,7 @@ def select_and_connect(
     request: Request,
     selection_rng: np.random.Generator,
     motion_rng: np.random.Generator,
-    progress: ProgressCallback | None = None,
+    progress: Progress | None = None,
 ) -> ConnectedPlan:
     """Choose the views and the motion through them.
 

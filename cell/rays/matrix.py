@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell import caches, scanners
-from cell.commands.narrator import ProgressCallback
 from cell.errors import FileError, SceneError
 from cell.rays import matrix_cache as measurability_cache
 from cell.rays.matrix_cache import Hashes
@@ -17,14 +16,14 @@ from cell.scene.scene import Scene
 from planner.measurability import quality
 from planner.measurability.columns import join_measurability, pick_measurability
 from planner.measurability.matrix import Measurability, fill
-from planner.ports import RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.closest import closest_face
 from planner.surface.mesh import TriangleMesh, face_centres, face_normals
 from planner.surface.sample import SurfaceSamples, face_features, sample
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 if TYPE_CHECKING:
-    from cell.commands.narrator import Narrator
+    from cell.narrator import Narrator
     from planner.ports import SigmaScanner
 
 
@@ -61,7 +60,7 @@ def part_matrix(
     *,
     narrator: "Narrator | None" = None,
     use_cache: bool = True,
-    progress: ProgressCallback | None = None,
+    progress: Progress | None = None,
 ) -> Measurability:
     """Fill M for the part alone, or take from the cache what it holds of it; only the other columns are calculated.
 

@@ -1,6 +1,6 @@
 """Predicted coverage of a plan on samples that the optimiser has not seen (planner/measurability/coverage.py)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import measured
-from planner.ports import Floats, RayCaster, Scanner
+from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
 
@@ -54,7 +54,7 @@ class Prediction:
         scanner: Scanner,
         casters: Sequence[RayCaster],
         T_object_scanner: Floats,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress | None = None,
     ) -> "Prediction":
         """Ask the reachable candidates.
 

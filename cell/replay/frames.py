@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.commands.narrator import ProgressCallback
 from cell.errors import FileError
 from cell.replay.closest import close_camera
 from cell.replay.offscreen import Image, OffScreen
 from cell.replay.show import Show, show_what_is_seen
+from planner.ports import Progress
 
 
 def frame_times(duration: float, start: float, fps: float, speed: float, every: int) -> list[tuple[int, float]]:
@@ -47,7 +47,7 @@ def write_frames(
     fps: float = 25.0,
     speed: float = 1.0,
     every: int = 1,
-    progress: ProgressCallback | None = None,
+    progress: Progress | None = None,
 ) -> int:
     """Draw the show as `frame_00001.png`, ... into a folder.
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.commands.narrator import Narrator
 from cell.errors import FileError, UsageError
+from cell.narrator import Narrator
 from cell.replay import timeline as replay_timeline
 from cell.replay.closest import of_plan
 from cell.replay.frames import require_empty, write_frames, write_picture

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.commands.narrator import ProgressCallback
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.pose_error import Disturbance
@@ -25,7 +24,7 @@ from drivers.commands import Move, Result
 from drivers.contract import Driver, RobotState
 from drivers.limits import refuse
 from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
-from planner.ports import Floats, Rejection
+from planner.ports import Floats, Progress, Rejection
 from planner.timing.motion import Motion, retime
 
 POSE, NOISE = 10, 11
@@ -130,7 +129,7 @@ def run(
     seed: int,
     speed: float,
     clock: Clock,
-    progress: ProgressCallback | None = None,
+    progress: Progress | None = None,
 ) -> float:
     """Execute and record.
 

@@ -46,6 +46,44 @@ def markdown(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def table(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What a terminal shows of the execution: names and values.
+
+    Args:
+        summary: the object that the execution's `report.json` holds.
+    """
+    coverage, deviation, registration = summary["coverage"], summary["deviation"], summary["registration"]
+    motion, cloud, model = summary["motion"], summary["cloud"], summary["model"]
+    missing = "" if summary["complete"] else "  (not complete, see report.md)"
+    rows = [
+        ("views", f"{summary['n_views']} of {summary['n_views_planned']}{missing}"),
+        ("points", f"{summary['n_points']:,}"),
+        (
+            "visible coverage",
+            f"{_percent(coverage['visible'])} of the surface, predicted {_percent(coverage['predicted'])}",
+        ),
+        (
+            "sampled coverage",
+            f"{_percent(coverage['sampled'])} within {coverage['sampled_radius_mm']:.3g} mm of a point",
+        ),
+    ]
+    if registration is not None and cloud["rms_to_reference_mm"] is not None:
+        residuals = (
+            f"points to reference {cloud['rms_to_reference_as_reported_mm']:.4f} mm rms as reported, "
+            f"{cloud['rms_to_reference_mm']:.4f} mm registered"
+        )
+        left = left_as_reported(summary)
+        rows += [("registration", residuals), *([("", left)] if left else [])]
+    surface = (
+        str(model["status"])
+        if deviation is None
+        else f"{model['faces']:,} faces, deviation {deviation['rms_mm']:.3f} mm rms, "
+        f"95 % within {deviation['quantile_95_mm']:.3f} mm, largest {deviation['largest_mm']:.3f} mm"
+    )
+    took = "" if motion["executed_s"] is None else f", {motion['executed_s']:.1f} s by the controller"
+    return [*rows, ("surface", surface), ("motion", f"{motion['planned_s']:.1f} s planned{took}")]
+
+
 def _opening(summary: Mapping[str, Any]) -> str:
     coverage, deviation = summary["coverage"], summary["deviation"]
     text = (

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cell.commands.narrator import Narrator
 from cell.errors import FileError
+from cell.narrator import Narrator
 from cell.reconstruction import cloud_files
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.nearest import NearestSurface

@@ -9,8 +9,8 @@ from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from cell.commands.narrator import Narrator
 from cell.errors import DriverFailureError, FileError, UsageError
+from cell.narrator import Narrator
 from cell.plant import factory
 from cell.run import process
 from cell.run import reader as run_reader

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cell.commands.narrator import Narrator, ProgressCallback
 from cell.errors import FileError
+from cell.narrator import Narrator
 from cell.run.record import RunRecord, open_run
 from cell.scan.execution_folder import ExecutionFolder
+from planner.ports import Progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +38,7 @@ class Work:
     narrator: Narrator
 
     @contextmanager
-    def step(self, name: str) -> Iterator[ProgressCallback]:
+    def step(self, name: str) -> Iterator[Progress]:
         """Name the step to the person and to the manifest."""
         with self.narrator.stage(name) as progress, self.folder.stage(name):
             yield progress

@@ -19,8 +19,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from cell.commands.narrator import Narrator
 from cell.errors import FileError
+from cell.narrator import Narrator
 from cell.study.run import run
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import Workers

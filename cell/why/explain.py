@@ -41,7 +41,7 @@ from planner.why.what_if import WhatIf
 from planner.why.why import Diagnosis
 
 if TYPE_CHECKING:
-    from cell.commands.narrator import Narrator
+    from cell.narrator import Narrator
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -126,6 +126,9 @@ def ply(answer: Answer) -> bytes:
     return ("\n".join(header) + "\n").encode() + points.tobytes()
 
 
+TABLE_COLUMNS = ("reason", "of the surface", "where (mm, part)", "what would measure it")
+
+
 def table_rows(content: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     """Rows of the table: reason, share and area, where, what would measure it."""
     rows = []

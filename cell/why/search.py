@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.commands.narrator import ProgressCallback
 from cell.why.changes import Changes, ladder_masks
 from cell.why.groups import OpenGroup
-from planner.ports import Floats
+from planner.ports import Floats, Progress
 from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.lines_of_sight import Indices, Targets
 from planner.why import what_if
@@ -87,7 +86,7 @@ def search(
     targets: Targets,
     samples: SurfaceSamples,
     groups: Sequence[OpenGroup],
-    progress: ProgressCallback,
+    progress: Progress,
 ) -> Findings:
     """Try every change and name the best.
 
@@ -144,7 +143,7 @@ def _try(
     targets: Targets,
     samples: SurfaceSamples,
     groups: Sequence[OpenGroup],
-    progress: ProgressCallback,
+    progress: Progress,
 ) -> _Trial:
     rows = np.sort(np.concatenate([group.rows for group in groups]))
     wanted = [max(_FEWEST, round(_REPRESENTATIVES * len(group.rows) / len(rows))) for group in groups]
@@ -168,7 +167,7 @@ def _try(
 
 
 def _verify(
-    trial: _Trial, asked: Sequence[tuple[int, Indices]], targets: Targets, progress: ProgressCallback
+    trial: _Trial, asked: Sequence[tuple[int, Indices]], targets: Targets, progress: Progress
 ) -> dict[int, Named]:
     """Each change asked about every sample that it is named for."""
     rows_of: dict[int, list[Indices]] = {}

@@ -14,14 +14,13 @@ Base frame, metres, radians.
 """
 
 import heapq
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from planner.ports import Floats
+from planner.ports import Floats, Progress
 from planner.values import readonly
 
 TOLERANCE = 2e-4
@@ -82,7 +81,7 @@ def of_motion(
     via: Floats,
     segment: NDArray[np.integer],
     segments: int,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> MotionClearance:
     """Measure a motion.
 

@@ -12,7 +12,6 @@ Deterministic: the samples are drawn with a fixed seed. Work is bounded by the n
 the number of triangles. Object frame, metres.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from cell.world import piece_cache
 from cell.world.solid_hull import solid_hull
+from planner.ports import Progress
 from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
 
 Floats = NDArray[np.float64]
@@ -36,8 +36,6 @@ _SCORED = 500  # samples of a cell that its cuts are compared on
 _SHARES = (0.15, 0.25, 0.35, 0.45, 0.5, 0.55, 0.65, 0.75, 0.85)  # where cuts are tried, along each axis of the object
 _PROBES = 400  # points of a hull at which its distance from the surface is looked at
 _FLAT = 1e-5  # m; hulls of cells thinner than this count as having this thickness
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

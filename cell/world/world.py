@@ -7,7 +7,6 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,7 @@ from cell.robot import model as robot
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
-from planner.ports import JointLimits
+from planner.ports import JointLimits, Progress
 from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
 
@@ -183,7 +182,7 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
     baseline_mm: float | None = None,
     refuse: bool = True,
     use_cache: bool = True,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> World:
     """Build and compile the model of a scene.
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.measurability.matrix import Progress, measured
-from planner.ports import Floats, RayCaster, Scanner
+from planner.measurability.matrix import measured
+from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import readonly

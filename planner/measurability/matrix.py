@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.measurability.raygrid import scanned_rows
-from planner.ports import Floats, RayCaster, Scanner
+from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import readonly
@@ -34,8 +34,6 @@ METHODS = ("aimed", "rays")
 _OPEN_BUNDLE = (
     40_000  # pairs between two looks at which samples are still open: few wasted legs, calls still at full speed
 )
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

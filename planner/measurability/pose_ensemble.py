@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.measurability.matrix import Measurability, Progress
-from planner.ports import Floats, RayCaster, Scanner
+from planner.measurability.matrix import Measurability
+from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.sample import SurfaceSamples
 from planner.values import readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free

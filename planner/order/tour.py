@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.order import orderings as ordering_of_views
 from planner.order.roadmap import Roadmap
-from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, Progress, TourSearch
+from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
 from planner.path.certified_edge import clearance_along
 from planner.path.path import path_time
 from planner.path.sweeps.passage import Passage
-from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.ports import CollisionChecker, Floats, JointLimits, Progress
 from planner.timing.motion import check_inside, check_limits
 from planner.values import readonly
 

@@ -7,7 +7,6 @@ optimal under these prices and whose edges are all real is optimal over the real
 prices of colliding moves are not too high.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,11 +17,10 @@ from planner.order import generalised_tsp as gtsp
 from planner.order import orderings as ordering_of_views
 from planner.order.roadmap import Edge, Roadmap
 from planner.path.path import CHECKS, path_time
-from planner.ports import Floats, JointLimits
+from planner.ports import Floats, JointLimits, Progress
 
 Ints = NDArray[np.int64]
 
-Progress = Callable[[int, int], None]
 """Called with the number of real edges and the number of edges of the tour under work."""
 
 

@@ -11,7 +11,7 @@ Rounding moves the scanner by at most 6 axes x 5e-5 deg x reach, about 8 microme
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.ports import CollisionChecker, Kinematics
+from planner.ports import CollisionChecker, Kinematics, Progress
 from planner.reach.setpoints import Setpoints, setpoints
 from planner.values import readonly
 
@@ -116,7 +116,7 @@ def solve(
     kinematics: Kinematics,
     checker: CollisionChecker,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Reach:
     """Verdict and all free set-points of every viewpoint, at one placement of the part.
 

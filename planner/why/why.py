@@ -16,14 +16,14 @@ angle of that leg, and, where a condition has no degree (shading, reach), the on
 frame, metres, radians.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.ports import Floats, RayCaster, Rejection, Scanner
+from planner.ports import Floats, Progress, RayCaster, Rejection, Scanner
 from planner.values import readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses
 from planner.viewpoints.viewpoints import Viewpoints
@@ -72,7 +72,7 @@ def diagnose(
     occluder_caster: RayCaster,
     fails: NDArray[np.uint8],
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Diagnosis:
     """Why points stay open.
 

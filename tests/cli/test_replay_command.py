@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay import marks
 from cell.replay.offscreen import PACKAGES, OffScreen, backend
@@ -36,7 +36,7 @@ draws = pytest.mark.skipif(backend() is None, reason=f"neither EGL nor OSMesa ca
 @pytest.fixture(scope="module")
 def show(planned: Path) -> Show:
     """The finished run, ready to be drawn."""
-    return load_show(open_run(planned), None, _SIZE, Narrator())
+    return load_show(open_run(planned), None, _SIZE, Terminal())
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +186,7 @@ def test_frames_and_picture_through_the_command_line(planned: Path, tmp_path: Pa
     assert all((one[40:] != other[40:]).any() for one, other in itertools.pairwise(frames[:-1]))
     assert _orange(np.asarray(Image.open(tmp_path / "p.png"))).sum() > 2000
     with pytest.raises(FileError, match="film holds frames already"):
-        replay(planned, ReplayOptions(frames=tmp_path / "film"), Narrator())
+        replay(planned, ReplayOptions(frames=tmp_path / "film"), Terminal())
 
 
 @draws
@@ -204,7 +204,7 @@ def test_an_execution_shows_its_points(
             scans / f"{number:04d}.npz", view=view.id, q_commanded=view.q, q_reported=view.q + 1e-3, points=points
         )
     (scans / "0003.npz").write_bytes((scans / "0003.npz").read_bytes()[:500])
-    executed = load_show(run, "latest", _SIZE, Narrator())
+    executed = load_show(run, "latest", _SIZE, Terminal())
     assert "0003.npz is damaged or cut short" in capsys.readouterr().err
     assert len(executed.timeline.stops) == 2
     np.testing.assert_allclose(
@@ -225,7 +225,7 @@ def test_an_execution_shows_its_points(
     assert (changed >= [rows.min() - 2, columns.min() - 2]).all()
     assert (changed <= [rows.max() + 2, columns.max() + 2]).all()
     with pytest.raises(UsageError, match="--view 3 is no view of this run; valid are 1 to 2, in visiting order"):
-        replay(folder, ReplayOptions("latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Narrator())
+        replay(folder, ReplayOptions("latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Terminal())
 
 
 @draws
@@ -248,9 +248,9 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
     (folder / "cell.xml").unlink()
     options = ReplayOptions(picture=tmp_path / "q.png")
     with pytest.raises(FileError, match="so there is no cell to show: the run failed"):
-        replay(folder, options, Narrator())
+        replay(folder, options, Terminal())
     with pytest.raises(FileError, match=r"run\.part does"):
-        replay(tmp_path / "run", options, Narrator())
+        replay(tmp_path / "run", options, Terminal())
 
 
 def test_without_a_display_and_without_a_renderer_a_sentence_says_what_to_do(planned: Path, tmp_path: Path) -> None:
@@ -274,7 +274,7 @@ import json, sys
 from pathlib import Path
 import numpy as np
 from PIL import ImageGrab
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.replay.replay import ReplayOptions, replay
 
 ticks, oranges, places = [0.0], [], []
@@ -292,7 +292,7 @@ def wait(seconds):
     places.append(float(np.nonzero(orange)[1].mean()) if orange.any() else None)
     ticks[0] += 1.6
 
-replay(Path(sys.argv[1]), ReplayOptions(once=True), Narrator(), clock=clock, wait=wait)
+replay(Path(sys.argv[1]), ReplayOptions(once=True), Terminal(), clock=clock, wait=wait)
 print(json.dumps({"oranges": oranges, "places": places}))
 """
 

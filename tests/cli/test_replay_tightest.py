@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay.closest import add_closest, close_camera
 from cell.replay.offscreen import PACKAGES, OffScreen, backend
@@ -30,7 +30,7 @@ draws = pytest.mark.skipif(backend() is None, reason=f"neither EGL nor OSMesa ca
 @pytest.fixture(scope="module")
 def show(planned: Path) -> Show:
     """The finished run, ready to be drawn."""
-    return load_show(open_run(planned), None, _SIZE, Narrator())
+    return load_show(open_run(planned), None, _SIZE, Terminal())
 
 
 def test_the_show_stands_where_the_plan_says_that_it_is_tightest(planned: Path, show: Show) -> None:
@@ -125,9 +125,9 @@ def test_a_run_that_does_not_know_it_says_so(planned: Path, tmp_path: Path) -> N
         (folder / "plan.json").write_text(json.dumps(content))
 
     written({key: value for key, value in plan.items() if key != "clearance"})
-    assert load_show(open_run(folder), None, _SIZE, Narrator()).closest is None
+    assert load_show(open_run(folder), None, _SIZE, Terminal()).closest is None
     with pytest.raises(UsageError, match="this replay knows none"):
-        replay(folder, ReplayOptions(tightest=True, picture=tmp_path / "x.png", size=_SIZE), Narrator())
+        replay(folder, ReplayOptions(tightest=True, picture=tmp_path / "x.png", size=_SIZE), Terminal())
     written(plan | {"clearance": {"tightest": {"time_s": "soon"}}})
     with pytest.raises(FileError, match=r"plan\.json"):
-        load_show(open_run(folder), None, _SIZE, Narrator())
+        load_show(open_run(folder), None, _SIZE, Terminal())

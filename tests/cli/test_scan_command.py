@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.errors import DriverFailureError, FileError
 from cell.run import process
 from cell.run.record import RunRecord, open_run
@@ -68,11 +68,11 @@ def _without_schema(folder: Path) -> dict[str, Any]:
 def _scan(run: Path, **options: Any) -> ScanOutcome:
     """A scan in this process, at 1 degree where nothing else is said."""
     asked = ScanOptions(**{"resolution_deg": 1.0, **options})
-    return scan_command.scan(run, asked, argv=[], narrator=Narrator(quiet_stdout=True))
+    return scan_command.scan(run, asked, argv=[], narrator=Terminal(quiet_stdout=True))
 
 
 def _remake(run: Path, execution: str = "0001") -> dict[str, Any]:
-    return post_processing.report(run, execution, Narrator(quiet_stdout=True)).summary
+    return post_processing.report(run, execution, Terminal(quiet_stdout=True)).summary
 
 
 def _rewrite(path: Path, **changed: Any) -> None:
@@ -435,7 +435,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
     shutil.rmtree(folder / "scans")
     (folder / "scans").mkdir()
     summary = _remake(copied)
-    assert post_processing.report(copied, "0001", Narrator(quiet_stdout=True)).exit_code == 6
+    assert post_processing.report(copied, "0001", Terminal(quiet_stdout=True)).exit_code == 6
     assert summary["missing_views"] == list(range(1, summary["n_views_planned"] + 1))
     assert summary["coverage"]["visible"] == 0
     assert not list(folder.glob("*.png"))

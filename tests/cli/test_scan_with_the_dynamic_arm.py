@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.plant import servo
 from cell.plant.servo import Settings
 from cell.robot.kinematics import Kr16Kinematics
@@ -34,7 +34,7 @@ def scanned(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: R
     assert done.returncode == 0, done.stderr
     for url in (URL, "sim://"):
         options = ScanOptions(driver=url, resolution_deg=2.0)
-        assert scan_command.scan(run, options, argv=[], narrator=Narrator(quiet_stdout=True)).exit_code == 0
+        assert scan_command.scan(run, options, argv=[], narrator=Terminal(quiet_stdout=True)).exit_code == 0
     return run
 
 

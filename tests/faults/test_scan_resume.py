@@ -12,12 +12,11 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cell.commands.narrator import Narrator
 from cell.errors import UsageError
 from cell.scan.options import ScanOptions
 from cell.scan.scan import resume
@@ -167,7 +166,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(
 
     options = ScanOptions(str(emulated.url), speed_percent=50.0)
     with pytest.raises(UsageError, match="nothing was moved"):
-        resume(run_folder, "latest", options, argv=[], narrator=cast("Narrator", narrator), ask=ask)
+        resume(run_folder, "latest", options, argv=[], narrator=narrator, ask=ask)
     assert "a new way to view 2 was planned" in known[1]
     assert "Type yes" in known[2]
     assert emulated.entries("move") == []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import occluder_triangles
 from cell.robot.kinematics import Kr16Kinematics
@@ -67,7 +67,7 @@ def run(run_folder: Path) -> RunRecord:
 @pytest.fixture(scope="module")
 def answer(run: RunRecord) -> why.Answer:
     """What is said about it."""
-    return why.answer_of(run, Narrator(quiet_stdout=True), _SAMPLES)
+    return why.answer_of(run, Terminal(quiet_stdout=True), _SAMPLES)
 
 
 def _group(answer: why.Answer, reason: Reason, what: str) -> why.Group:
@@ -200,7 +200,7 @@ def test_the_files_repeat_and_the_plan_stays_as_it_is(run_folder: Path, run: Run
     """Asked twice: the same bytes in why/; every artefact of the plan still has the manifest's sha256."""
     contents = []
     for _ in range(2):
-        folder = why.explain(run_folder, Narrator(quiet_stdout=True), samples=1500).folder
+        folder = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500).folder
         contents.append({path.name: path.read_bytes() for path in sorted(folder.iterdir())})
     assert contents[0] == contents[1]
     assert set(contents[0]) == {"why.json", "why.ply", "why.png"}
@@ -210,7 +210,7 @@ def test_the_files_repeat_and_the_plan_stays_as_it_is(run_folder: Path, run: Run
 
 def test_points_carry_reason_group_and_gain(run_folder: Path) -> None:
     """why.ply is read by another program: every sample in mm, and the counts of why.json."""
-    outcome = why.explain(run_folder, Narrator(quiet_stdout=True), samples=1500)
+    outcome = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500)
     cloud = trimesh.load(outcome.folder / "why.ply", process=False)
     assert len(cloud.vertices) == 1500
     np.testing.assert_allclose(np.ptp(cloud.vertices, axis=0), [100, 80, 40], atol=0.5)

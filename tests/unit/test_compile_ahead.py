@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cell import compile_ahead
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.errors import FileError
 
 _CALLS = {
@@ -90,7 +90,7 @@ def test_modules_of_the_folder_that_it_is_started_in_are_not_taken_for_its_own(t
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
     monkeypatch.chdir(tmp_path)
     with compile_ahead.begun(["distances"]) as ahead:
-        ahead.wait(Narrator(quiet_stdout=True))
+        ahead.wait(Terminal(quiet_stdout=True))
     assert [process.returncode for process in ahead.processes] == [0]
     assert not (tmp_path / "seen").exists()
 
@@ -106,7 +106,7 @@ def test_another_kernel_is_another_mark(monkeypatch):
 def test_a_process_that_failed_is_waited_for_and_forgotten():
     """Its kernels are compiled where they are called."""
     failed = subprocess.Popen([sys.executable, "-c", "raise SystemExit(1)"])
-    compile_ahead.Ahead((failed,)).wait(Narrator(quiet_stdout=True))
+    compile_ahead.Ahead((failed,)).wait(Terminal(quiet_stdout=True))
     assert failed.returncode == 1
 
 

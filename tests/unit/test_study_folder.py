@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from cell.commands.narrator import Narrator
+from cell.commands.terminal import Terminal
 from cell.errors import FileError
 from cell.study import study as studies
 from cell.study.study import Study, StudyResult, conduct, markdown_table, shown
@@ -54,7 +54,7 @@ def _study() -> Study:
 def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A study of three trials, one of which fails."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    result = conduct(_study(), _Workers(), out=tmp_path / "out", narrator=Narrator(quiet_stdout=True))
+    result = conduct(_study(), _Workers(), out=tmp_path / "out", narrator=Terminal(quiet_stdout=True))
     assert result.computed == 3
     return result.folder
 
@@ -76,7 +76,7 @@ def test_the_same_again_is_the_same_bytes_and_only_failures_are_computed(
 ) -> None:
     """Rows, report and pictures, SVG too; a failed trial is tried again."""
     workers = _Workers()
-    result = conduct(_study(), workers, out=tmp_path / "again", narrator=Narrator(quiet_stdout=True))
+    result = conduct(_study(), workers, out=tmp_path / "again", narrator=Terminal(quiet_stdout=True))
     assert workers.asked == 1
     assert result.computed == 1
     for name in ("rows.csv", "study.json", "report.md", "views.png", "views.svg"):
@@ -88,7 +88,7 @@ def test_a_foreign_folder_is_not_written_into(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     for out in (tmp_path, tmp_path / "notes.txt"):
         with pytest.raises(FileError, match="no study's folder"):
-            conduct(_study(), _Workers(), out=out, narrator=Narrator(quiet_stdout=True))
+            conduct(_study(), _Workers(), out=out, narrator=Terminal(quiet_stdout=True))
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,118 @@
+"""What a person sees while a command runs: stages with progress on stderr, notes, and the tables at the end."""
+
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    ProgressColumn,
+    SpinnerColumn,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as Bars
+from rich.table import Table
+
+from planner.ports import Progress
+
+log = logging.getLogger("cell.narrator")
+
+_ROWS_SHOWN = 100
+
+
+class Terminal:
+    """The narrator of the command line: progress and notes on stderr (a bar only on a terminal), results on stdout."""
+
+    def __init__(self, *, quiet_stdout: bool = False) -> None:
+        """Open the consoles.
+
+        Args:
+            quiet_stdout: leave stdout to a JSON object.
+        """
+        self._errors = Console(stderr=True, highlight=False)
+        self._results = self._errors if quiet_stdout else Console(highlight=False)
+
+    @contextmanager
+    def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:
+        """Show a stage while it runs; see `cell.narrator.Narrator`."""
+        log.info("stage: %s", name)
+        left: tuple[ProgressColumn, ...] = (TextColumn("left"), TimeRemainingColumn()) if time_left else ()
+        with self._bars(*left, spinner=True) as bars:
+            task = bars.add_task(name, total=None)
+            yield lambda done, total: bars.update(task, completed=done, total=total)
+
+    @contextmanager
+    def rounds(self) -> Iterator[Callable[[str, int, int], None]]:
+        """Show work in rounds that are not known beforehand, a bar each.
+
+        Yields:
+            a callback `(round, done, total)`.
+        """
+        with self._bars() as bars:
+            tasks: dict[str, TaskID] = {}
+
+            def told(name: str, done: int, total: int) -> None:
+                if name not in tasks:
+                    log.info("round: %s", name)
+                    tasks[name] = bars.add_task(name, total=total)
+                bars.update(tasks[name], completed=done, total=total)
+
+            yield told
+
+    def ask(self, question: str) -> str:
+        """Put a question to the person at the terminal and return the answer; Ctrl-D is none."""
+        try:
+            return self._errors.input(question, markup=False)
+        except EOFError:
+            return ""
+
+    def note(self, sentence: str) -> None:
+        """Say something that the user should know although the work goes on."""
+        log.warning("%s", sentence)
+        self.error(f"note: {sentence}")
+
+    def error(self, sentence: str) -> None:
+        """Say something on stderr that is part of the answer."""
+        self._errors.print(sentence, markup=False, soft_wrap=True)
+
+    def say(self, sentence: str) -> None:
+        """Say something as a result."""
+        self._results.print(sentence, markup=False, soft_wrap=True)
+
+    def pairs(self, title: str, rows: Iterable[tuple[str, str]]) -> None:
+        """A result of names and values, under a title."""
+        table = Table(title=escape(title), title_justify="left", show_header=False)
+        table.add_column(style="bold")
+        table.add_column()
+        for name, value in rows:
+            table.add_row(name, escape(value))
+        self._results.print(table)
+
+    def grid(self, columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
+        """A result of rows and columns; a title makes lines between the rows."""
+        table = Table(*columns, title=title, title_justify="left", show_lines=title is not None)
+        for row in rows[:_ROWS_SHOWN]:
+            table.add_row(*(escape(value) for value in row))
+        self._results.print(table)
+        if len(rows) > _ROWS_SHOWN:
+            self.say(f"... and {len(rows) - _ROWS_SHOWN} rows more")
+
+    def _bars(self, *columns: ProgressColumn, spinner: bool = False) -> Bars:
+        first = (SpinnerColumn(),) if spinner else ()
+        return Bars(
+            *first,
+            TextColumn("{task.description:<28}"),
+            BarColumn(bar_width=30),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            *columns,
+            console=self._errors,
+            transient=True,
+            disable=not self._errors.is_terminal,
+        )
