@@ -170,7 +170,8 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: A
         kinematics = Kr16Kinematics.from_model(world.model)
         described = scanners.described(scene.scanner.type, scanner)
         plan_files.write_cell(run.folder, scene, settings, part, len(planning.faces), world, described)
-        scanners.note_what_is_not_planned(run.narrator.note, scene, scanner)
+        for sentence in doubts.of_scanner(scene, scanner):
+            run.narrator.note(sentence)
 
     with run.step("reach") as progress:
 

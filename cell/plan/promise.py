@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.rays.prediction import Prediction
-from cell.scene.scene import Plan
+from cell.scene.plan_settings import PlanSettings
 from planner.measurability.matrix import Measurability, measured
 from planner.measurability.pose_ensemble import (
     PoseError,
@@ -32,13 +32,13 @@ SAMPLES = 10_000
 """Held-out samples that they look at, drawn from those of the prediction: a share is then known to half a point."""
 
 
-def pose_error(plan: Plan) -> PoseError:
+def pose_error(plan: PlanSettings) -> PoseError:
     """The scene's standard deviations in metres and radians."""
     return PoseError(plan.pose_sd_mm / 1000, float(np.deg2rad(plan.pose_sd_deg)))
 
 
 def layer(
-    plan: Plan,
+    plan: PlanSettings,
     M: Measurability,
     candidates: Viewpoints,
     reached: Reach,
@@ -93,7 +93,7 @@ class Kept:
 
 
 def simulate(
-    plan: Plan,
+    plan: PlanSettings,
     T_object_poses: Floats,
     prediction: Prediction,
     rng: np.random.Generator,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cell.errors import SceneError
 from cell.rays.prediction import Prediction
-from cell.scene.scene import Plan
+from cell.scene.plan_settings import PlanSettings
 from planner import cover
 from planner.cover import Cover
 from planner.cover.most_coverage import MostCoverage, most_coverage
@@ -45,7 +45,7 @@ class Request:
         layer: probabilities of the matrix' entries; None where poses count as exact.
     """
 
-    plan: Plan = field(default_factory=Plan)
+    plan: PlanSettings = field(default_factory=PlanSettings)
     costs: Floats | None = None
     layer: ProbabilityLayer | None = None
 
@@ -147,7 +147,7 @@ def select(
         target = 1.0 if raises == _RAISES else min(1.0, target + short + _STEP)
 
 
-def check_named(plan: Plan, reached: Reach) -> None:
+def check_named(plan: PlanSettings, reached: Reach) -> None:
     """Refuse pinned and banned candidates that do not exist, and pinned ones that the arm does not reach.
 
     Raises:
@@ -167,7 +167,7 @@ def check_named(plan: Plan, reached: Reach) -> None:
             )
 
 
-def seconds_of_views(plan: Plan, reached: Reach, limits: JointLimits) -> Floats:
+def seconds_of_views(plan: PlanSettings, reached: Reach, limits: JointLimits) -> Floats:
     """(V,) seconds that each candidate is expected to take: a scan, settling, and the move to it.
 
     The move is estimated before any order is known: the mean time of the straight moves from the few nearest of a
@@ -190,10 +190,10 @@ def seconds_of_views(plan: Plan, reached: Reach, limits: JointLimits) -> Floats:
     return costs
 
 
-def settings(plan: Plan) -> dict[str, Any]:
+def settings(plan: PlanSettings) -> dict[str, Any]:
     """The wishes that differ from their defaults, as report.json lists them."""
     keys = ("max_views", "multiplicity", "pinned", "banned", "cost", "overlap_mm2", "overlap_share", "overlap_in_order")
-    asked = {key: getattr(plan, key) for key in keys if getattr(plan, key) != Plan.model_fields[key].default}
+    asked = {key: getattr(plan, key) for key in keys if getattr(plan, key) != PlanSettings.model_fields[key].default}
     if plan.cost == "time":
         asked |= {"scan_s": plan.scan_s, "settle_s": plan.settle_s}
     if plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0:

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cell.replay.model import GLYPH_SHARE, Theatre
 from cell.world.shapes import KIND
 from planner.ports import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-    from cell.replay.model import Theatre
 
 Colour = tuple[float, float, float, float]
 
@@ -31,9 +30,6 @@ FRESH: Colour = (0.0, 0.75, 0.45, 1.0)
 EARLIER: Colour = (0.16, 0.46, 0.72, 1.0)
 LOST: Colour = (0.72, 0.22, 0.16, 1.0)
 CONTACT: Colour = (0.9, 0.0, 0.05, 1.0)
-
-GLYPH_SHARE = 0.16
-"""Length of a view's small pyramid, as a share of its frustum's."""
 
 
 @dataclass(frozen=True, slots=True)

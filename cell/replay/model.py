@@ -17,7 +17,6 @@ import numpy as np
 from cell import scanners
 from cell.errors import FileError
 from cell.replay.look import add_mesh, light, paint, part_pieces, show_surface
-from cell.replay.marks import GLYPH_SHARE
 from cell.robot import model as robot
 from cell.run.record import RunRecord, artefact, understood
 from planner.ports import Floats
@@ -32,6 +31,9 @@ if TYPE_CHECKING:
 _DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 POINTS_SHOWN = 6_000
 """Points of one scan that are shown; more cover the surface without a gap and cost time alone."""
+
+GLYPH_SHARE = 0.16
+"""Length of a view's small pyramid, as a share of its frustum's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ docs/scanners.md shows how to write one.
 
 import inspect
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,7 +19,6 @@ from cell.errors import CellError, SceneError
 from planner.ports import Scanner
 
 if TYPE_CHECKING:
-    from cell.scene.scene import Scene
     from planner.viewpoints.viewpoints import Viewpoints
 
 GROUP = "cell.scanners"
@@ -154,25 +153,6 @@ def swept(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
     from planner.viewpoints.sweeps import swept as sweeps_of
 
     return sweeps_of(viewpoints, T_view_scanner)
-
-
-def note_what_is_not_planned(note: Callable[[str], None], scene: "Scene", scanner: Scanner) -> None:
-    """Say what a person has to know about a scanner that sweeps, or that is named as a real sensor."""
-    T_view_scanner = getattr(scanner, "T_view_scanner", None)
-    if T_view_scanner is not None:
-        note(
-            f"each view is a sweep of {len(T_view_scanner)} poses, driven as a line; the arm's own shadow along it is "
-            "not judged"
-        )
-    if scene.scanner.sensor is not None and "size_mm" not in scene.housing.model_fields_set:
-        from cell.scene import sensors
-
-        body = sensors.load(scene.scanner.sensor).figures.get("body_mm")
-        stated = "its body is not stated" if body is None else f"its body is {' x '.join(f'{s:g}' for s in body)} mm"
-        note(
-            f"the housing that collides is the scene's, {' x '.join(f'{s:g}' for s in scene.housing.size_mm)} mm; "
-            f"{scene.scanner.sensor}: {stated}; set housing.size_mm and housing.position_mm to the real one"
-        )
 
 
 def baseline_mm(values: Mapping[str, Any], scanner: Scanner) -> float:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
-    BaseModel,
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
@@ -22,22 +21,12 @@ from pydantic import (
 )
 
 from cell.errors import SceneError
+from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
+from cell.scene.plan_settings import PlanSettings
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-AxisLimits = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
-MaybeEndless = Annotated[float, Field(gt=0, allow_inf_nan=True)]
-JerkLimits = tuple[MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless]
-Share = Annotated[float, Field(gt=0, le=1)]
-Fov = Annotated[float, Field(gt=0, lt=180)]
-Grazing = Annotated[float, Field(ge=0, le=90)]
-# TOML has lists only: lenient about the container, strict about what is in it.
-Triple = Annotated[tuple[float, float, float], Field(strict=False)]
-Units = Literal["mm", "cm", "m", "um", "in"]
 
 RESERVED_NAMES = (
     *("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6"),
@@ -45,11 +34,7 @@ RESERVED_NAMES = (
 )
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class _Posed(_Table):
+class _Posed(Table):
     """A pose: position x, y, z and angles A, B, C (R = Rz(A) Ry(B) Rx(C))."""
 
     position_mm: Triple = (0.0, 0.0, 0.0)
@@ -70,7 +55,7 @@ def pose(position_mm: tuple[float, float, float], abc_deg: tuple[float, float, f
     return pose_from_kuka_abc(np.array(position_mm) / 1000.0, np.deg2rad(abc_deg))
 
 
-class Robot(_Table):
+class Robot(Table):
     """The arm and what it stands on."""
 
     home_deg: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] = (0, -90, 90, 0, 90, 0)
@@ -83,7 +68,7 @@ class Robot(_Table):
     jerk_deg_s3: Annotated[JerkLimits, Field(strict=False)] | None = None
 
 
-class Scanner(_Table):
+class Scanner(Table):
     """The scanner's law; the keys are those of the plug-in that `type` names, a foreign one's own keys among them."""
 
     model_config = ConfigDict(extra="allow")  # `_keys_of_its_type` refuses what the plug-in does not know
@@ -147,7 +132,7 @@ class Mount(_Posed):
     position_mm: Triple = (0.0, 0.0, 120.0)
 
 
-class Housing(_Table):
+class Housing(Table):
     """The scanner's body, a box, and the bracket between it and the flange.
 
     With `position_mm` None the box is centred over the baseline (x) and the viewing axis (y), and its front face lies
@@ -164,7 +149,7 @@ class Housing(_Table):
         return pose(self.position_mm or (baseline_mm / 2, 0.0, -self.size_mm[2] / 2), self.abc_deg)
 
 
-class Part(_Table):
+class Part(Table):
     """The part: a built-in one by `name`, or a mesh file and its units."""
 
     name: Literal["mseke", "mug", "robinet", "petanque", "humerus", "st-jean"] = "mseke"
@@ -198,7 +183,7 @@ class Placement(_Posed):
     position_mm: Triple = (1200.0, 500.0, 0.0)
 
 
-class Post(_Table):
+class Post(Table):
     """The round post on which the part stands, from the floor to the height of the part's lowest point."""
 
     enabled: bool = True
@@ -248,66 +233,7 @@ class MeshFixture(_Fixture):
 Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discriminator="shape")]
 
 
-class Plan(_Table):
-    """How to plan; None takes the part's default."""
-
-    preset: Literal["fast", "balanced", "accurate"] = "balanced"
-    candidates: Literal["optimal-scanning-zone", "view-sphere", "targeted"] = "optimal-scanning-zone"
-    view_sphere_step_deg: Annotated[
-        tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
-    ] = (15.0, 15.0)
-    standoffs_mm: Annotated[tuple[Positive, ...], Field(strict=False, min_length=1)] | None = None
-    rolls_deg: Annotated[tuple[float, ...], Field(strict=False, min_length=1)] = (0.0, 90.0)
-    faces: Annotated[int, Field(ge=4)] | None = None
-    percent_kept: Annotated[float, Field(gt=0, le=100)] | None = None
-    samples_per_face: Annotated[int, Field(ge=1)] = 4
-    fill: Literal["aimed", "rays"] = "aimed"
-    solver: Literal["auto", "greedy", "meta-raps", "local-search", "exact"] = "auto"
-    coverage: Share = 1.0
-    required_visible: Annotated[float, Field(ge=0, le=1)] = 0.0
-    max_sigma_mm: Positive | None = None
-    collision: Literal["hull", "decomposed", "exact"] = "exact"
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
-    max_views: Annotated[int, Field(ge=1)] | None = None
-    multiplicity: Annotated[int, Field(ge=1)] = 1
-    pinned: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = ()
-    banned: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = ()
-    cost: Literal["views", "time"] = "views"
-    scan_s: NotNegative = 2.0
-    settle_s: NotNegative = 0.5
-    overlap_mm2: Positive | None = None
-    overlap_share: Share | None = None
-    overlap_in_order: bool = False
-    pose_sd_mm: NotNegative = 0.0
-    pose_sd_deg: NotNegative = 0.0
-    alpha: Annotated[float, Field(gt=0, lt=1)] = 0.05
-    ensemble: Annotated[int, Field(ge=1, le=10_000)] = 32
-    curve: bool = False
-
-    @field_validator("fill")
-    @classmethod
-    def _aimed_at_samples(cls, fill: str, info: ValidationInfo) -> str:
-        if fill == "rays" and info.data.get("candidates") == "targeted":
-            raise ValueError("is 'rays', and candidates = 'targeted' aims at surface samples; choose fill = 'aimed'")
-        return fill
-
-    @field_validator("percent_kept")
-    @classmethod
-    def _one_size(cls, percent: float | None, info: ValidationInfo) -> float | None:
-        if percent is not None and info.data.get("faces") is not None:
-            raise ValueError("and plan.faces both set the size of the planning mesh; give one of them")
-        return percent
-
-    @model_validator(mode="after")
-    def _one_question(self) -> Self:
-        from cell.scene.request import contradiction
-
-        if problem := contradiction(self):
-            raise ValueError(f".{problem}")
-        return self
-
-
-class Scene(_Table):
+class Scene(Table):
     """A whole scene; `Scene()` is the built-in one."""
 
     clearance_mm: NotNegative = 10.0
@@ -319,7 +245,7 @@ class Scene(_Table):
     placement: Placement = Placement()
     post: Post = Post()
     fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
-    plan: Plan = Plan()
+    plan: PlanSettings = PlanSettings()
 
     @field_validator("fixtures")
     @classmethod

@@ -11,8 +11,9 @@ from typing import Any
 
 from cell.errors import UsageError
 from cell.plant.servo import Settings
+from cell.scene.plan_settings import PlanSettings
 from cell.scene.presets import DEFAULT, PRESETS
-from cell.scene.scene import Plan, Scanner
+from cell.scene.scene import Scanner
 from cell.study import turned, turned_engine
 from cell.study.scenes import bench_of
 from cell.study.turned import Turn
@@ -83,7 +84,7 @@ class Knob:
 
 def _plan(key: str) -> OfPreset:
     def value(preset: str) -> Value:
-        found: Value = PRESETS[preset].plan.get(key, Plan.model_fields[key].default)
+        found: Value = PRESETS[preset].plan.get(key, PlanSettings.model_fields[key].default)
         return found
 
     return value

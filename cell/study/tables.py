@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from cell.scene.scene import Plan
+from cell.scene.plan_settings import PlanSettings
 from cell.study.bench import DENSER
 from cell.study.paper import TABLES, PaperRow
 from cell.study.study import Row, Study
@@ -179,7 +179,7 @@ def _settings(table: str, row: PaperRow, faces_share: float) -> dict[str, Any]:
         "part": row.part,
         "faces": max(8, round(faces_share * (930 if table == "table5" else row.viewpoints))),
         # A reduced study has fewer candidates, not a coarser idea of the surface: as many samples as the full one.
-        "samples_per_face": round(Plan().samples_per_face / faces_share),
+        "samples_per_face": round(PlanSettings().samples_per_face / faces_share),
     }
     if table == "table2":
         settings["standoff_mm"] = row.parameter

@@ -6,17 +6,16 @@
 touched; files go to `why/` in the run folder. Object frame, metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
+from cell.narrator import Narrator
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import occluder_triangles
 from cell.rays.prediction import held_out
@@ -25,90 +24,17 @@ from cell.run.record import RunRecord, open_run, understood
 from cell.run.world import world_of
 from cell.scan import scene as scan_scene
 from cell.why import files as why_files
+from cell.why.answer import Answer, Group, Patch
 from cell.why.changes import Changes, one_caster
 from cell.why.groups import detail, grouped
-from cell.why.search import Named, search
+from cell.why.search import search
 from planner.measurability import coverage
 from planner.measurability.quality import Limited
 from planner.ports import Scanner
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
-from planner.viewpoints.lines_of_sight import Indices, Targets
+from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
 from planner.why.reasons import OF_VERDICT, Reason
-from planner.why.what_if import WhatIf
-from planner.why.why import Diagnosis
-
-if TYPE_CHECKING:
-    from cell.narrator import Narrator
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Patch:
-    """Connected samples of one group.
-
-    Attributes:
-        rows: its samples.
-        named: the change for it, or None; only the largest patches are asked.
-    """
-
-    rows: Indices
-    named: Named | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Group:
-    """Samples that stay open for one reason.
-
-    Attributes:
-        reason: at which the closest candidate fails.
-        what: in the way, or in collision with what; "" where the reason has none.
-        detail: what there is to add about the closest candidates ("76 to 84 deg from the normal, limit 75").
-        rows: samples.
-        patches: largest first.
-        named: changes that would measure it, the one to prefer first; verified on all rows.
-    """
-
-    reason: Reason
-    what: str
-    detail: str
-    rows: Indices
-    patches: tuple[Patch, ...]
-    named: tuple[Named, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """All that `cell why` found.
-
-    Attributes:
-        samples: held-out samples of the reference.
-        covered: (S,) what the plan measures.
-        diagnosis: of the open samples.
-        open_rows: (n,) the open samples.
-        groups: largest area first.
-        rest: the open samples that no reachable candidate measures.
-        overall: changes that gain most of `rest`, verified on all of it.
-        tried: (change, share of the area of `rest` that it gains, from representatives) of everything that was tried.
-        planning: the planning mesh.
-        part_name: for titles.
-    """
-
-    samples: SurfaceSamples
-    covered: NDArray[np.bool_]
-    diagnosis: Diagnosis
-    open_rows: Indices
-    groups: tuple[Group, ...]
-    rest: Indices
-    overall: tuple[Named, ...]
-    tried: tuple[tuple[WhatIf, float], ...]
-    planning: TriangleMesh
-    part_name: str
-
-    def share(self, rows: NDArray[Any]) -> float:
-        """Area of some samples over the area of all."""
-        return float(self.samples.areas[rows].sum() / self.samples.areas.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,24 +3,20 @@
 The plan's own files stay as they are; an older `why/` is replaced.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run.folder import SCHEMA, json_text
+from cell.run.record import RunRecord
+from cell.why.answer import Answer, Group, Patch
+from cell.why.search import Named
 from planner.surface.mesh import face_normals
 from planner.why.reasons import Reason
-
-if TYPE_CHECKING:
-    from cell.run.record import RunRecord
-    from cell.why.explain import Answer, Group, Patch
-    from cell.why.search import Named
 
 FOLDER = "why"
 NOTHING = "nothing that was tried helps"

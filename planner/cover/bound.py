@@ -13,19 +13,13 @@ Whatever proposes u (subgradient steps, or the dual of an LP solver), the bound 
 ceil(L - 1e-6) (costs are whole numbers): a tolerance inside a solver can weaken it but never make it wrong.
 """
 
-from dataclasses import dataclass
-from math import ceil
 from typing import Any
 
 import numpy as np
 
-from planner.cover.budget import STEP_WORK, Budget
+from planner.cover.budget import STEP_WORK, Bound, Budget
 from planner.cover.interrupts import interruptible
 from planner.cover.problem import CoverProblem, Floats, Ints
-from planner.values import readonly
-
-ROUNDING = 1e-6
-"""Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""
 
 LARGE_SUM = 1e-9
 """Share that is taken off sums of units that are too large to be exact: far above their float error."""
@@ -45,39 +39,6 @@ PIVOT_WORK = 30
 
 MOST_STEPS, MOST_PIVOTS = 1000, 2
 """At most so many subgradient steps are made, and so many pivots for each row and column; this is what is charged."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Bound:
-    """A proven lower bound.
-
-    Attributes:
-        dual: value L(u) of the multipliers.
-        multipliers: (S,) u.
-        reduced_costs: (V,) cost less the sum of the multipliers of the column's rows.
-    """
-
-    dual: float
-    multipliers: Floats
-    reduced_costs: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "multipliers", readonly("multipliers", self.multipliers, (None,)))
-        object.__setattr__(self, "reduced_costs", readonly("reduced_costs", self.reduced_costs, (None,)))
-
-    @property
-    def value(self) -> int:
-        """No cover costs less than this."""
-        return max(ceil(self.dual - _rounding(self.dual)), 0)
-
-    def useful(self, less_than: int) -> Any:
-        """(V,) columns that some cover may contain which costs less than the given number (reduced-cost fixing)."""
-        return self.dual + np.maximum(self.reduced_costs, 0.0) <= less_than - 1 + _rounding(less_than)
-
-
-def _rounding(value: float) -> float:
-    """What float error may have added to a bound of this size, generously."""
-    return ROUNDING * max(1.0, value * 1e-3)
 
 
 def evaluate(problem: CoverProblem, multipliers: Floats, columns_by_rows: Any) -> tuple[Bound, Floats]:

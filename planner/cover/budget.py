@@ -11,15 +11,15 @@ solver is interrupted.
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-
-if TYPE_CHECKING:
-    from planner.cover.bound import Bound
+from planner.values import readonly
 
 STEP_WORK = 12_000
 """Charge of one step of a search beyond the entries it touches: what its NumPy calls cost anyway."""
@@ -32,6 +32,42 @@ DEFAULT_WORK = 600_000_000
 
 UNLIMITED_WORK = 10**15
 """A budget that only a clock ends."""
+
+ROUNDING = 1e-6
+"""Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bound:
+    """A proven lower bound.
+
+    Attributes:
+        dual: value L(u) of the multipliers.
+        multipliers: (S,) u.
+        reduced_costs: (V,) cost less the sum of the multipliers of the column's rows.
+    """
+
+    dual: float
+    multipliers: NDArray[np.float64]
+    reduced_costs: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "multipliers", readonly("multipliers", self.multipliers, (None,)))
+        object.__setattr__(self, "reduced_costs", readonly("reduced_costs", self.reduced_costs, (None,)))
+
+    @property
+    def value(self) -> int:
+        """No cover costs less than this."""
+        return max(ceil(self.dual - _rounding(self.dual)), 0)
+
+    def useful(self, less_than: int) -> Any:
+        """(V,) columns that some cover may contain which costs less than the given number (reduced-cost fixing)."""
+        return self.dual + np.maximum(self.reduced_costs, 0.0) <= less_than - 1 + _rounding(less_than)
+
+
+def _rounding(value: float) -> float:
+    """What float error may have added to a bound of this size, generously."""
+    return ROUNDING * max(1.0, value * 1e-3)
 
 
 class Budget:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.cover.bound import PIVOT_WORK, ROUNDING
-from planner.cover.budget import STEP_WORK, Budget
+from planner.cover.bound import PIVOT_WORK
+from planner.cover.budget import ROUNDING, STEP_WORK, Budget
 from planner.cover.demands import DemandProblem
 from planner.cover.interrupts import ends_search, interruptible
 from planner.cover.problem import Floats, Ints

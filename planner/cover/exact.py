@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.cover.bound import ROUNDING, Bound, bound, without_useless_columns
-from planner.cover.budget import WORK_PER_SECOND, Budget
+from planner.cover.bound import bound, without_useless_columns
+from planner.cover.budget import ROUNDING, WORK_PER_SECOND, Bound, Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.interrupts import interruptible
 from planner.cover.problem import CoverProblem, Ints

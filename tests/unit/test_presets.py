@@ -8,9 +8,10 @@ import pytest
 from cell.errors import SceneError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
+from cell.scene.plan_settings import PlanSettings
 from cell.scene.presets import DEFAULT, PRESETS, beneath, line
 from cell.scene.resolve import resolve
-from cell.scene.scene import Plan, Scene, load_scene
+from cell.scene.scene import Scene, load_scene
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +28,8 @@ def _scene(preset: str, tmp_path: Path, text: str = "", **options: dict[str, Any
 
 def test_the_scene_knows_the_same_names() -> None:
     """The key's values are the table's."""
-    assert get_args(Plan.model_fields["preset"].annotation) == tuple(PRESETS)
-    assert Plan.model_fields["preset"].default == DEFAULT
+    assert get_args(PlanSettings.model_fields["preset"].annotation) == tuple(PRESETS)
+    assert PlanSettings.model_fields["preset"].default == DEFAULT
 
 
 def test_balanced_is_the_defaults(tmp_path: Path) -> None:

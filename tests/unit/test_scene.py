@@ -8,7 +8,8 @@ from pydantic import BaseModel, ValidationError
 
 from cell.errors import SceneError
 from cell.robot.model import model_file
-from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Plan, Scene, load_scene, pose
+from cell.scene.plan_settings import PlanSettings
+from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene, load_scene, pose
 
 
 def _load(tmp_path: Path, text: str, **options: dict) -> Scene:
@@ -198,7 +199,7 @@ def test_a_scene_cannot_be_changed() -> None:
     with pytest.raises(ValidationError):
         Scene().plan.seed = 1
     with pytest.raises(ValidationError):
-        Plan(seed=True)
+        PlanSettings(seed=True)
 
 
 def test_a_pose_is_millimetres_and_kuka_abc() -> None:

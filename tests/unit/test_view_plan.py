@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from cell.plan.request import Request, select
-from cell.scene.scene import Plan
+from cell.scene.plan_settings import PlanSettings
 
 
 def covered(asked: float, share_of_view: list[float]) -> tuple[int, float]:
@@ -17,7 +17,8 @@ def covered(asked: float, share_of_view: list[float]) -> tuple[int, float]:
     candidates = SimpleNamespace(T_object_scanner=np.arange(n))
     prediction = SimpleNamespace(share_of_coverable=lambda views: float(np.take(share_of_view, views).sum()))
     selected = select(
-        Request(Plan(coverage=asked)), M, SimpleNamespace(reachable=np.ones(n, dtype=bool)), candidates, prediction,
+        Request(PlanSettings(coverage=asked)), M, SimpleNamespace(reachable=np.ones(n, dtype=bool)), candidates,
+        prediction,
         banned=(), rng=np.random.default_rng(0),
     )  # fmt: skip
     return len(selected.cover.views), selected.target

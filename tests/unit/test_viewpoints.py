@@ -151,7 +151,7 @@ def test_the_enclosing_radius_encloses_and_touches() -> None:
         (lambda: optimal_scanning_zone(ball(1), [0.3, 0.0], [0.0]), "above 0"),
         (lambda: optimal_scanning_zone(ball(1), [np.inf], [0.0]), "finite"),
         (lambda: optimal_scanning_zone(ball(1), [0.3], []), "at least one finite angle"),
-        (lambda: view_sphere([0, 0, 0], -1.0, 0.5, 0.5), "radius contains -1 m"),
+        (lambda: view_sphere([0, 0, 0], -1.0, 0.5, 0.5), "radius is -1 m"),
         (lambda: view_sphere([0, 0, 0], 1.0, 0.0, 0.5), "step_x is 0"),
         (lambda: view_sphere([0, 0, 0], 1.0, 0.5, 4.0), "step_y is 4"),
     ],

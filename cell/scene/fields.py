@@ -1,0 +1,23 @@
+"""The pieces of which the scene's tables are made: a strict, frozen table, and numbers with their limits."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+AxisLimits = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
+MaybeEndless = Annotated[float, Field(gt=0, allow_inf_nan=True)]
+JerkLimits = tuple[MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless]
+Share = Annotated[float, Field(gt=0, le=1)]
+Fov = Annotated[float, Field(gt=0, lt=180)]
+Grazing = Annotated[float, Field(ge=0, le=90)]
+# TOML has lists only: lenient about the container, strict about what is in it.
+Triple = Annotated[tuple[float, float, float], Field(strict=False)]
+Units = Literal["mm", "cm", "m", "um", "in"]
+
+
+class Table(BaseModel):
+    """A table of the scene file: every key known, strictly typed, finite; frozen."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)

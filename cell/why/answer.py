@@ -1,0 +1,85 @@
+"""What `cell why` finds: open samples in groups of one reason, their patches, and the changes that would measure them.
+
+Object frame, metres.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.why.search import Named
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
+from planner.viewpoints.lines_of_sight import Indices
+from planner.why.reasons import Reason
+from planner.why.what_if import WhatIf
+from planner.why.why import Diagnosis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """Connected samples of one group.
+
+    Attributes:
+        rows: its samples.
+        named: the change for it, or None; only the largest patches are asked.
+    """
+
+    rows: Indices
+    named: Named | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Samples that stay open for one reason.
+
+    Attributes:
+        reason: at which the closest candidate fails.
+        what: in the way, or in collision with what; "" where the reason has none.
+        detail: what there is to add about the closest candidates ("76 to 84 deg from the normal, limit 75").
+        rows: samples.
+        patches: largest first.
+        named: changes that would measure it, the one to prefer first; verified on all rows.
+    """
+
+    reason: Reason
+    what: str
+    detail: str
+    rows: Indices
+    patches: tuple[Patch, ...]
+    named: tuple[Named, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """All that `cell why` found.
+
+    Attributes:
+        samples: held-out samples of the reference.
+        covered: (S,) what the plan measures.
+        diagnosis: of the open samples.
+        open_rows: (n,) the open samples.
+        groups: largest area first.
+        rest: the open samples that no reachable candidate measures.
+        overall: changes that gain most of `rest`, verified on all of it.
+        tried: (change, share of the area of `rest` that it gains, from representatives) of everything that was tried.
+        planning: the planning mesh.
+        part_name: for titles.
+    """
+
+    samples: SurfaceSamples
+    covered: NDArray[np.bool_]
+    diagnosis: Diagnosis
+    open_rows: Indices
+    groups: tuple[Group, ...]
+    rest: Indices
+    overall: tuple[Named, ...]
+    tried: tuple[tuple[WhatIf, float], ...]
+    planning: TriangleMesh
+    part_name: str
+
+    def share(self, rows: NDArray[Any]) -> float:
+        """Area of some samples over the area of all."""
+        return float(self.samples.areas[rows].sum() / self.samples.areas.sum())
