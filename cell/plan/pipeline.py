@@ -27,9 +27,10 @@ from cell.plan import promise
 from cell.plan import request as requests
 from cell.plan.candidates import first, grow
 from cell.plan.clearances import clearance_summary, require_no_contact
+from cell.plan.problem import Problem
 from cell.plan.request import Request, check_named, seconds_of_views
 from cell.plan.summary import draw, plan_summary
-from cell.plan.view_plan import ConnectedPlan, select_and_connect
+from cell.plan.view_plan import ConnectedPlan, choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import limit_sigma, part_matrix, surface_features
 from cell.rays.occluders import caster_of, occluder_triangles
@@ -230,10 +231,10 @@ def _steps(run: Run, scene: Scene, part: Workpiece, settings: Settings, ahead: A
         limits = scaled(world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
         costs = seconds_of_views(scene.plan, reached, limits) if scene.plan.cost == "time" else None
         request = Request(scene.plan, costs, layer)
-        chosen = select_and_connect(
-            M, reached, candidates, world, limits, kinematics, checker, prediction,
-            request=request, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress,
-        )  # fmt: skip
+        problem = Problem(request, candidates, reached, M, prediction, world, limits, kinematics, checker)
+        chosen = choose_and_connect(
+            problem, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress
+        )
 
     with run.step("measure the clearance") as progress:
         tour = chosen.tour

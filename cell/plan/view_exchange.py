@@ -9,53 +9,23 @@ at on them, and fewer liberties taken where they fall short.
 """
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.rays.prediction import Prediction
+from cell.plan.problem import Problem
+from cell.plan.request import Selected
+from cell.plan.views import Groups
 from cell.rays.self_shading import OwnArm
 from planner.cover import Cover, CoverStatus
 from planner.measurability.matrix import Measurability
 from planner.order.equivalent_views import Exchange, Matrix, exchange
 from planner.order.tour import Tour
-from planner.ports import Floats, JointLimits
-from planner.viewpoints.viewpoints import Viewpoints
 
 log = logging.getLogger(__name__)
 
 Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Groups:
-    """Candidates that the motion may pick from, one of each group.
-
-    Attributes:
-        members: for each view of the plan the candidates, the one that is expected first.
-        owner: for each view the candidate of each row of its configurations.
-        configurations: for each view (m, 6) joint solutions of its members, one after the other [rad].
-        straight_before: time of straight moves over the views that were exchanged [s]: a motion that takes no longer
-            needs no comparison with theirs. inf where nothing was exchanged.
-    """
-
-    members: tuple[Ints, ...]
-    owner: tuple[Ints, ...]
-    configurations: tuple[Floats, ...]
-    straight_before: float = float("inf")
-
-    @property
-    def views(self) -> Ints:
-        """(n,) the candidate that is expected of each group."""
-        return np.array([group[0] for group in self.members], dtype=np.int64)
-
-    def picked(self, motion: Tour) -> Ints:
-        """(n,) the candidate that a motion picked of each group; the expected one where the view is not visited."""
-        picks = self.views
-        for view, choice in zip(motion.order, motion.choice, strict=True):
-            picks[view] = self.owner[view][choice]
-        return picks
 
 
 def alone(arm: OwnArm, views: Ints) -> Groups:
@@ -64,49 +34,30 @@ def alone(arm: OwnArm, views: Ints) -> Groups:
 
 
 def groups(
-    arm: OwnArm,
-    chosen: Cover,
-    usable: NDArray[np.bool_],
-    candidates: Viewpoints,
-    prediction: Prediction,
-    home: Floats,
-    limits: JointLimits,
-    *,
-    coverage: float,
-    target: float,
-    rng: np.random.Generator,
+    problem: Problem, arm: OwnArm, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator
 ) -> Groups:
     """Exchange the cover's views for others with a shorter motion.
 
     Args:
+        problem: the candidates, home and limits.
         arm: what is left of the matrix and of each candidate's joint solutions.
-        chosen: the cover.
+        selected: the cover, and the share of the matrix' coverable samples that it was to meet.
         usable: (V,) candidates that may be used.
-        candidates: the columns of the matrix.
-        prediction: held-out samples.
-        home: (6,) joint angles at both ends of the motion [rad].
-        limits: limits of the axes.
-        coverage: share of the coverable area that is promised, on held-out samples too.
-        target: share of the coverable samples of the matrix that the cover met.
         rng: source of randomness.
     """
+    chosen, target = selected.cover, selected.target
     matrix = Matrix(arm.M.matrix(), arm.M.features.areas, usable)
     spare = chosen.covered_area - target * chosen.coverable_area if target < 1 else 0.0
     for allowed in (spare, 0.0) if spare > 0 else (0.0,):
         found = exchange(
-            matrix,
-            chosen.views,
-            arm.configurations,
-            home,
-            limits,
-            rng,
-            pinned=chosen.pinned.tolist(),
-            spare=allowed,
-        )
+            matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
+            pinned=chosen.pinned.tolist(), spare=allowed,
+        )  # fmt: skip
         if target >= 1:
             _tell(found)
             return replace(_groups(arm, found.groups), straight_before=found.duration_before)
-        if prediction.share_of_coverable(candidates.T_object_scanner[found.views]) >= coverage:
+        poses = problem.candidates.T_object_scanner[found.views]
+        if problem.prediction.share_of_coverable(poses) >= problem.request.plan.coverage:
             _tell(found)
             return replace(alone(arm, found.views), straight_before=found.duration_before)
     return alone(arm, chosen.views)

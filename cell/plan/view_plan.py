@@ -1,42 +1,35 @@
-"""Steps 6 to 8: choose views, order them, connect them; a view that cannot be connected is replaced or given up.
+"""Steps 6 to 8: choose views, connect them by a motion, refuse those that cannot be, and choose again.
 
-Arm, bracket and housing hide as well, differently at every configuration: a view that its own arm shades (cell/
-self_shading.py) is taken with other joint solutions; where all of them do it, the cover is solved again with what they
-leave of the view.
-
-The views are selected as the request says (request.py beside). The views are ordered and connected; a view to
-which no path is found is banned and the cover is solved again without it, until every view of the plan is connected.
-
-Before that, views are exchanged for others that measure as much and make the motion shorter (view_exchange.py beside);
-views that sweep are not: where their motion ends is not where it begins.
+A view is refused where no path leads to it, or where its sweep cannot be driven; a view that its own arm shades is
+taken with other joint solutions, or measures less than the cover counted on. Views at rest and views that sweep differ
+in what is looked at (`cell.plan.views_at_rest`, `cell.plan.sweeping_views`), not in the loop.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError, UnreachableError
 from cell.plan import view_exchange
+from cell.plan.problem import Problem
 from cell.plan.request import Request, Selected, select
-from cell.plan.sweep_solutions import SweepSolutions
-from cell.rays.prediction import Prediction
-from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
-from cell.world.world import World
+from cell.plan.sweeping_views import SweepingViews
+from cell.plan.views import Groups, Next, Views
+from cell.plan.views_at_rest import ViewsAtRest
 from planner.cover import Cover
 from planner.cover.overlap import OverlapCover
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import Measurability
+from planner.order import tour
 from planner.order.order_overlap import overlapping
 from planner.order.orderings import Ordering
-from planner.order.tour import Tour, TourStatus, plan_motion
+from planner.order.tour import Tour, TourStatus
 from planner.path.sweeps.path import SweepPath
-from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics, Progress
-from planner.reach.reach import Reach
+from planner.ports import Floats, Progress
 from planner.timing.motion import TimedLine
 from planner.values import readonly
-from planner.viewpoints.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,17 +101,25 @@ class ConnectedPlan:
         return np.where(at >= 0, self.cover.views[np.maximum(at, 0)], -1)
 
 
-def select_and_connect(
-    M: Measurability,
-    reached: Reach,
-    candidates: Viewpoints,
-    world: World,
-    limits: JointLimits,
-    kinematics: Kinematics,
-    checker: CollisionChecker,
-    prediction: Prediction,
+@dataclass(frozen=True, slots=True, eq=False)
+class _Connected:
+    """A motion through one candidate of each group."""
+
+    groups: Groups
+    motion: Tour
+
+
+@dataclass(frozen=True, slots=True)
+class _Again:
+    """What comes next where chosen views could not be connected as they are, and which are refused."""
+
+    next: Next
+    refused: Mapping[int, str] = field(default_factory=dict)
+
+
+def choose_and_connect(
+    problem: Problem,
     *,
-    request: Request,
     selection_rng: np.random.Generator,
     motion_rng: np.random.Generator,
     progress: Progress | None = None,
@@ -126,15 +127,7 @@ def select_and_connect(
     """Choose the views and the motion through them.
 
     Args:
-        M: measurability with occluders applied.
-        reached: reachable candidates and their joint solutions.
-        candidates: the columns of M.
-        world: placement, mount and home.
-        limits: limits of the axes, scaled to the speed that is wanted.
-        kinematics: of the arm.
-        checker: of the cell.
-        prediction: held-out samples, on which a coverage below 1 is kept.
-        request: what is asked for.
+        problem: candidates, cell and wishes.
         selection_rng: randomness of the selection.
         motion_rng: randomness of order and paths.
         progress: told about the edges of the tour as they become real.
@@ -143,134 +136,139 @@ def select_and_connect(
         SceneError: if home itself is nearer to something than the clearance.
         UnreachableError: if no view that measures anything can be connected, or a pinned one cannot.
     """
-    banned: dict[int, str] = {}
-    arm = OwnArm(M, reached, candidates, world, prediction.scanner)
-    at_rest = candidates.T_object_scanner.shape[1] == 1
-    sweeping = None if at_rest else SweepSolutions(candidates, world, kinematics, checker, limits)
+    views: Views = ViewsAtRest(problem) if problem.at_rest else SweepingViews(problem)
+    refused: dict[int, str] = {}
+    selected = _choose(problem, views, refused, selection_rng)
+    while isinstance(found := _connect(problem, views, selected, refused, motion_rng, progress), _Again):
+        refused |= _not_pinned(found.refused, problem.request)
+        if found.next is Next.CHOOSE:
+            selected = _choose(problem, views, refused, selection_rng)
+    return _plan(problem, views, selected, refused, found)
 
-    def connect(groups: view_exchange.Groups) -> Tour:
-        return plan_motion(
-            groups.configurations,
-            world.home,
-            checker,
-            limits,
-            world.T_base_object @ candidates.T_object_scanner[groups.views, 0],
-            motion_rng,
-            progress=progress,
-            ordering=_ordering(request, selected),
-            T_base_home=kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
-            passages=None if sweeping is None else sweeping.passages(groups.views),
-            measure=False,  # the pipeline proves the clearance of the motion that is kept
-        )
 
-    stale = True
-    while True:
-        if stale:
-            selected = select(request, arm.M, reached, candidates, prediction, banned=tuple(banned), rng=selection_rng)
-            chosen = selected.cover
-            stale = False
-        if not len(chosen.views):
-            told = [f"candidate {view}: {reason}" for view, reason in (banned | arm.reasons).items()]
-            why = "; ".join(told[:_TOLD] + ([f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []))
-            raise UnreachableError(
-                "no view is left that measures the part and can be reached by a free motion"
-                + (f" ({why})" if why else "")
-                + "; change the placement, the standoff or the fixtures"
-            )
-        if at_rest:  # a first look, before a motion is planned for nothing
-            first = np.stack([arm.configurations(int(view))[0] for view in chosen.views])
-            stale = arm.look(chosen.views, first) is Look.LESS_MEASURED
-            if stale:
-                continue
-        if sweeping is not None and (refused := sweeping.refusals(chosen.views.tolist())):
-            _require_not_pinned(refused, request)
-            banned |= refused
-            stale = True
-            continue
-        usable = np.asarray(reached.reachable).copy()
-        usable[[*banned, *request.plan.banned]] = False
-        groups = (
-            view_exchange.groups(
-                arm,
-                chosen,
-                usable,
-                candidates,
-                prediction,
-                world.home,
-                limits,
-                coverage=request.plan.coverage,
-                target=selected.target,
-                rng=motion_rng,
-            )
-            if at_rest and request.exchangeable
-            else view_exchange.alone(arm, chosen.views)
-            if sweeping is None
-            else sweeping.groups(chosen.views)
+def _choose(problem: Problem, views: Views, refused: Mapping[int, str], rng: np.random.Generator) -> Selected:
+    """Views that answer the request as far as is known by now."""
+    selected = select(
+        problem.request,
+        views.M,
+        problem.reached,
+        problem.candidates,
+        problem.prediction,
+        banned=tuple(refused),
+        rng=rng,
+    )
+    if not len(selected.cover.views):
+        told = [f"candidate {view}: {reason}" for view, reason in {**refused, **views.shaded}.items()]
+        why = "; ".join(told[:_TOLD] + ([f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []))
+        raise UnreachableError(
+            "no view is left that measures the part and can be reached by a free motion"
+            + (f" ({why})" if why else "")
+            + "; change the placement, the standoff or the fixtures"
         )
-        motion = connect(groups)
-        exchanged = np.isfinite(groups.straight_before)
-        # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
-        if exchanged and (motion.dropped or motion.duration > groups.straight_before):
-            own = view_exchange.alone(arm, chosen.views)
-            groups, motion = view_exchange.shorter((groups, motion), (own, connect(own)))
-        if motion.status is TourStatus.HOME_IN_COLLISION:
-            raise SceneError(
-                f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "
-                "the placement or the fixtures"
-            )
-        for lost in motion.dropped:
-            blocker = f" ({lost.blocker})" if lost.blocker else ""
-            unconnected = {view: lost.reason.sentence + blocker for view in groups.members[lost.view].tolist()}
-            _require_not_pinned(unconnected, request)
-            banned |= unconnected
-        if motion.dropped:
-            stale = True
-            continue
-        picks = groups.picked(motion)
-        stops = picks[motion.order]
-        shade = arm.look(stops, motion.q) if at_rest else Look.CLEAR
-        if shade is Look.CLEAR:
-            break
-        stale = shade is Look.LESS_MEASURED
-    chosen, motion = view_exchange.settled(chosen, arm.M, motion, picks)
-    T_base_flange = kinematics.forward(motion.q)
-    T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
-    driven = () if sweeping is None else sweeping.driven(chosen.views, motion)
-    T_object_poses = T_object_scanner[:, None] if sweeping is None else sweeping.poses(driven)
-    visible = prediction.visible(T_object_poses)
-    with_arm = None
-    if at_rest:
-        poses = zip(motion.q, T_object_scanner, strict=True)
-        arms = [arm_caster(world, q, T, prediction.scanner) for q, T in poses]
-        near = any(caster is not None for caster in arms)
-        with_arm = visible_with_arm(prediction, T_object_poses, arms) if near else visible.fraction
-    return ConnectedPlan(
-        cover=chosen,
-        selected=selected,
-        matrix=arm.M,
-        tour=motion,
-        candidate=chosen.views[motion.order],
-        T_object_scanner=T_object_scanner,
-        T_base_scanner=T_base_flange @ world.T_flange_scanner,
-        T_base_flange=T_base_flange,
-        dropped=tuple(
-            DroppedView(view, reason)
-            for view, reason in (banned | arm.reasons).items()
-            if view not in chosen.views  # a view that its arm shades in part may be in the plan with what is left of it
-        ),
-        T_object_poses=T_object_poses,
-        sweeps=driven,
-        lines={} if sweeping is None else sweeping.lines(driven, motion),
-        visible=visible,
-        visible_with_arm=with_arm,
+    return selected
+
+
+def _connect(
+    problem: Problem,
+    views: Views,
+    selected: Selected,
+    refused: Collection[int],
+    rng: np.random.Generator,
+    progress: Progress | None,
+) -> _Connected | _Again:
+    """Try to connect the chosen views: the shorter motion of two, through them and through those that may stand in."""
+    chosen = selected.cover.views
+    if not views.still_measure(chosen):  # a first look, before a motion is planned for nothing
+        return _Again(Next.CHOOSE)
+    if lost := views.refusals(chosen):
+        return _Again(Next.CHOOSE, lost)
+    groups = views.groups(selected, problem.usable(refused), rng)
+    motion = _motion(problem, views, selected, groups, rng, progress)
+    # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
+    if groups.exchanged and (motion.dropped or motion.duration > groups.straight_before):
+        own = views.alone(chosen)
+        other = _motion(problem, views, selected, own, rng, progress)
+        groups, motion = view_exchange.shorter((groups, motion), (own, other))
+    if motion.status is TourStatus.HOME_IN_COLLISION:
+        raise SceneError(
+            f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "
+            "the placement or the fixtures"
+        )
+    if motion.dropped:
+        return _Again(Next.CHOOSE, _unconnected(groups, motion))
+    found = views.judge(groups.picked(motion), motion)
+    return _Connected(groups, motion) if found is Next.DONE else _Again(found)
+
+
+def _motion(
+    problem: Problem,
+    views: Views,
+    selected: Selected,
+    groups: Groups,
+    rng: np.random.Generator,
+    progress: Progress | None,
+) -> Tour:
+    """The motion through one candidate of each group."""
+    world = problem.world
+    return tour.plan_motion(
+        groups.configurations,
+        world.home,
+        problem.checker,
+        problem.limits,
+        world.T_base_object @ problem.candidates.T_object_scanner[groups.views, 0],
+        rng,
+        progress=progress,
+        ordering=_ordering(problem.request, selected),
+        T_base_home=problem.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
+        passages=views.passages(groups.views),
+        measure=False,  # the pipeline proves the clearance of the motion that is kept
     )
 
 
-def _require_not_pinned(lost: Mapping[int, str], request: Request) -> None:
-    """Refuse to plan without a view that was asked for.
+def _plan(
+    problem: Problem, views: Views, selected: Selected, refused: Mapping[int, str], found: _Connected
+) -> ConnectedPlan:
+    """The plan of connected views."""
+    cover, motion = view_exchange.settled(selected.cover, views.M, found.motion, found.groups.picked(found.motion))
+    driven = views.driven(cover.views, motion)
+    T_base_flange = problem.kinematics.forward(motion.q)
+    T_base_scanner = T_base_flange @ problem.world.T_flange_scanner
+    return ConnectedPlan(
+        cover=cover,
+        selected=selected,
+        matrix=views.M,
+        tour=motion,
+        candidate=cover.views[motion.order],
+        T_object_scanner=np.linalg.inv(problem.world.T_base_object) @ T_base_flange @ problem.world.T_flange_scanner,
+        T_base_scanner=T_base_scanner,
+        T_base_flange=T_base_flange,
+        T_object_poses=driven.T_object_poses,
+        sweeps=driven.sweeps,
+        lines=driven.lines,
+        dropped=tuple(
+            DroppedView(view, reason)
+            for view, reason in {**refused, **views.shaded}.items()
+            if view not in cover.views  # a view that its arm shades in part may be in the plan with what is left of it
+        ),
+        visible=driven.visible,
+        visible_with_arm=driven.visible_with_arm,
+    )
+
+
+def _unconnected(groups: Groups, motion: Tour) -> dict[int, str]:
+    """Candidates of the groups that a motion leaves out, with the reason."""
+    return {
+        view: lost.reason.sentence + (f" ({lost.blocker})" if lost.blocker else "")
+        for lost in motion.dropped
+        for view in groups.members[lost.view].tolist()
+    }
+
+
+def _not_pinned(lost: Mapping[int, str], request: Request) -> Mapping[int, str]:
+    """The candidates that cannot be part of a motion, none of which the user asked for.
 
     Raises:
-        UnreachableError: if one of the candidates that cannot be part of a motion is pinned.
+        UnreachableError: if one of them is pinned.
     """
     for view, reason in lost.items():
         if view in request.plan.pinned:
@@ -278,6 +276,7 @@ def _require_not_pinned(lost: Mapping[int, str], request: Request) -> None:
                 f"candidate {view} is pinned and cannot be part of a motion: {reason}; pin another, or change the "
                 "placement"
             )
+    return lost
 
 
 _TOLD = 3  # candidates whose reasons are given when none is left

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from cell.plan.view_exchange import Groups, settled, shorter
+from cell.plan.view_exchange import settled, shorter
+from cell.plan.views import Groups
 from planner import cover
 from planner.cover import CoverStatus
 from planner.order.tour import Tour, plan_motion

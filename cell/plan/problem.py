@@ -1,0 +1,53 @@
+"""What selection and motion are asked: the candidates with all that is known of them, in a cell, and what is wished."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.plan.request import Request
+from cell.rays.prediction import Prediction
+from cell.world.world import World
+from planner.measurability.matrix import Measurability
+from planner.ports import CollisionChecker, JointLimits, Kinematics
+from planner.reach.reach import Reach
+from planner.viewpoints.viewpoints import Viewpoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Candidates in a cell, and the wishes.
+
+    Attributes:
+        request: what is asked for.
+        candidates: the viewpoints, columns of M; of a scanner that sweeps each has several poses.
+        reached: their verdicts and joint solutions.
+        M: what they measure, occluders applied.
+        prediction: held-out samples, on which a coverage below 1 is kept.
+        world: placement, mount and home.
+        limits: of the axes, scaled to the speed that is wanted.
+        kinematics: of the arm.
+        checker: of the cell.
+    """
+
+    request: Request
+    candidates: Viewpoints
+    reached: Reach
+    M: Measurability
+    prediction: Prediction
+    world: World
+    limits: JointLimits
+    kinematics: Kinematics
+    checker: CollisionChecker
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm stands still at a view; otherwise it sweeps."""
+        return bool(self.candidates.T_object_scanner.shape[1] == 1)
+
+    def usable(self, refused: Collection[int]) -> NDArray[np.bool_]:
+        """(V,) candidates that the arm reaches and that neither the user bans nor the planning has refused."""
+        usable = np.asarray(self.reached.reachable).copy()
+        usable[[*refused, *self.request.plan.banned]] = False
+        return usable

@@ -1,0 +1,83 @@
+"""Views at which the arm stands still: what their own arm leaves of them, and the views that may stand in for them.
+
+Arm, bracket and housing hide as well, differently at every configuration: a view that its own arm shades is taken with
+other joint solutions; where all of them do it, views are chosen again with what they leave of the view
+(`cell.rays.self_shading`). Views are exchanged for others that measure as much and make the motion shorter
+(`cell.plan.view_exchange`).
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.plan import view_exchange
+from cell.plan.problem import Problem
+from cell.plan.request import Selected
+from cell.plan.views import Driven, Groups, Next
+from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
+from planner.measurability.matrix import Measurability
+from planner.order.tour import Tour
+
+_AFTER = {Look.CLEAR: Next.DONE, Look.OTHER_SOLUTIONS: Next.CONNECT, Look.LESS_MEASURED: Next.CHOOSE}
+
+
+class ViewsAtRest:
+    """Candidates of one pose, with what their own arm leaves of them; see `cell.plan.views.Views`.
+
+    Args:
+        problem: the candidates.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._arm = OwnArm(problem.M, problem.reached, problem.candidates, problem.world, problem.prediction.scanner)
+
+    @property
+    def M(self) -> Measurability:
+        """Measurability as the arms leave it."""
+        return self._arm.M
+
+    @property
+    def shaded(self) -> Mapping[int, str]:
+        """Candidates from which an arm took samples, each with a sentence."""
+        return self._arm.reasons
+
+    def refusals(self, views: NDArray[np.int64]) -> Mapping[int, str]:
+        """None: a reachable view at rest is refused by its paths alone."""
+        return {}
+
+    def still_measure(self, views: NDArray[np.int64]) -> bool:
+        """A first look at the arms, before a motion is planned for nothing."""
+        first = np.stack([self._arm.configurations(int(view))[0] for view in views])
+        return self._arm.look(views, first) is not Look.LESS_MEASURED
+
+    def groups(self, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator) -> Groups:
+        """Each view with those that may stand in for it, where the request allows it."""
+        if not self._problem.request.exchangeable:
+            return self.alone(selected.cover.views)
+        return view_exchange.groups(self._problem, self._arm, selected, usable, rng)
+
+    def alone(self, views: NDArray[np.int64]) -> Groups:
+        """Each view in a group of its own."""
+        return view_exchange.alone(self._arm, views)
+
+    def passages(self, views: NDArray[np.int64]) -> None:
+        """The arm stands still."""
+        return
+
+    def judge(self, views: NDArray[np.int64], motion: Tour) -> Next:
+        """Look at the arms where the motion stops."""
+        return _AFTER[self._arm.look(views[motion.order], motion.q)]
+
+    def driven(self, views: NDArray[np.int64], motion: Tour) -> Driven:
+        """The stops, and what they measure with the arm in the way."""
+        world, prediction = self._problem.world, self._problem.prediction
+        T_base_flange = self._problem.kinematics.forward(motion.q)
+        T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
+        poses = T_object_scanner[:, None]
+        visible = prediction.visible(poses)
+        arms = [arm_caster(world, q, T, prediction.scanner) for q, T in zip(motion.q, T_object_scanner, strict=True)]
+        near = any(caster is not None for caster in arms)
+        with_arm = visible_with_arm(prediction, poses, arms) if near else visible.fraction
+        return Driven(poses, (), {}, visible, with_arm)
