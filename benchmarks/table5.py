@@ -11,7 +11,7 @@ import numpy as np
 
 from cell.part import workpiece
 from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import part_matrix, surface_features
+from cell.rays.matrix import PartSurface, part_matrix, surface_features
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
@@ -56,9 +56,8 @@ def run() -> list[dict[str, Any]]:
     for rolls in ((0.0,), settings.rolls):
         candidates = optimal_scanning_zone(planning, settings.standoffs, rolls)
         start = perf_counter()
-        M = part_matrix(
-            scene, settings, part.reference, planning, features, candidates, caster, use_cache=False
-        ).matrix()
+        surface = PartSurface(part.reference, planning, features, caster)
+        M = part_matrix(scene, settings, surface, candidates, use_cache=False).matrix()
         fill_seconds = perf_counter() - start
         for position, viewpoints_paper, views_paper, cover_paper in PAPER:
             start = perf_counter()

@@ -14,9 +14,9 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from planner.ports import Floats, JointLimits
+from planner.ports import Floats
 from planner.reach.reach import Verdict
 from planner.surface.mesh import TriangleMesh, face_normals
 
@@ -34,17 +34,20 @@ _LIGHT = np.array([0.35, -0.45, 0.82])
 
 def part_and_views(
     path: Path,
-    planning: TriangleMesh,
+    *,
+    vertices: Floats,
+    faces: NDArray[np.int32],
     views_per_face: Floats,
     T_object_scanner: Floats,
-    fov_rad: tuple[float, float],
+    fov_rad: ArrayLike,
     numbers: Sequence[int] | None = None,
 ) -> None:
     """The part coloured by how many views measure each planning face, from two sides, and the views round it.
 
     Args:
         path: PNG to write.
-        planning: mesh in the object frame [m].
+        vertices: (P, 3) of the planning mesh [m], object frame.
+        faces: (F, 3) its triangles.
         views_per_face: (F,) number of views that measure the face, averaged over its samples; NaN (grey) without any.
         T_object_scanner: (n, 4, 4) views in visiting order.
         fov_rad: horizontal and vertical field of view [rad].
@@ -57,9 +60,9 @@ def part_and_views(
     # A face of which some sample is measured is not red: rounding up, the picture shows where nothing at all is seen.
     shade = colours(norm(np.clip(np.ceil(np.nan_to_num(views_per_face)), 0, most)))
     shade[np.isnan(views_per_face), :3] = _UNKNOWN
-    light = 0.62 + 0.38 * np.clip(face_normals(planning) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
+    light = 0.62 + 0.38 * np.clip(face_normals(TriangleMesh(vertices, faces)) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
     shade[:, :3] *= light[:, None]
-    triangles = planning.vertices[planning.faces] * 1000.0
+    triangles = vertices[faces] * 1000.0
     positions = T_object_scanner[:, :3, 3] * 1000.0
     # One view has no middle of its own; its frustum is as long as its distance from the part asks for.
     about = T_object_scanner[:, :3, 3].mean(axis=0) if len(positions) > 1 else triangles.mean(axis=(0, 1)) / 1000.0
@@ -74,7 +77,7 @@ def part_and_views(
             lines = Line3DCollection(_frustums(T_object_scanner, fov_rad, about), colors="#444444", linewidths=0.7)
             axes.add_collection3d(lines)
             labels = positions + 0.1 * (positions - centre)  # outward, clear of the frustum
-            for number, place in zip(numbers or range(1, len(positions) + 1), labels, strict=True):
+            for number, place in zip(range(1, len(positions) + 1) if numbers is None else numbers, labels, strict=True):
                 axes.text(*place, str(number), fontsize=8, color="#111111", ha="center", va="center")
             shown = np.concatenate([shown, positions])
         _equal_box(axes, shown)
@@ -83,10 +86,10 @@ def part_and_views(
     bar = figure.colorbar(ScalarMappable(norm, colours), ax=figure.axes, shrink=0.75, ticks=range(most + 1))
     bar.ax.set_yticklabels([str(k) for k in range(most)] + [f"{most} or more"])
     bar.set_label("views that measure the face")
-    save(figure, path)
+    _save(figure, path)
 
 
-def cover_curve(path: Path, marginal_area: Floats, coverable: float, total: float, lower_bound: int) -> None:
+def cover_curve(path: Path, *, marginal_area: Floats, coverable: float, total: float, lower_bound: int) -> None:
     """Covered share over number of views, with the lower bound on the number of views.
 
     Args:
@@ -106,11 +109,12 @@ def cover_curve(path: Path, marginal_area: Floats, coverable: float, total: floa
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", fontsize=8)
-    save(figure, path)
+    _save(figure, path)
 
 
 def reach_map(
     path: Path,
+    *,
     T_base_scanner: Floats,
     verdict: NDArray[np.uint8],
     part_corners: Floats,
@@ -155,10 +159,10 @@ def reach_map(
         axes.set_title("from above" if labels == "xy" else "from the side (y projected)", fontsize=10)
         axes.grid(alpha=0.25)
     figure.axes[0].legend(loc="upper left", fontsize=8)
-    save(figure, path)
+    _save(figure, path)
 
 
-def joint_motion(path: Path, t: Floats, q: Floats, qd: Floats, limits: JointLimits, stops: Floats) -> None:
+def joint_motion(path: Path, *, t: Floats, q: Floats, qd: Floats, limit: Floats, stops: Floats) -> None:
     """Joint angles and joint speeds over time; vertical lines are the stops at the views.
 
     Args:
@@ -166,14 +170,14 @@ def joint_motion(path: Path, t: Floats, q: Floats, qd: Floats, limits: JointLimi
         t: (M,) [s].
         q: (M, 6) [rad].
         qd: (M, 6) [rad/s].
-        limits: joint limits, for the speeds' scale.
+        limit: (6,) speeds that are drawn as 100 % [rad/s].
         stops: (n,) times at which the arm stands at a view [s].
     """
     figure = Figure(figsize=(10.5, 6.0), dpi=110, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     for joint in range(6):
         upper.plot(t, np.degrees(q[:, joint]), lw=1.2, label=f"A{joint + 1}")
-        lower.plot(t, 100.0 * qd[:, joint] / limits.velocity[joint], lw=1.0)
+        lower.plot(t, 100.0 * qd[:, joint] / limit[joint], lw=1.0)
     for axes in (upper, lower):
         for stop in stops:
             axes.axvline(stop, color="#bbbbbb", lw=0.8, zorder=0)
@@ -181,10 +185,59 @@ def joint_motion(path: Path, t: Floats, q: Floats, qd: Floats, limits: JointLimi
     upper.set_ylabel("joint angle [deg]")
     upper.legend(ncols=6, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.14), frameon=False)
     lower.set(ylabel="joint speed [% of limit]", xlabel="time [s]", ylim=(-108, 108))
-    save(figure, path)
+    _save(figure, path)
 
 
-def _frustums(T_object_scanner: Floats, fov_rad: tuple[float, float], about: Floats) -> Floats:
+def coverage_over_views(
+    path: Path,
+    *,
+    n_views: NDArray[np.int64],
+    covered: Floats,
+    bound: Floats,
+    plan_views: int,
+    plan: float,
+) -> None:
+    """Covered share of what can be measured over the number of views, the bound above it, and the plan.
+
+    The lower half shows what is missing on a logarithmic scale, where the last views differ.
+
+    Args:
+        path: PNG to write.
+        n_views: (n,) numbers of views.
+        covered: (n,) what the best views found cover, % of what can be measured.
+        bound: (n,) what no views of this number exceed, %.
+        plan_views: number of views of the plan.
+        plan: what it covers, %.
+    """
+    figure = Figure(figsize=(7.2, 6.4), dpi=110, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    n = n_views
+    upper.fill_between(n, covered, bound, color="#f5b7b1", lw=0, label="not excluded by the bound")
+    upper.plot(n, bound, "-", color="#b03a2e", lw=1, label="no views of this number measure more")
+    upper.plot(n, covered, "o-", color="#2471a3", ms=4, lw=1.2, label="best views found")
+    upper.plot([plan_views], [plan], "*", color="#111111", ms=11, label="the plan")
+    upper.set(ylabel="measured [% of what can be measured]", ylim=(0, 103), xlim=(float(n[0]), float(max(n[-1], 1))))
+    upper.legend(loc="lower right", fontsize=8)
+    floor = 100 * _smallest(1 - np.concatenate((covered, bound)) / 100)
+    missing, open_still = np.maximum(100 - covered, floor), np.maximum(100 - bound, floor)
+    lower.semilogy(n, missing, "o-", color="#2471a3", ms=4, lw=1.2)
+    lower.semilogy(n, open_still, "-", color="#b03a2e", lw=1)
+    lower.fill_between(n, open_still, missing, color="#f5b7b1", lw=0)
+    lower.semilogy([plan_views], [max(100 - plan, floor)], "*", color="#111111", ms=11)
+    lower.set(xlabel="number of views", ylabel=f"not measured [%]\n(all measured: {floor:.2g})")
+    lower.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
+    _save(figure, path)
+
+
+def _smallest(missing: Floats) -> float:
+    """Half of the smallest share that is missing anywhere, where the logarithmic axis ends; 0.1 % without any."""
+    missing = missing[missing > 1e-9]
+    return float(missing.min()) / 2 if len(missing) else 1e-3
+
+
+def _frustums(T_object_scanner: Floats, fov_rad: ArrayLike, about: Floats) -> Floats:
     """(n * 8, 2, 3) line segments of small pyramids [mm]: four edges and the base of each view."""
     size = 0.18 * np.median(np.linalg.norm(T_object_scanner[:, :3, 3] - about, axis=1))
     h, v = np.tan(np.asarray(fov_rad) / 2.0)
@@ -208,7 +261,7 @@ def _equal_box(axes: Axes, points: Floats) -> None:
     axes.set_box_aspect((1, 1, 1))  # type: ignore[arg-type]  # the 3D axes' signature differs from Axes'
 
 
-def save(figure: Figure, path: Path) -> None:
+def _save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG without anything that changes from run to run."""
     FigureCanvasAgg(figure)
     figure.savefig(path, format="png", metadata={"Software": "scan-cell"})

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from cell.plan.request import Request
 from cell.rays.prediction import Prediction
+from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from planner.measurability.matrix import Measurability
-from planner.ports import CollisionChecker, JointLimits, Kinematics
+from planner.ports import JointLimits, Kinematics
 from planner.reach.reach import Reach
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -39,7 +40,7 @@ class Problem:
     world: World
     limits: JointLimits
     kinematics: Kinematics
-    checker: CollisionChecker
+    checker: MujocoCollisionChecker
 
     @property
     def at_rest(self) -> bool:

@@ -6,17 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.part.workpiece import Workpiece
-from cell.plan import pictures
 from cell.plan import request as requests
 from cell.plan.files import degrees
 from cell.plan.view_plan import ConnectedPlan
-from cell.rays.prediction import Prediction
-from cell.run.folder import RunFolder
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
-from cell.world.world import World
 from planner.measurability.matrix import Measurability
-from planner.ports import Floats
 from planner.reach.reach import Reach
 from planner.surface.mesh import TriangleMesh, face_areas
 from planner.timing.motion import Motion, jerk_free_duration
@@ -121,53 +116,6 @@ def plan_summary(
             "between": "" if leg is None else tour.between[leg],
         },
     }
-
-
-def draw(
-    folder: RunFolder,
-    scene: Scene,
-    part: Workpiece,
-    planning: TriangleMesh,
-    candidates: Viewpoints,
-    reached: Reach,
-    prediction: Prediction,
-    chosen: ConnectedPlan,
-    motion: Motion,
-    world: World,
-) -> None:
-    """The four pictures of the report; arguments as in `plan_summary`."""
-    cover = chosen.cover
-    measured_by = prediction.views_per_face(chosen.T_object_poses, len(planning.faces))
-    fov = np.deg2rad(scene.scanner.opening_deg)
-    pictures.part_and_views(
-        folder.path / "views.png", planning, measured_by, chosen.T_object_scanner, (float(fov[0]), float(fov[1]))
-    )
-    pictures.cover_curve(
-        folder.path / "cover.png", cover.marginal_area, cover.coverable_area, cover.total_area, cover.lower_bound
-    )
-    corners = np.array(np.meshgrid(*part.bounds.T)).reshape(3, -1).T
-    T = world.T_base_object
-    pictures.reach_map(
-        folder.path / "reach.png", T @ candidates.T_object_scanner[:, 0], reached.verdict,
-        corners @ T[:3, :3].T + T[:3, 3], chosen.candidate, envelope(world),
-    )  # fmt: skip
-    stops = motion.via_t[motion.stops]
-    pictures.joint_motion(folder.path / "motion.png", motion.t, motion.q, motion.qd, motion.limits, stops)
-    for name in ("views.png", "cover.png", "reach.png", "motion.png"):
-        folder.adopt(name)
-
-
-def envelope(world: World) -> Floats:
-    """(E, 2) a grid of places that the wrist centre reaches in the plane of the arm: radius and height [m]."""
-    from cell.robot.model import dimensions
-
-    arm = dimensions(world.model)
-    (low2, low3), (high2, high3) = world.limits.lower[1:3], world.limits.upper[1:3]
-    a2, a3 = (grid.ravel() for grid in np.meshgrid(np.linspace(low2, high2, 110), np.linspace(low3, high3, 110)))
-    s = a2 + a3  # the closed form of cell.robot.kinematics at A1 = 0
-    r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(s) + arm.a3 * np.sin(s)
-    z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(s) + arm.a3 * np.cos(s)
-    return np.stack([r, z], axis=1)
 
 
 def _sentence(chosen: ConnectedPlan) -> str:

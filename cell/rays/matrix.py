@@ -1,14 +1,16 @@
 """Step 5 with its cache: the part-only measurability matrix, calculated once per part, candidates and scanner."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell import caches, scanners
 from cell.errors import FileError, SceneError
+from cell.narrator import Narrator
 from cell.rays import matrix_cache as measurability_cache
 from cell.rays.matrix_cache import Hashes
 from cell.scene.resolve import Settings
@@ -16,16 +18,11 @@ from cell.scene.scene import Scene
 from planner.measurability import quality
 from planner.measurability.columns import join_measurability, pick_measurability
 from planner.measurability.matrix import Measurability, fill
-from planner.ports import Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
 from planner.surface.closest import closest_face
 from planner.surface.mesh import TriangleMesh, face_centres, face_normals
 from planner.surface.sample import SurfaceSamples, face_features, sample
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
-
-if TYPE_CHECKING:
-    from cell.narrator import Narrator
-    from planner.ports import SigmaScanner
-
 
 CACHE_LIMIT_BYTES = 1_000_000_000
 """Above this the oldest matrices are removed; one of the default plan has some 6 MB."""
@@ -40,6 +37,23 @@ def cache_folder() -> Path:
     return caches.folder("measurability")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PartSurface:
+    """The part as its matrix knows it, object frame.
+
+    Attributes:
+        reference: the part [m].
+        planning: its decimated copy [m].
+        features: the rows of the matrix, from `surface_features`.
+        caster: casts on the reference.
+    """
+
+    reference: TriangleMesh
+    planning: TriangleMesh
+    features: SurfaceSamples
+    caster: RayCaster
+
+
 def surface_features(
     scene: Scene, reference: TriangleMesh, planning: TriangleMesh, rng: np.random.Generator
 ) -> SurfaceSamples:
@@ -52,13 +66,10 @@ def surface_features(
 def part_matrix(
     scene: Scene,
     settings: Settings,
-    reference: TriangleMesh,
-    planning: TriangleMesh,
-    features: SurfaceSamples,
+    surface: PartSurface,
     candidates: Viewpoints,
-    caster: RayCaster,
     *,
-    narrator: "Narrator | None" = None,
+    narrator: Narrator | None = None,
     use_cache: bool = True,
     progress: Progress | None = None,
 ) -> Measurability:
@@ -67,16 +78,13 @@ def part_matrix(
     Args:
         scene: for the scanner's type and the method.
         settings: for the scanner's numbers.
-        reference: the part [m], object frame; `caster` casts on it.
-        planning: its decimated copy.
-        features: the rows, from `surface_features`.
+        surface: the part and the rows.
         candidates: the columns.
-        caster: casts on the reference.
         narrator: is told when a cached matrix is refused or cannot be kept.
         use_cache: whether to look into the cache and to leave the result there.
         progress: called with (poses done, poses in all).
     """
-    method = scene.plan.fill
+    method, reference, planning, features = scene.plan.fill, surface.reference, surface.planning, surface.features
     scanner = scanners.make(scene.scanner.type, settings.planning_scanner)
     parameters = scanners.identity(scene.scanner.type, scanner)
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
@@ -94,7 +102,14 @@ def part_matrix(
 
     def calculated(views: Viewpoints) -> Measurability:
         return fill(
-            views, features, scanner, caster, method=method, part=reference, row_of_face=row_of_face, progress=progress
+            views,
+            features,
+            scanner,
+            surface.caster,
+            method=method,
+            part=reference,
+            row_of_face=row_of_face,
+            progress=progress,
         )
 
     if not use_cache:
@@ -125,7 +140,7 @@ def _columns(M: Measurability, place: NDArray[np.int64]) -> Measurability:
     return M if np.array_equal(place, np.arange(M.n_viewpoints)) else pick_measurability(M, place)
 
 
-def _keep(path: Path, M: Measurability, key: str, columns: Hashes, narrator: "Narrator | None") -> None:
+def _keep(path: Path, M: Measurability, key: str, columns: Hashes, narrator: Narrator | None) -> None:
     try:
         measurability_cache.save(path, M, key, columns)
         forget_oldest(path.parent, CACHE_LIMIT_BYTES)
@@ -177,7 +192,7 @@ def limit_sigma(
             f"plan.max_sigma_mm is {max_sigma_mm:g}, but the scanner {type(scanner).__name__} does not know how "
             "precise its points are; leave the limit out, or choose another scanner.type"
         )
-    precise = cast("SigmaScanner", scanner)
+    precise = cast(SigmaScanner, scanner)
     layered = quality.sigma_layer(M, candidates, precise, casters=casters)
     kept = quality.within(layered, max_sigma_mm / 1000)
     if len(M.indices) and not len(kept.indices) and not may_be_empty:

@@ -133,13 +133,21 @@ def _draw(folder: ExecutionFolder, scene: ScanScene, plan: Any, scans: Sequence[
     from cell.plan import pictures
     from cell.scanners import drawn_opening_deg
 
-    h, v = (float(angle) for angle in np.radians(drawn_opening_deg(scene.scanner_parameters)))
     poses = np.stack([scan.T_true for scan in scans])
     pictures.part_and_views(
-        folder.path / "views.png", scene.planning, reached.views_per_face, poses, (h, v), [scan.stop for scan in scans]
-    )  # fmt: skip
+        folder.path / "views.png",
+        vertices=scene.planning.vertices,
+        faces=scene.planning.faces,
+        views_per_face=reached.views_per_face,
+        T_object_scanner=poses,
+        fov_rad=np.radians(drawn_opening_deg(scene.scanner_parameters)),
+        numbers=[scan.stop for scan in scans],
+    )
     coverable = float(plan["coverage"]["coverable"])
-    pictures.cover_curve(folder.path / "cover.png", reached.largest_first, coverable, 1.0, int(plan["lower_bound"]))
+    pictures.cover_curve(
+        folder.path / "cover.png", marginal_area=reached.largest_first, coverable=coverable, total=1.0,
+        lower_bound=int(plan["lower_bound"]),
+    )  # fmt: skip
     folder.adopt("views.png")
     folder.adopt("cover.png")
 

@@ -18,7 +18,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
 from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import part_matrix, surface_features
+from cell.rays.matrix import PartSurface, part_matrix, surface_features
 from cell.rays.prediction import held_out
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.resolve import Settings, resolve
@@ -164,7 +164,8 @@ class Bench:
             scene = self.scene.model_copy(update={"plan": self.scene.plan.model_copy(update=dense)})
             rng = np.random.default_rng([self.scene.plan.seed, _FEATURES])
             features = surface_features(scene, self.part.reference, self.planning, rng)
-            M = part_matrix(scene, self.settings, self.part.reference, self.planning, features, candidates, self.caster)
+            surface = PartSurface(self.part.reference, self.planning, features, self.caster)
+            M = part_matrix(scene, self.settings, surface, candidates)
             known = candidates, features, M  # the candidates are kept, so that their id stays theirs
             self._matrices[fill, id(candidates), density] = known
         return known[2]

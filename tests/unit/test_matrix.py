@@ -9,7 +9,7 @@ import pytest
 from cell.part.workpiece import load
 from cell.rays import matrix
 from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import cache_folder, part_matrix
+from cell.rays.matrix import PartSurface, cache_folder, part_matrix
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
@@ -43,7 +43,7 @@ def asked(tmp_path, monkeypatch):
         scene = load_scene(None, {"part": {"name": "humerus"}, "plan": {"fill": method}})
         rows = features if method == "aimed" else face_features(reference, planning)
         calculated.clear()
-        M = part_matrix(scene, resolve(scene, part), reference, planning, rows, views, caster, **keys)
+        M = part_matrix(scene, resolve(scene, part), PartSurface(reference, planning, rows, caster), views, **keys)
         return M, sum(calculated)
 
     ask.views = optimal_scanning_zone(planning, (0.03,), (0.0, 1.0))

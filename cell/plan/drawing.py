@@ -1,0 +1,87 @@
+"""The four pictures of a plan, sent to the process that draws them (`cell.plan.picture_process`)."""
+
+import numpy as np
+
+from cell.part.workpiece import Workpiece
+from cell.plan.picture_process import Drawing
+from cell.plan.problem import Problem
+from cell.plan.view_plan import ConnectedPlan
+from cell.robot.model import dimensions
+from cell.run.folder import RunFolder
+from cell.world.world import World
+from planner.ports import Floats
+from planner.surface.mesh import TriangleMesh
+from planner.timing.motion import Motion
+
+
+def draw_views(
+    drawing: Drawing,
+    folder: RunFolder,
+    part: Workpiece,
+    planning: TriangleMesh,
+    problem: Problem,
+    chosen: ConnectedPlan,
+) -> None:
+    """What is known before the motion is timed: the part and its views, the cover curve, the candidates by verdict.
+
+    Args:
+        drawing: where the pictures are drawn.
+        folder: where they go.
+        part: the part.
+        planning: its decimated copy.
+        problem: the candidates.
+        chosen: the views.
+    """
+    cover, world = chosen.cover, problem.world
+    drawing.send(
+        "part_and_views",
+        folder.path / "views.png",
+        vertices=planning.vertices,
+        faces=planning.faces,
+        views_per_face=problem.prediction.views_per_face(chosen.T_object_poses, len(planning.faces)),
+        T_object_scanner=chosen.T_object_scanner,
+        fov_rad=np.deg2rad(world.scene.scanner.opening_deg),
+    )
+    drawing.send(
+        "cover_curve",
+        folder.path / "cover.png",
+        marginal_area=cover.marginal_area,
+        coverable=cover.coverable_area,
+        total=cover.total_area,
+        lower_bound=cover.lower_bound,
+    )
+    corners = np.array(np.meshgrid(*part.bounds.T)).reshape(3, -1).T
+    T = world.T_base_object
+    drawing.send(
+        "reach_map",
+        folder.path / "reach.png",
+        T_base_scanner=T @ problem.candidates.T_object_scanner[:, 0],
+        verdict=problem.reached.verdict,
+        part_corners=corners @ T[:3, :3].T + T[:3, 3],
+        chosen=chosen.candidate,
+        envelope=_envelope(world),
+    )
+
+
+def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
+    """Joint angles and speeds over time."""
+    drawing.send(
+        "joint_motion",
+        folder.path / "motion.png",
+        t=motion.t,
+        q=motion.q,
+        qd=motion.qd,
+        limit=motion.limits.velocity,
+        stops=motion.via_t[motion.stops],
+    )
+
+
+def _envelope(world: World) -> Floats:
+    """(E, 2) a grid of places that the wrist centre reaches in the plane of the arm: radius and height [m]."""
+    arm = dimensions(world.model)
+    (low2, low3), (high2, high3) = world.limits.lower[1:3], world.limits.upper[1:3]
+    a2, a3 = (grid.ravel() for grid in np.meshgrid(np.linspace(low2, high2, 110), np.linspace(low3, high3, 110)))
+    s = a2 + a3  # the closed form of cell.robot.kinematics at A1 = 0
+    r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(s) + arm.a3 * np.sin(s)
+    z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(s) + arm.a3 * np.cos(s)
+    return np.stack([r, z], axis=1)

@@ -1,0 +1,87 @@
+"""The report's pictures, drawn beside the work by a process of their own: matplotlib is never imported by the planner.
+
+The process imports matplotlib while the plan is made, and draws what it is sent, one picture after the other. Arrays go
+to it through a pipe as .npz, without pickled objects; it ends when the pipe does.
+"""
+
+import io
+import signal
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cell.run.folder import RunFolder
+
+_LENGTH = struct.Struct("<q")
+
+
+class Drawing:
+    """Pictures on their way into a run folder; see `beside`."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]") -> None:
+        self._process = process
+        self._sent: list[Path] = []
+
+    def send(self, picture: str, path: Path, **arrays: ArrayLike) -> None:
+        """Have a picture drawn.
+
+        Args:
+            picture: function of `cell.plan.pictures`.
+            path: PNG to write.
+            arrays: its arguments; numbers and words arrive as arrays without dimension.
+        """
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, picture=np.array(picture), path=np.array(str(path)), **arrays)
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(_LENGTH.pack(content.getbuffer().nbytes))
+            self._process.stdin.write(content.getbuffer())
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            self._wait()
+        self._sent.append(path)
+
+    def finish(self, folder: RunFolder) -> None:
+        """Wait until all is drawn, and record it in the folder.
+
+        Raises:
+            RuntimeError: if the process ended without drawing; with what it said.
+        """
+        self._wait()
+        for path in self._sent:
+            folder.adopt(path.name)
+
+    def _wait(self) -> None:
+        _, said = self._process.communicate()
+        if self._process.returncode:
+            raise RuntimeError(f"pictures were not drawn: {said.decode(errors='replace').strip()[-2000:]}")
+
+
+@contextmanager
+def beside() -> Iterator[Drawing]:
+    """A process that draws; it is ended with the block, whatever happens in it."""
+    command = [sys.executable, "-P", "-c", "from cell.plan.picture_process import serve; serve()"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe) as process:
+        try:
+            yield Drawing(process)
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def serve() -> None:
+    """Draw what comes through stdin until it ends: the process of `beside`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the planner's; the pipe ends with it
+    from cell.plan import pictures  # matplotlib takes a second: that is why this is a process of its own
+
+    while length := sys.stdin.buffer.read(_LENGTH.size):
+        with np.load(io.BytesIO(sys.stdin.buffer.read(*_LENGTH.unpack(length))), allow_pickle=False) as content:
+            arguments = {name: content[name][()] for name in content.files}
+        getattr(pictures, str(arguments.pop("picture")))(Path(str(arguments.pop("path"))), **arguments)

@@ -1,0 +1,268 @@
+"""The steps of `cell plan`, those of docs/architecture.md: each takes values, writes what it made, returns values.
+
+`cell.plan.pipeline` puts them on one screen.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cell import scanners
+from cell.errors import UnreachableError
+from cell.narrator import Narrator
+from cell.part.mesh_checks import Kind
+from cell.part.workpiece import Workpiece
+from cell.plan import files as plan_files
+from cell.plan import promise
+from cell.plan.candidates import first, grow
+from cell.plan.clearances import require_no_contact
+from cell.plan.picture_process import Drawing
+from cell.plan.problem import Problem
+from cell.plan.request import Request, check_named, seconds_of_views
+from cell.plan.view_plan import ConnectedPlan, choose_and_connect
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
+from cell.rays.occluders import caster_of, occluder_triangles
+from cell.rays.prediction import Prediction, held_out
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run.folder import RunFolder
+from cell.scanners import ScannerPlugin
+from cell.scene import doubts
+from cell.scene.resolve import Settings
+from cell.scene.scene import Scene
+from cell.world import clearance
+from cell.world.clearance import MotionClearance
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.world import World
+from cell.world.world import compile as compile_world
+from planner.measurability import matrix
+from planner.measurability.matrix import Measurability
+from planner.ports import Progress, RayCaster, Scanner
+from planner.reach import reach
+from planner.reach.reach import Reach
+from planner.surface.decimate import decimate
+from planner.timing import motion as timing
+from planner.timing.motion import Motion
+from planner.viewpoints.viewpoints import Viewpoints
+
+_ONE_SIDED = (Kind.OPEN, Kind.FLAT)
+
+_FEATURES, _SELECTION, _MOTION, _ENSEMBLE = 0, 2, 3, 4
+EXECUTIONS, CURVE = 5, 6
+"""Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
+appetite does not change another's draws."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """The open run: where files go, who is told, who draws, and the seed."""
+
+    folder: RunFolder
+    narrator: Narrator
+    drawing: Drawing
+    seed: int
+    use_cache: bool
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[Progress]:
+        """Name the step to the person and to the manifest."""
+        with self.narrator.stage(name) as progress, self.folder.stage(name):
+            yield progress
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """The generator of one stream of randomness."""
+        return np.random.default_rng([self.seed, stream])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """What is planned: the checked scene, the part, and what the scene leaves open settled for it."""
+
+    scene: Scene
+    part: Workpiece
+    settings: Settings
+    scanner: ScannerPlugin
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cell:
+    """The compiled cell, and who answers for reach and collision in it."""
+
+    world: World
+    checker: MujocoCollisionChecker
+    kinematics: Kr16Kinematics
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Candidates with all that is known of each.
+
+    Attributes:
+        candidates: the viewpoints, columns of M.
+        reached: their verdicts and joint solutions.
+        M: what they measure, occluders applied.
+        scanner: the sensor's law, with the limit on sigma where one was asked for.
+        casters: the part's and the occluders', object frame.
+    """
+
+    candidates: Viewpoints
+    reached: Reach
+    M: Measurability
+    scanner: Scanner
+    casters: Sequence[RayCaster]
+
+
+def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
+    """Steps 2 and 3: the planning mesh, the rows of the matrix, the generator's candidates."""
+    with run.step("decimate and sample"):
+        reference = job.part.reference
+        planning = decimate(reference, job.settings.faces)
+        _note_other_count(run.narrator, len(planning.faces), job.settings.faces)
+        candidates = first(job.scene, job.settings, job.part, planning)
+        features = surface_features(job.scene, reference, planning, run.rng(_FEATURES))
+        if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
+            run.narrator.note(doubt)
+        plan_files.write_meshes(run.folder, reference, planning)
+        plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
+        caster = EmbreeRayCaster(reference.vertices, reference.faces)
+        return PartSurface(reference, planning, features, caster), candidates
+
+
+def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
+    """The cell as MuJoCo checks it."""
+    with run.step("compile the cell") as progress:
+        world = compile_world(
+            job.scene, surface.reference.vertices, part_faces=surface.reference.faces, use_cache=run.use_cache,
+            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner), progress=progress,
+        )  # fmt: skip
+        described = scanners.described(job.scene.scanner.type, job.scanner)
+        faces = len(surface.planning.faces)
+        plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
+        for sentence in doubts.of_scanner(job.scene, job.scanner):
+            run.narrator.note(sentence)
+        return Cell(world, MujocoCollisionChecker(world), Kr16Kinematics.from_model(world.model))
+
+
+def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> Reach:
+    """Step 4: every branch and turn of every candidate, with a verdict each.
+
+    Raises:
+        UnreachableError: if the arm reaches none.
+    """
+    with run.step("reach") as progress:
+        reached = _reach_of(job, cell, candidates, progress)
+        plan_files.write_reach(run.folder, reached)
+        if job.scene.plan.candidates != "targeted":  # those come in rounds, see `measure`
+            check_named(job.scene.plan, reached)
+        if not reached.reachable.any():
+            raise UnreachableError(_nothing_reachable(reached, job.part))
+        return reached
+
+
+def measure(
+    run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
+) -> tuple[Measured, Prediction]:
+    """Step 5: the measurability matrix, grown where candidates are targeted, and the held-out samples."""
+    plan = job.scene.plan
+    with run.step("measurability") as progress:
+        casters = [surface.caster, caster_of(occluder_triangles(cell.world))]
+
+        def columns(views: Viewpoints) -> tuple[Measurability, Scanner]:
+            views = scanners.swept(job.scanner, views)
+            M = part_matrix(
+                job.scene, job.settings, surface, views,
+                narrator=run.narrator, use_cache=run.use_cache, progress=progress,
+            )  # fmt: skip
+            M = matrix.occlude(M, views, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
+            if plan.max_sigma_mm is None:
+                return M, job.scanner
+            may_be_empty = plan.candidates == "targeted"
+            return limit_sigma(M, views, job.scanner, plan.max_sigma_mm, casters, may_be_empty=may_be_empty)
+
+        M, scanner = columns(candidates)
+        if plan.candidates == "targeted":
+            candidates, reached, M = grow(
+                candidates, reached, M, standoff=job.settings.standoffs[0], scanner=scanner, casters=casters,
+                reach_of=lambda views: _reach_of(job, cell, views), measure=lambda views: columns(views)[0],
+                progress=progress,
+            ).all()  # fmt: skip
+            plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
+            plan_files.write_reach(run.folder, reached)
+        check_named(plan, reached)
+        candidates = scanners.swept(job.scanner, candidates)
+        plan_files.write_measurability(run.folder, M)
+        samples = held_out(surface.reference, surface.planning, run.seed)
+        poses = candidates.T_object_scanner[reached.reachable]
+        prediction = Prediction.of(samples, scanner, casters, poses, progress)
+        return Measured(candidates, reached, M, scanner, casters), prediction
+
+
+def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Prediction) -> Problem:
+    """What is asked of selection and motion: the wishes with what they need to know."""
+    scene, plan = job.scene, job.scene.plan
+    layer = None
+    if not promise.pose_error(plan).none:
+        with run.step("pose errors") as progress:
+            layer = promise.layer(
+                plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
+                run.rng(_ENSEMBLE), progress=progress,
+            )  # fmt: skip
+    limits = timing.scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
+    costs = seconds_of_views(plan, measured.reached, limits) if plan.cost == "time" else None
+    return Problem(
+        Request(plan, costs, layer), measured.candidates, measured.reached, measured.M, prediction,
+        cell.world, limits, cell.kinematics, cell.checker,
+    )  # fmt: skip
+
+
+def connect(run: Run, problem: Problem) -> ConnectedPlan:
+    """Steps 6 to 8: the views, their order with a joint solution each, and free paths between them."""
+    with run.step("select, order and connect") as progress:
+        return choose_and_connect(
+            problem, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress
+        )
+
+
+def prove_and_time(
+    run: Run, job: Job, problem: Problem, chosen: ConnectedPlan
+) -> tuple[ConnectedPlan, MotionClearance, Motion]:
+    """Step 9: the motion's clearance along every segment, and its timing; the plan knows its clearance then."""
+    with run.step("measure the clearance") as progress:
+        tour = chosen.tour
+        measured = clearance.of_motion(problem.checker, tour.via, tour.segment, len(tour.between), progress)
+        require_no_contact(measured)
+        tour = replace(tour, clearance=measured.distance, between=measured.between)
+        motion = timing.retime(
+            tour.via, tour.segment, chosen.via_candidate, problem.limits, pose=tour.pose, lines=chosen.lines
+        )
+        plan_files.write_motion(run.folder, motion, tour, measured)
+        return replace(chosen, tour=tour), measured, motion
+
+
+def _reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
+    poses, world = scanners.swept(job.scanner, views), cell.world
+    return reach.solve(
+        poses, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker, progress=progress
+    )
+
+
+def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
+    """Say when the planning mesh is not as coarse as asked for; the plan uses what came out."""
+    if abs(came_out - wanted) > max(2, 0.02 * wanted):
+        narrator.note(
+            f"the planning mesh has {came_out} faces in place of {wanted}: this mesh does not come closer (slivers, "
+            "several bodies, or fewer faces than asked for); the plan uses these"
+        )
+
+
+def _nothing_reachable(reached: Reach, part: Workpiece) -> str:
+    counts = ", ".join(f"{count} {verdict.sentence}" for verdict, count in reached.counts().items() if count)
+    worst = next(iter(reached.blockers()), "")
+    return (
+        f"none of the {len(reached)} candidate viewpoints is reachable: {counts}"
+        + (f" (most often {worst})" if worst else "")
+        + "; move the part (--place), change the standoff or allow more --roll values"
+        + (", or turn its faces round if they face inwards" if any(f.kind in _ONE_SIDED for f in part.findings) else "")
+    )
