@@ -72,21 +72,34 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         content = content.decode(
             "utf-8", errors="replace"
         ).encode()  # comments in other encodings are no reason to fail
-    vertices, faces = _parse_with_trimesh(path, suffix, content)
+    return checked(str(path), *_parse_with_trimesh(path, suffix, content))
+
+
+def checked(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """A mesh that can be worked with: equal vertices merged, vertices that no face uses dropped.
+
+    Args:
+        source: what the sentences call it.
+        vertices: (V, 3) coordinates.
+        faces: (F, 3) corner indices.
+
+    Raises:
+        FileError: if it has no faces, or a face has a corner that is missing or no number.
+    """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise FileError(f"{path} is broken: its vertices have no three coordinates; export the mesh again")
+        raise FileError(f"{source} is broken: its vertices have no three coordinates; export the mesh again")
     if not len(faces):
-        raise FileError(f"{path} holds no faces; it must be a triangle mesh, not points, lines or text")
+        raise FileError(f"{source} holds no faces; it must be a triangle mesh, not points, lines or text")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise FileError(
-            f"{path} is broken: a face refers to vertex {int(faces.max())} (counted from 0), but there are "
+            f"{source} is broken: a face refers to vertex {int(faces.max())} (counted from 0), but there are "
             f"{len(vertices)}; export the mesh again"
         )
     vertices, faces = _merge(vertices, faces)
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise FileError(
-            f"{path} has {int(bad.sum())} vertices whose coordinates are not numbers (NaN or infinity); "
+            f"{source} has {int(bad.sum())} vertices whose coordinates are not numbers (NaN or infinity); "
             "repair or export the mesh again"
         )
     return vertices, faces

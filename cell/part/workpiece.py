@@ -94,15 +94,41 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     path = Path(source)
     _check_name(path, stand_ins.NAMES)
     content = mesh_files.read_bytes(path)
+    units = _known(str(path), units)
+    vertices, faces = mesh_files.parse(path, content)
+    return from_mesh(path.stem, vertices, faces, units, hashlib.sha256(content).hexdigest())
+
+
+def from_arrays(name: str, vertices: Floats, faces: NDArray[np.integer], units: str | None) -> Workpiece:
+    """A part from a mesh in memory, checked as that of a file is.
+
+    Args:
+        name: what to call it.
+        vertices: (V, 3) in `units`, the part's own axes.
+        faces: (F, 3).
+        units: a key of `UNITS`; never guessed.
+
+    Raises:
+        UsageError: if the units are missing or unknown.
+        FileError: if the mesh cannot be used, in one sentence.
+    """
+    from cell.part import mesh_files
+
+    units = _known(name, units)
+    merged = mesh_files.checked(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in merged)).hexdigest()
+    return from_mesh(name, *merged, units, digest)
+
+
+def _known(source: str, units: str | None) -> str:
     known = ", ".join(UNITS)
     if units is None:
-        raise UsageError(f"{path} does not say what its numbers are in; pass --units with one of {known}")
+        raise UsageError(f"{source} does not say what its numbers are in; pass --units with one of {known}")
     if units not in UNITS:
         close = difflib.get_close_matches(units.lower(), UNITS, n=1)
         hint = f"did you mean '{close[0]}'? " if close else ""
         raise UsageError(f"the units '{units}' are unknown; {hint}Valid are {known}")
-    vertices, faces = mesh_files.parse(path, content)
-    return from_mesh(path.stem, vertices, faces, units, hashlib.sha256(content).hexdigest())
+    return units
 
 
 def from_mesh(name: str, vertices: Floats, faces: NDArray[np.integer], units: str, sha256: str) -> Workpiece:

@@ -16,6 +16,7 @@ from cell import scanners
 from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.part import workpiece
+from cell.part.workpiece import Workpiece
 from cell.plan import curve as curves
 from cell.plan import files as plan_files
 from cell.plan import picture_process, promise, steps
@@ -56,6 +57,7 @@ class PlanOutcome:
 def plan(
     scene: Scene,
     *,
+    part: Workpiece | None = None,
     scene_path: Path | None,
     out: Path | None,
     argv: Sequence[str],
@@ -66,6 +68,7 @@ def plan(
 
     Args:
         scene: the checked scene, the command line's options in it.
+        part: in place of the scene's.
         scene_path: where it came from; None for the built-in scene.
         out: the run folder to make; None makes one below sim_runs/.
         argv: for the manifest.
@@ -77,7 +80,7 @@ def plan(
     """
     with picture_process.beside() as drawing:
         with narrator.stage("load the part"):
-            part = workpiece.load(scene.part.source, scene.part.units)
+            part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
         for sentence in (*(finding.sentence for finding in part.findings), *doubts.of_scene(scene)):
             narrator.note(sentence)
         settings = resolve(scene, part)
