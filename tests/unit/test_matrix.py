@@ -13,7 +13,7 @@ from cell.rays.matrix import PartSurface, cache_folder, part_matrix
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
-from planner.measurability import matrix as measurability
+from planner.measurability.matrix import fill
 from planner.surface.decimate import decimate
 from planner.surface.sample import face_features, sample
 from planner.viewpoints.viewpoints import pick_viewpoints
@@ -36,8 +36,7 @@ def asked(tmp_path, monkeypatch):
         calculated.append(len(views))
         return fill(views, *args, **keys)
 
-    fill = measurability.fill
-    monkeypatch.setattr(measurability, "fill", counted)
+    monkeypatch.setattr("cell.rays.matrix.fill", counted)
 
     def ask(views, *, method="aimed", **keys):
         scene = load_scene(None, {"part": {"name": "humerus"}, "plan": {"fill": method}})
