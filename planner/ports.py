@@ -7,12 +7,12 @@ to sensor), `object` (the mesh file's axes, metres). `T_a_b` maps b-coordinates 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.values import readonly
+from planner.values import Value
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ _REJECTION_SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hits:
+class Hits(Value):
     """First intersections of a bundle of rays.
 
     Attributes:
@@ -69,12 +69,8 @@ class Hits:
         distance: (N,) distance along the unit direction [m], inf where the ray meets nothing.
     """
 
-    face: NDArray[np.int32]
-    distance: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "face", readonly("face", self.face, (None,), np.int32))
-        object.__setattr__(self, "distance", readonly("distance", self.distance, (len(self.face),)))
+    face: Annotated[NDArray[np.int32], "N"]
+    distance: Annotated[Floats, "N"]
 
 
 class RayCaster(Protocol):
@@ -159,7 +155,7 @@ class SigmaScanner(Scanner, Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointLimits:
+class JointLimits(Value):
     """What the axes can do; q in KUKA signs.
 
     Attributes:
@@ -170,15 +166,11 @@ class JointLimits:
         jerk: (6,) largest joint jerks [rad/s^3]; inf: no limit.
     """
 
-    lower: Floats
-    upper: Floats
-    velocity: Floats
-    acceleration: Floats
-    jerk: Floats = field(default_factory=lambda: np.full(6, np.inf))
-
-    def __post_init__(self) -> None:
-        for name in ("lower", "upper", "velocity", "acceleration", "jerk"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
+    lower: Annotated[Floats, "6"]
+    upper: Annotated[Floats, "6"]
+    velocity: Annotated[Floats, "6"]
+    acceleration: Annotated[Floats, "6"]
+    jerk: Annotated[Floats, "6"] = field(default_factory=lambda: np.full(6, np.inf))
 
 
 class Kinematics(Protocol):

@@ -1,12 +1,30 @@
-"""Read-only arrays: the one helper through which every value type takes its arrays in."""
+"""Read-only arrays, and the one helper through which every value type takes its arrays in.
 
+A frozen dataclass says in the types of its fields which arrays it holds, and `freeze` takes them all in:
+
+    @dataclass(frozen=True, slots=True, eq=False)
+    class Passage(Value):
+        via: Annotated[Floats, "n 6"]
+        pose: Annotated[Ints, "n"]
+        duration: float
+
+The words beside an array's type are the lengths of its axes: a number, `_` for any length, or a name, which stands
+for one length throughout the value (`n+1` is one more). Beside another type they are its `len()`. A field that may be
+None (`Annotated[Floats, "n 6"] | None`) may also be left out.
+"""
+
+import sys
 from collections.abc import Sequence
-from typing import Any
+from functools import cache
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from planner.errors import PlannerError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -25,12 +43,95 @@ def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: D
         PlannerError: if the shape differs or a floating-point value is NaN.
     """
     array = np.array(values, dtype=dtype, order="C", copy=True)
-    if array.ndim != len(shape) or any(
-        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
-    ):
-        wanted = ", ".join("any" if want is None else str(want) for want in shape)
-        raise PlannerError(f"{name} has shape {array.shape}; it must be ({wanted})")
-    if np.issubdtype(array.dtype, np.floating) and np.isnan(array).any():
+    _fit(name, array.shape, [("_", 0) if length is None else ("", length) for length in shape], {})
+    return _sealed(name, array)
+
+
+class Value:
+    """What the frozen dataclasses of arrays derive from."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        """Take in the arrays; a value that checks more does so after its own call of `freeze`."""
+        freeze(self)
+
+
+def freeze(value: Value, /, **lengths: int) -> None:
+    """Take in the arrays of a frozen dataclass while it is made: copy, cast and shape-check each, make it read-only.
+
+    Args:
+        value: the value; the types of its fields say which arrays it holds, as this module's docstring describes.
+        **lengths: lengths that are known from elsewhere, by their names.
+
+    Raises:
+        PlannerError: if a shape differs, lengths of one name disagree, or a floating-point value is NaN.
+    """
+    fields = _declared(type(value))  # type: ignore[arg-type]  # mypy takes the hash of a class for its instances'
+    for name, dtype, axes, optional in fields:
+        given = getattr(value, name)
+        if given is None and optional:
+            continue
+        if dtype is None:
+            _fit(name, (len(given),), axes, lengths)
+            continue
+        array = np.array(given, dtype=dtype, order="C", copy=True)
+        _fit(name, array.shape, axes, lengths)
+        object.__setattr__(value, name, _sealed(name, array))
+
+
+_Axes = Sequence[tuple[str, int]]  # a name and what is added to it; "" before a fixed length, "_" for any
+
+
+class _Declared(NamedTuple):
+    """A field with a shape; no element type where only its length is declared."""
+
+    name: str
+    dtype: np.dtype[Any] | None
+    axes: _Axes
+    optional: bool
+
+
+@cache
+def _declared(kind: type) -> tuple[_Declared, ...]:
+    """Fields of a dataclass with a shape, in their order."""
+    found = []
+    for name, declared in kind.__annotations__.items():
+        if isinstance(declared, str):  # of a module with postponed annotations
+            if "Annotated" not in declared:
+                continue
+            declared = eval(declared, vars(sys.modules[kind.__module__]))
+        for part in (declared, *get_args(declared)):
+            if get_origin(part) is Annotated:
+                array, shape = get_args(part)
+                dtype = np.dtype(get_args(get_args(array)[1])[0]) if get_origin(array) is np.ndarray else None
+                found.append(_Declared(name, dtype, _axes(shape), part is not declared))
+    return tuple(found)
+
+
+def _axes(shape: str) -> _Axes:
+    parts = [word.partition("+") for word in shape.split()]
+    return [("", int(length)) if length.isdigit() else (length, int(more or 0)) for length, _, more in parts]
+
+
+def _fit(name: str, shape: tuple[int, ...], axes: _Axes, lengths: dict[str, int]) -> None:
+    """Hold a shape against its axes; names that are met first take their lengths from it."""
+    if len(shape) == len(axes):
+        for have, (axis, length) in zip(shape, axes, strict=True):
+            if axis == "_":
+                continue
+            if axis:
+                length += lengths.setdefault(axis, max(have - length, 0))
+            if have != length:
+                break
+        else:
+            return
+    wanted = ["any" if a == "_" else str(lengths.get(a, 0) + n) if a == "" or a in lengths else a for a, n in axes]
+    raise PlannerError(f"{name} has shape {shape}; it must be ({', '.join(wanted)}{',' * (len(wanted) == 1)})")
+
+
+def _sealed(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    if array.dtype.kind == "f" and np.isnan(array).any():
         raise PlannerError(f"{name} contains NaN; every value must be a number")
     array.flags.writeable = False
     return array

@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from planner.path.sweeps.line import rotation_vectors
 from planner.ports import Floats, JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.timing.motion import Motion
-from planner.values import readonly
+from planner.values import Value
 
 LONGEST_NAME = 24
 """Characters of a name in KRL."""
@@ -96,7 +96,7 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Program:
+class Program(Value):
     """The motion of a run, ready to be written.
 
     Attributes:
@@ -119,32 +119,21 @@ class Program:
     """
 
     told: Told
-    kinds: tuple[Kind, ...]
-    q: Floats
-    leg: NDArray[np.int64]
-    stop: NDArray[np.int64]
-    pose: NDArray[np.int64]
-    candidate: NDArray[np.int64]
-    t: Floats
-    T_base_flange: Floats
-    T_base_tcp: Floats
-    T_flange_tcp: Floats
-    T_base_object: Floats
-    status: NDArray[np.int64]
-    turn: NDArray[np.int64]
+    kinds: Annotated[tuple[Kind, ...], "N"]
+    q: Annotated[Floats, "N 6"]
+    leg: Annotated[NDArray[np.int64], "N"]
+    stop: Annotated[NDArray[np.int64], "N"]
+    pose: Annotated[NDArray[np.int64], "N"]
+    candidate: Annotated[NDArray[np.int64], "N"]
+    t: Annotated[Floats, "N"]
+    T_base_flange: Annotated[Floats, "N 4 4"]
+    T_base_tcp: Annotated[Floats, "N 4 4"]
+    T_flange_tcp: Annotated[Floats, "4 4"]
+    T_base_object: Annotated[Floats, "4 4"]
+    status: Annotated[NDArray[np.int64], "N"]
+    turn: Annotated[NDArray[np.int64], "N"]
     limits: JointLimits
     sweeps: tuple[Sweep, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "q", readonly("q", self.q, (len(self.kinds), 6)))
-        n = len(self.q)
-        for name in ("leg", "stop", "pose", "candidate", "status", "turn"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (n,), np.int64))
-        object.__setattr__(self, "t", readonly("t", self.t, (n,)))
-        for name in ("T_base_flange", "T_base_tcp"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (n, 4, 4)))
-        for name in ("T_flange_tcp", "T_base_object"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
 
     @property
     def views(self) -> int:

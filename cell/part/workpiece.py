@@ -8,6 +8,7 @@ import difflib
 import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from cell.errors import FileError, UsageError
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Value, freeze
 
 __all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "load"]
 
@@ -33,7 +34,7 @@ its coordinates then have steps of 6e-5 of the part."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Workpiece:
+class Workpiece(Value):
     """A part to be scanned.
 
     Attributes:
@@ -50,18 +51,19 @@ class Workpiece:
     reference: TriangleMesh
     sha256: str
     findings: tuple[Finding, ...] = ()
-    bounds: Floats = field(init=False)
-    centre: Floats = field(init=False)
-    T_object_centre: Floats = field(init=False)
+    bounds: Annotated[Floats, "2 3"] = field(init=False)
+    centre: Annotated[Floats, "3"] = field(init=False)
+    T_object_centre: Annotated[Floats, "4 4"] = field(init=False)
 
     def __post_init__(self) -> None:
         vertices = self.reference.vertices[np.unique(self.reference.faces)]
         bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
         T_object_centre = np.eye(4)
         T_object_centre[:3, 3] = bounds.mean(axis=0)
-        object.__setattr__(self, "bounds", readonly("bounds", bounds, (2, 3)))
-        object.__setattr__(self, "centre", readonly("centre", bounds.mean(axis=0), (3,)))
-        object.__setattr__(self, "T_object_centre", readonly("T_object_centre", T_object_centre, (4, 4)))
+        object.__setattr__(self, "bounds", bounds)
+        object.__setattr__(self, "centre", bounds.mean(axis=0))
+        object.__setattr__(self, "T_object_centre", T_object_centre)
+        freeze(self)
 
     @property
     def size(self) -> Floats:

@@ -11,7 +11,7 @@ The masses of the links, and all four figures of the drives, are estimates: mode
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from cell.errors import FileError
 from cell.plant.tool import Tool
 from cell.robot import model as robot
 from planner.ports import Floats
-from planner.values import readonly
+from planner.values import Value
 
 if TYPE_CHECKING:
     import mujoco
@@ -28,7 +28,7 @@ Integrator = Literal["Euler", "implicitfast"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drives:
+class Drives(Value):
     """Motor and gear of each axis, on the side of the arm.
 
     Attributes:
@@ -38,14 +38,10 @@ class Drives:
         viscous: (6,) friction torque per speed [Nm s/rad].
     """
 
-    rotor_inertia: Floats
-    torque_limit: Floats
-    coulomb: Floats
-    viscous: Floats
-
-    def __post_init__(self) -> None:
-        for name in ("rotor_inertia", "torque_limit", "coulomb", "viscous"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
+    rotor_inertia: Annotated[Floats, "6"]
+    torque_limit: Annotated[Floats, "6"]
+    coulomb: Annotated[Floats, "6"]
+    viscous: Annotated[Floats, "6"]
 
 
 def drives(spec: mujoco.MjSpec) -> Drives:

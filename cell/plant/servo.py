@@ -18,7 +18,7 @@ its motors, but masses no better than a model of unknown castings, and friction 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from cell.plant import dynamics
 from cell.plant.dynamics import Integrator
 from cell.plant.tool import Tool
 from planner.ports import Floats
-from planner.values import readonly
+from planner.values import Value
 
 if TYPE_CHECKING:
     import mujoco
@@ -78,7 +78,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gains:
+class Gains(Value):
     """Of the six axes.
 
     Attributes:
@@ -87,13 +87,9 @@ class Gains:
         integral: (6,) ki [Nm/(rad s)].
     """
 
-    stiffness: Floats
-    damping: Floats
-    integral: Floats
-
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "damping", "integral"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
+    stiffness: Annotated[Floats, "6"]
+    damping: Annotated[Floats, "6"]
+    integral: Annotated[Floats, "6"]
 
 
 def gains(inertia: Floats, bandwidth: float) -> Gains:

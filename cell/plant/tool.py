@@ -8,13 +8,13 @@ Gocator 2350 1.3 kg in 49 x 75 x 272 mm, Gocator 2330 0.74 kg in 49 x 75 x 142 m
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from cell.errors import SceneError
 from planner.ports import Floats
-from planner.values import readonly
+from planner.values import Value
 
 if TYPE_CHECKING:
     import mujoco
@@ -24,7 +24,7 @@ DENSITY = {"housing": 1300.0, "bracket": 2700.0}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class Piece(Value):
     """A rigid body on the flange.
 
     Attributes:
@@ -38,14 +38,10 @@ class Piece:
 
     name: str
     mass: float
-    inertia: Floats
-    position: Floats
-    quaternion: Floats
+    inertia: Annotated[Floats, "3"]
+    position: Annotated[Floats, "3"]
+    quaternion: Annotated[Floats, "4"]
     reach: float
-
-    def __post_init__(self) -> None:
-        for name, size in (("inertia", 3), ("position", 3), ("quaternion", 4)):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (size,)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.model import LINKS
 from cell.world.world import World
-from planner.values import readonly
+from planner.values import Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
@@ -37,7 +37,7 @@ _BOX_FACES = np.array(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Occluder:
+class Occluder(Value):
     """A named triangle mesh.
 
     Attributes:
@@ -48,13 +48,9 @@ class Occluder:
     """
 
     name: str
-    vertices: Floats
-    faces: NDArray[np.int32]
+    vertices: Annotated[Floats, "V 3"]
+    faces: Annotated[NDArray[np.int32], "F 3"]
     attached_to: Literal["base", "object"]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", readonly("vertices", self.vertices, (None, 3)))
-        object.__setattr__(self, "faces", readonly("faces", self.faces, (None, 3), np.int32))
 
 
 def occluder_triangles(

@@ -6,6 +6,7 @@ metres.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,12 @@ from numpy.typing import NDArray
 from cell.errors import SceneError
 from planner.ports import Floats, RayCaster, Rejection, Scanner
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Value, freeze
 from planner.viewpoints.lines_of_sight import flat_poses, lift
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scan:
+class Scan(Value):
     """What one scan gave.
 
     Attributes:
@@ -32,22 +33,16 @@ class Scan:
         face: (P,) int32 face of the part that each point lies on.
     """
 
-    T_object_scanner: Floats
+    T_object_scanner: Annotated[Floats, "4 4"]
     grid_shape: tuple[int, int]
-    codes: NDArray[np.uint8]
-    hit_face: NDArray[np.int32]
-    pixel: NDArray[np.int32]
-    points: Floats
-    face: NDArray[np.int32]
+    codes: Annotated[NDArray[np.uint8], "rays"]
+    hit_face: Annotated[NDArray[np.int32], "rays"]
+    pixel: Annotated[NDArray[np.int32], "P"]
+    points: Annotated[Floats, "P 3"]
+    face: Annotated[NDArray[np.int32], "P"]
 
     def __post_init__(self) -> None:
-        rays = self.grid_shape[0] * self.grid_shape[1]
-        object.__setattr__(self, "T_object_scanner", readonly("T_object_scanner", self.T_object_scanner, (4, 4)))
-        object.__setattr__(self, "codes", readonly("codes", self.codes, (rays,), np.uint8))
-        object.__setattr__(self, "hit_face", readonly("hit_face", self.hit_face, (rays,), np.int32))
-        object.__setattr__(self, "pixel", readonly("pixel", self.pixel, (None,), np.int32))
-        object.__setattr__(self, "points", readonly("points", self.points, (len(self.pixel), 3)))
-        object.__setattr__(self, "face", readonly("face", self.face, (len(self.pixel),), np.int32))
+        freeze(self, rays=self.grid_shape[0] * self.grid_shape[1])
 
     def sigma(self, scanner: Scanner, part_mesh: TriangleMesh) -> Floats:
         """(P,) expected standard deviation of each point along its ray [m], by the scanner's own model.

@@ -8,6 +8,7 @@ a thin sheet keep their own normals.
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from cell.reconstruction import kdtree
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Value, freeze, readonly
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ _CHUNK = 16_384  # points a pass, so that its arrays stay in the processor's cac
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScanCloud:
+class ScanCloud(Value):
     """The points of one scan.
 
     Attributes:
@@ -40,11 +41,11 @@ class ScanCloud:
     """
 
     points: Floats
-    sensor: Floats
+    sensor: Annotated[Floats, "3"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", finite("points of the scan", self.points))
-        object.__setattr__(self, "sensor", readonly("sensor", self.sensor, (3,)))
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -55,7 +56,7 @@ class ScanCloud:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointCloud:
+class PointCloud(Value):
     """Merged scans.
 
     Attributes:
@@ -65,13 +66,12 @@ class PointCloud:
     """
 
     points: Floats
-    normals: Floats
-    scan: NDArray[np.int32]
+    normals: Annotated[Floats, "N 3"]
+    scan: Annotated[NDArray[np.int32], "N"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", finite("points of the cloud", self.points))
-        object.__setattr__(self, "normals", readonly("normals", self.normals, (len(self.points), 3)))
-        object.__setattr__(self, "scan", readonly("scan", self.scan, (len(self.points),), np.int32))
+        freeze(self, N=len(self.points))
 
     def __len__(self) -> int:
         return len(self.points)

@@ -7,6 +7,7 @@ of their own. What the mesh lacks does not show here: that is coverage. Object f
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh, face_areas
-from planner.values import readonly
+from planner.values import Value
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ _BINS = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Deviation:
+class Deviation(Value):
     """Signed deviation of a mesh from the reference, positive outside; of its measured faces but for `closed`.
 
     Attributes:
@@ -37,20 +38,15 @@ class Deviation:
         closed: the same of the faces that close holes; None where there are none.
     """
 
-    at_vertices: Floats
+    at_vertices: Annotated[Floats, "V"]
     rms: float
     mean: float
     quantile_95: float
     largest: float
-    histogram: Floats
-    bin_edges: Floats
+    histogram: Annotated[Floats, "B"]
+    bin_edges: Annotated[Floats, "B+1"]
     sample_count: int
     closed: "Deviation | None" = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "at_vertices", readonly("at_vertices", self.at_vertices, (None,)))
-        object.__setattr__(self, "histogram", readonly("histogram", self.histogram, (None,)))
-        object.__setattr__(self, "bin_edges", readonly("bin_edges", self.bin_edges, (len(self.histogram) + 1,)))
 
 
 def deviation(

@@ -8,11 +8,12 @@ doi:10.1109/IM.2003.1240258). Object frame, metres and radians.
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.values import readonly
+from planner.values import Value
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ class FreeKind(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FreeMotion:
+class FreeMotion(Value):
     """A rigid motion that the measurements do not see.
 
     Attributes:
@@ -45,12 +46,8 @@ class FreeMotion:
     """
 
     kind: FreeKind
-    direction: Floats
-    point: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "direction", readonly("direction", self.direction, (3,)))
-        object.__setattr__(self, "point", readonly("point", self.point, (3,)))
+    direction: Annotated[Floats, "3"]
+    point: Annotated[Floats, "3"]
 
     @property
     def sentence(self) -> str:

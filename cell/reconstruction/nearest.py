@@ -13,6 +13,7 @@ which is right on closed meshes also where the closest point is on an edge.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from cell.reconstruction import kdtree
 from cell.reconstruction.face_blocks import FaceBlocks
 from planner.surface.closest import squared_distance
 from planner.surface.mesh import TriangleMesh, face_normals
-from planner.values import readonly
+from planner.values import Value
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -34,7 +35,7 @@ _CREASE = np.cos(np.radians(30.0))  # corners whose faces differ by more keep th
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ClosestPoints:
+class ClosestPoints(Value):
     """Closest points of a surface.
 
     Attributes:
@@ -44,17 +45,10 @@ class ClosestPoints:
         distance: (N,) unsigned distance [m].
     """
 
-    point: Floats
-    face: NDArray[np.int32]
-    weights: Floats
-    distance: Floats
-
-    def __post_init__(self) -> None:
-        count = len(self.face)
-        object.__setattr__(self, "point", readonly("point", self.point, (count, 3)))
-        object.__setattr__(self, "face", readonly("face", self.face, (count,), np.int32))
-        object.__setattr__(self, "weights", readonly("weights", self.weights, (count, 3)))
-        object.__setattr__(self, "distance", readonly("distance", self.distance, (count,)))
+    point: Annotated[Floats, "N 3"]
+    face: Annotated[NDArray[np.int32], "N"]
+    weights: Annotated[Floats, "N 3"]
+    distance: Annotated[Floats, "N"]
 
 
 class NearestSurface:

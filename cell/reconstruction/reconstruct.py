@@ -10,6 +10,7 @@ and is not marked. Object frame, metres.
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from cell.reconstruction.holes import close_holes
 from cell.reconstruction.implicit import FieldValues, ImplicitSurface
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Value, freeze
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -56,7 +57,7 @@ class ReconstructionStatus(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reconstruction:
+class Reconstruction(Value):
     """A reconstructed surface and how it came about.
 
     Attributes:
@@ -76,7 +77,7 @@ class Reconstruction:
 
     status: ReconstructionStatus
     mesh: TriangleMesh | None
-    closed: NDArray[np.bool_]
+    closed: Annotated[NDArray[np.bool_], "F"]
     spacing: float
     grid: float
     nodes: int
@@ -86,8 +87,7 @@ class Reconstruction:
     extent: float = float("nan")
 
     def __post_init__(self) -> None:
-        count = 0 if self.mesh is None else len(self.mesh.faces)
-        object.__setattr__(self, "closed", readonly("closed", self.closed, (count,), np.bool_))
+        freeze(self, F=0 if self.mesh is None else len(self.mesh.faces))
 
     @property
     def doubts(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ corrected: the step is restricted to the directions that each scan sees. Object 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingSc
 from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Value
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ _MOVED = (RegistrationStatus.CONVERGED, RegistrationStatus.PARTLY_FREE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScanRegistration:
+class ScanRegistration(Value):
     """The correction of one scan.
 
     Attributes:
@@ -69,15 +70,12 @@ class ScanRegistration:
     """
 
     status: RegistrationStatus
-    T_correction: Floats
+    T_correction: Annotated[Floats, "4 4"]
     rms_before: float
     rms_after: float
     used: float
     rank: int
     free: tuple[FreeMotion, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_correction", readonly("T_correction", self.T_correction, (4, 4)))
 
     @property
     def is_corrected(self) -> bool:

@@ -15,13 +15,14 @@ Base frame, metres, radians.
 
 import heapq
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from planner.ports import Floats, Progress
-from planner.values import readonly
+from planner.values import Value
 
 TOLERANCE = 2e-4
 """How far the true minimum may be below the one that is said [m], where it is near."""
@@ -31,7 +32,7 @@ _MOST = 4_000  # configurations looked at in a segment; what is then left open w
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tightest:
+class Tightest(Value):
     """The moment of a motion at which two things are nearest.
 
     Attributes:
@@ -43,18 +44,14 @@ class Tightest:
     """
 
     segment: int
-    q: Floats
+    q: Annotated[Floats, "6"]
     distance: float
     between: str
-    points: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "q", readonly("q", self.q, (6,)))
-        object.__setattr__(self, "points", readonly("points", self.points, (2, 3)))
+    points: Annotated[Floats, "2 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionClearance:
+class MotionClearance(Value):
     """Smallest distances of a motion.
 
     Attributes:
@@ -65,15 +62,11 @@ class MotionClearance:
         checks: configurations at which distances were measured.
     """
 
-    distance: Floats
-    at_least: Floats
-    between: tuple[str, ...]
+    distance: Annotated[Floats, "n"]
+    at_least: Annotated[Floats, "n"]
+    between: Annotated[tuple[str, ...], "n"]
     tightest: Tightest | None
     checks: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "distance", readonly("distance", self.distance, (len(self.between),)))
-        object.__setattr__(self, "at_least", readonly("at_least", self.at_least, (len(self.between),)))
 
 
 def of_motion(

@@ -8,7 +8,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
 from planner.ports import JointLimits, Progress
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
@@ -37,7 +37,7 @@ _RANK = ("housing", "bracket", *reversed(robot.LINKS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class World:
+class World(Value):
     """A compiled scene.
 
     Attributes:
@@ -64,12 +64,12 @@ class World:
     model: mujoco.MjModel
     grown: mujoco.MjModel
     spec: mujoco.MjSpec
-    T_base_object: Floats
-    T_object_centre: Floats
-    T_flange_scanner: Floats
-    T_flange_housing: Floats
+    T_base_object: Annotated[Floats, "4 4"]
+    T_object_centre: Annotated[Floats, "4 4"]
+    T_flange_scanner: Annotated[Floats, "4 4"]
+    T_flange_housing: Annotated[Floats, "4 4"]
     baseline: float
-    home: Floats
+    home: Annotated[Floats, "6"]
     limits: JointLimits
     clearance: float
     part_hull: TriangleMesh
@@ -77,13 +77,7 @@ class World:
     part_tree: TriangleTree | None
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
-    pairs: NDArray[np.int32]
-
-    def __post_init__(self) -> None:
-        for name in ("T_base_object", "T_object_centre", "T_flange_scanner", "T_flange_housing"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
-        object.__setattr__(self, "home", readonly("home", self.home, (6,)))
-        object.__setattr__(self, "pairs", readonly("pairs", self.pairs, (None, 2), np.int32))
+    pairs: Annotated[NDArray[np.int32], "P 2"]
 
     @property
     def floor(self) -> float:

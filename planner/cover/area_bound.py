@@ -12,13 +12,14 @@ evaluated here, and it holds.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from planner.cover.budget import STEP_WORK, Budget
 from planner.cover.interrupts import ends_search
 from planner.cover.problem import CoverProblem, Floats, Ints
-from planner.values import readonly
+from planner.values import Value
 
 ROUNDING = 1e-9
 """Added to every bound as a share of all units: far above the float error of B_u, far below what is reported."""
@@ -34,7 +35,7 @@ FRESH_STEP = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AreaBounds:
+class AreaBounds(Value):
     """Upper bounds on the units that 0, 1, 2, ... columns cover.
 
     Attributes:
@@ -43,13 +44,9 @@ class AreaBounds:
         column_value: (V,) c_j of these multipliers.
     """
 
-    units: Floats
-    multipliers: Floats
-    column_value: Floats
-
-    def __post_init__(self) -> None:
-        for name in ("units", "multipliers", "column_value"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,)))
+    units: Annotated[Floats, "k"]
+    multipliers: Annotated[Floats, "S"]
+    column_value: Annotated[Floats, "V"]
 
 
 def area_bounds(problem: CoverProblem, covered: Ints, budget: Budget, sizes: Iterable[int] | None = None) -> AreaBounds:

@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Value
 
 STEP_WORK = 12_000
 """Charge of one step of a search beyond the entries it touches: what its NumPy calls cost anyway."""
@@ -38,7 +38,7 @@ ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bound:
+class Bound(Value):
     """A proven lower bound.
 
     Attributes:
@@ -48,12 +48,8 @@ class Bound:
     """
 
     dual: float
-    multipliers: NDArray[np.float64]
-    reduced_costs: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "multipliers", readonly("multipliers", self.multipliers, (None,)))
-        object.__setattr__(self, "reduced_costs", readonly("reduced_costs", self.reduced_costs, (None,)))
+    multipliers: Annotated[NDArray[np.float64], "S"]
+    reduced_costs: Annotated[NDArray[np.float64], "V"]
 
     @property
     def value(self) -> int:

@@ -9,7 +9,7 @@ coverage, from below and above.
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from planner.cover.budget import Budget
 from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import Floats, Ints
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Value, freeze, readonly
 
 CURVE_WORK = 2_500_000_000
 """Default budget: some five seconds for a thousand candidates and four thousand samples."""
@@ -33,7 +33,7 @@ _MET = 1e-12  # share of the coverable area: a coverage counts as reached when n
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoverageCurve:
+class CoverageCurve(Value):
     """The most area found with each number of views, and the bound that no views of that number exceed.
 
     Attributes:
@@ -47,18 +47,17 @@ class CoverageCurve:
     """
 
     first: int
-    covered_area: Floats
-    upper_area: Floats
-    views: tuple[Ints, ...]
+    covered_area: Annotated[Floats, "n"]
+    upper_area: Annotated[Floats, "n"]
+    views: Annotated[tuple[Ints, ...], "n"]
     coverable_area: float
     total_area: float
     time_limited: bool
 
     def __post_init__(self) -> None:
-        n = len(self.views)
-        object.__setattr__(self, "covered_area", readonly("covered_area", self.covered_area, (n,)))
-        object.__setattr__(self, "upper_area", readonly("upper_area", self.upper_area, (n,)))
-        object.__setattr__(self, "views", tuple(readonly("views", v, (None,), np.int64) for v in self.views))
+        views = tuple(readonly("views", v, (None,), np.int64) for v in self.views)
+        object.__setattr__(self, "views", views)
+        freeze(self)
 
     @property
     def n_views(self) -> Ints:

@@ -8,18 +8,18 @@ on a row are a demand of k; a probability of being measured becomes a sum of log
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from planner.cover.problem import CoverProblem, Floats, Ints
-from planner.values import readonly
+from planner.values import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DemandProblem:
+class DemandProblem(Value):
     """Rows that demand, columns that bring; every required row can be satisfied by all columns together.
 
     Attributes:
@@ -35,22 +35,16 @@ class DemandProblem:
         full: whether every row must be satisfied.
     """
 
-    row_start: Ints
-    row_columns: Ints
-    row_load: Ints
-    column_start: Ints
-    column_rows: Ints
-    column_load: Ints
-    demand: Ints
-    units: Ints
+    row_start: Annotated[Ints, "S+1"]
+    row_columns: Annotated[Ints, "nnz"]
+    row_load: Annotated[Ints, "nnz"]
+    column_start: Annotated[Ints, "V+1"]
+    column_rows: Annotated[Ints, "nnz"]
+    column_load: Annotated[Ints, "nnz"]
+    demand: Annotated[Ints, "S"]
+    units: Annotated[Ints, "S"]
     required: int
     full: bool
-
-    def __post_init__(self) -> None:
-        for name in ("row_start", "row_columns", "row_load", "column_start", "column_rows", "column_load"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,), np.int64))
-        for name in ("demand", "units"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (self.n_rows,), np.int64))
 
     @classmethod
     def of(cls, loads: Any, demand: Ints, units: Floats, required: int, *, full: bool) -> "DemandProblem":

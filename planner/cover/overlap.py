@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,7 +26,7 @@ from planner.cover.prepared import Prepared, prepare
 from planner.cover.problem import Floats, Ints
 from planner.cover.selection import Cover, CoverStatus, beginning, solve
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Value, freeze
 
 OVERLAP_WORK = 1_000_000_000
 """Default budget: two to five seconds."""
@@ -68,7 +68,7 @@ class OverlapStatus(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OverlapCover:
+class OverlapCover(Value):
     """Views that hang together, and what that costs.
 
     Attributes:
@@ -84,17 +84,13 @@ class OverlapCover:
     cover: Cover
     status: OverlapStatus
     unconnected_views: int
-    part: Ints
-    part_area: Floats
-    shared_area: Floats
-    joined: NDArray[np.bool_]
+    part: Annotated[Ints, "n"]
+    part_area: Annotated[Floats, "p"]
+    shared_area: Annotated[Floats, "n n"]
+    joined: Annotated[NDArray[np.bool_], "n n"]
 
     def __post_init__(self) -> None:
-        n = len(self.cover.views)
-        object.__setattr__(self, "part", readonly("part", self.part, (n,), np.int64))
-        object.__setattr__(self, "part_area", readonly("part_area", self.part_area, (None,)))
-        object.__setattr__(self, "shared_area", readonly("shared_area", self.shared_area, (n, n)))
-        object.__setattr__(self, "joined", readonly("joined", self.joined, (n, n), np.bool_))
+        freeze(self, n=len(self.cover.views))
 
     @property
     def extra_views(self) -> int:

@@ -22,14 +22,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, fsum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Value, freeze
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ TARGET_SLACK = Fraction(1, 10**12)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoverProblem:
+class CoverProblem(Value):
     """A set-cover problem in canonical column order; every row can be covered as often as it demands.
 
     Attributes:
@@ -63,22 +63,15 @@ class CoverProblem:
         costs: (V,) cost of each column in whole units, at least 1.
     """
 
-    row_start: Ints
-    row_columns: Ints
-    column_start: Ints
-    column_rows: Ints
-    units: Floats
+    row_start: Annotated[Ints, "S+1"]
+    row_columns: Annotated[Ints, "nnz"]
+    column_start: Annotated[Ints, "V+1"]
+    column_rows: Annotated[Ints, "nnz"]
+    units: Annotated[Floats, "S"]
     required: int
     full: bool
-    demand: Ints
-    costs: Ints
-
-    def __post_init__(self) -> None:
-        for name in ("row_start", "row_columns", "column_start", "column_rows"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,), np.int64))
-        object.__setattr__(self, "units", readonly("units", self.units, (self.n_rows,)))
-        object.__setattr__(self, "demand", readonly("demand", self.demand, (self.n_rows,), np.int64))
-        object.__setattr__(self, "costs", readonly("costs", self.costs, (self.n_columns,), np.int64))
+    demand: Annotated[Ints, "S"]
+    costs: Annotated[Ints, "V"]
 
     @property
     def n_rows(self) -> int:
@@ -177,7 +170,7 @@ class CoverProblem:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class Candidates(Value):
     """A cover problem together with what it was made from.
 
     Attributes:
@@ -191,19 +184,15 @@ class Candidates:
     """
 
     problem: CoverProblem
-    rows: Ints
-    columns: Ints
-    areas: Floats
-    uncoverable_rows: Ints
-    short_rows: Ints
+    rows: Annotated[Ints, "s"]
+    columns: Annotated[Ints, "v"]
+    areas: Annotated[Floats, "S"]
+    uncoverable_rows: Annotated[Ints, "_"]
+    short_rows: Annotated[Ints, "_"]
     cost_unit: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", readonly("rows", self.rows, (self.problem.n_rows,), np.int64))
-        object.__setattr__(self, "columns", readonly("columns", self.columns, (self.problem.n_columns,), np.int64))
-        object.__setattr__(self, "areas", readonly("areas", self.areas, (None,)))
-        for name in ("uncoverable_rows", "short_rows"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,), np.int64))
+        freeze(self, s=self.problem.n_rows, v=self.problem.n_columns)
 
 
 def gather(start: Ints, items: Ints, which: Ints) -> tuple[Ints, Ints]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, log
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,7 +30,7 @@ from planner.cover.problem import TARGET_SLACK, Floats, Ints
 from planner.cover.selection import Cover, beginning, solve
 from planner.errors import PlannerError
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited
-from planner.values import readonly
+from planner.values import Value
 
 ALPHA = 0.05
 """Default: a sample counts where the plan measures it with a probability of at least 95 %."""
@@ -46,7 +46,7 @@ BOUND_SHARE, SEARCH_SHARE = 0.4, 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobustCover:
+class RobustCover(Value):
     """Views, and what they promise.
 
     Attributes:
@@ -63,10 +63,7 @@ class RobustCover:
     members: int
     robust_area: float
     robust_coverable_area: float
-    probability: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "probability", readonly("probability", self.probability, (None,)))
+    probability: Annotated[Floats, "S"]
 
     @property
     def sentence(self) -> str:

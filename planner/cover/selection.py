@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from planner.cover.problem import Candidates, CoverProblem, Floats, Ints, candid
 from planner.cover.reductions import reduce, take
 from planner.cover.solvers import BOUND_SHARE, SOLVERS
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Value
 
 PRICE_ROUNDING = 1e-4
 """Costs that are not whole numbers are rounded: "proven cheapest" means that none saves more than this share."""
@@ -41,7 +41,7 @@ class CoverStatus(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cover:
+class Cover(Value):
     """A selection of views and what is proven about it.
 
     Attributes:
@@ -61,26 +61,20 @@ class Cover:
         price: cost of the views together, and what no selection that meets the target undercuts; None without costs.
     """
 
-    views: Ints
-    marginal_area: Floats
+    views: Annotated[Ints, "n"]
+    marginal_area: Annotated[Floats, "n"]
     covered_area: float
     coverable_area: float
     total_area: float
-    uncoverable_rows: Ints
-    pinned: Ints
+    uncoverable_rows: Annotated[Ints, "_"]
+    pinned: Annotated[Ints, "_"]
     status: CoverStatus
     lower_bound: int
     solver: str
     work: int
     multiplicity: int = 1
-    short_rows: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    short_rows: Annotated[Ints, "_"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     price: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "views", readonly("views", self.views, (None,), np.int64))
-        object.__setattr__(self, "marginal_area", readonly("marginal_area", self.marginal_area, (len(self.views),)))
-        for name in ("uncoverable_rows", "pinned", "short_rows"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,), np.int64))
 
     @property
     def cost(self) -> float:

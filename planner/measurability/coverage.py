@@ -10,6 +10,7 @@ Coverage is never calculated from a reconstructed mesh. Object frame, metres.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from planner.measurability.matrix import measured
 from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.values import readonly
+from planner.values import Value
 
 SAMPLES = 100_000
 """How many samples coverage is defined with."""
@@ -29,7 +30,7 @@ RADIUS_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coverage:
+class Coverage(Value):
     """Which samples are covered, and how much area they stand for.
 
     Attributes:
@@ -38,12 +39,9 @@ class Coverage:
         total_area: area that all samples stand for [m^2].
     """
 
-    covered: NDArray[np.bool_]
+    covered: Annotated[NDArray[np.bool_], "S"]
     area: float
     total_area: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "covered", readonly("covered", self.covered, (None,), np.bool_))
 
     @property
     def fraction(self) -> float:

@@ -12,7 +12,7 @@ planning resolution would hit. Object frame, metres.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from planner.measurability.raygrid import scanned_rows
 from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.values import readonly
+from planner.values import Value, freeze, readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -37,7 +37,7 @@ _OPEN_BUNDLE = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measurability:
+class Measurability(Value):
     """A binary matrix in compressed sparse rows: features x viewpoints.
 
     Attributes:
@@ -49,22 +49,16 @@ class Measurability:
             `planner.measurability.quality.sigma_layer`; None where it was not asked for.
     """
 
-    indptr: NDArray[np.int64]
-    indices: NDArray[np.int32]
-    features: SurfaceSamples
+    indptr: Annotated[NDArray[np.int64], "S+1"]
+    indices: Annotated[NDArray[np.int32], "nnz"]
+    features: Annotated[SurfaceSamples, "S"]
     n_viewpoints: int
-    sigma: NDArray[np.float32] | None = None
+    sigma: Annotated[NDArray[np.float32], "nnz"] | None = None
 
     def __post_init__(self) -> None:
-        if self.sigma is not None:
-            # readonly() refuses infinities; they are meant here: entries at exactly 90 degrees have no precision.
-            sigma = np.array(self.sigma, dtype=np.float32)
-            if sigma.shape != (len(self.indices),) or not (sigma >= 0).all():
-                raise PlannerError(f"sigma has shape {sigma.shape}; it must be ({len(self.indices)},) and 0 or more")
-            sigma.flags.writeable = False
-            object.__setattr__(self, "sigma", sigma)
-        object.__setattr__(self, "indptr", readonly("indptr", self.indptr, (len(self.features) + 1,), np.int64))
-        object.__setattr__(self, "indices", readonly("indices", self.indices, (None,), np.int32))
+        freeze(self)
+        if self.sigma is not None and not (self.sigma >= 0).all():
+            raise PlannerError("sigma must be 0 or more at every entry")
         if self.indptr[0] != 0 or self.indptr[-1] != len(self.indices) or (np.diff(self.indptr) < 0).any():
             raise PlannerError("indptr does not fit indices; it must rise from 0 to their number")
         if len(self.indices) and not (self.indices.min() >= 0 and self.indices.max() < self.n_viewpoints):

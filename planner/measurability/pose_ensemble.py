@@ -12,6 +12,7 @@ calculated again. Object frame, metres, radians.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
 from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.sample import SurfaceSamples
-from planner.values import readonly
+from planner.values import Value, freeze
 from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -64,7 +65,7 @@ class PoseError:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProbabilityLayer:
+class ProbabilityLayer(Value):
     """For each entry of a measurability matrix, how many members of the ensemble measure the sample.
 
     Attributes:
@@ -74,15 +75,13 @@ class ProbabilityLayer:
         members: size of the ensemble; 0 where poses are exact, and every entry is certain.
     """
 
-    indptr: NDArray[np.int64]
-    indices: NDArray[np.int32]
-    hits: NDArray[np.int32]
+    indptr: Annotated[NDArray[np.int64], "S+1"]
+    indices: Annotated[NDArray[np.int32], "nnz"]
+    hits: Annotated[NDArray[np.int32], "nnz"]
     members: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "indptr", readonly("indptr", self.indptr, (None,), np.int64))
-        object.__setattr__(self, "indices", readonly("indices", self.indices, (None,), np.int32))
-        object.__setattr__(self, "hits", readonly("hits", self.hits, (len(self.indices),), np.int32))
+        freeze(self)
         if len(self.hits) and not (self.hits.min() >= 0 and self.hits.max() <= self.members):
             raise PlannerError(f"hits must be from 0 to the ensemble's {self.members} members")
 

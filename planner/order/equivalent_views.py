@@ -16,7 +16,7 @@ choice among stand-ins that can be picked in any combination to the search that 
 from collections.abc import Callable, Iterable
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from planner.order import generalised_tsp as gtsp
 from planner.ports import Floats, JointLimits
 from planner.timing.motion import move_time
-from planner.values import readonly
+from planner.values import Value, freeze, readonly
 
 Ints = NDArray[np.int64]
 
@@ -37,7 +37,7 @@ _ORDERINGS = 20  # at most; four to seven are usual
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exchange:
+class Exchange(Value):
     """Views that measure as much as the ones given, and a shorter motion.
 
     Attributes:
@@ -49,16 +49,16 @@ class Exchange:
         orderings: orderings computed.
     """
 
-    views: Ints
-    groups: tuple[Ints, ...]
+    views: Annotated[Ints, "n"]
+    groups: Annotated[tuple[Ints, ...], "n"]
     duration_before: float
     duration: float
     orderings: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "views", readonly("views", self.views, (None,), np.int64))
         groups = tuple(readonly("group", group, (None,), np.int64) for group in self.groups)
         object.__setattr__(self, "groups", groups)
+        freeze(self)
 
 
 class Matrix:

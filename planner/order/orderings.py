@@ -14,6 +14,7 @@ from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from planner.order import generalised_tsp as gtsp
 from planner.order.tour_bound import one_tree
 from planner.ports import Floats, JointLimits
 from planner.timing.motion import check_inside, move_time
-from planner.values import readonly
+from planner.values import Value, readonly
 
 EdgeTimes = Mapping[tuple[int, int], float]
 
@@ -49,7 +50,7 @@ _SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sequence:
+class Sequence(Value):
     """Views in visiting order with a joint solution each; home comes before the first and after the last.
 
     Attributes:
@@ -64,19 +65,14 @@ class Sequence:
         steps: tours that were looked at.
     """
 
-    order: NDArray[np.int64]
-    choice: NDArray[np.int64]
-    q: Floats
+    order: Annotated[NDArray[np.int64], "n"]
+    choice: Annotated[NDArray[np.int64], "n"]
+    q: Annotated[Floats, "n 6"]
     duration: float
     baseline_duration: float
     lower_bound: float
     status: OrderStatus
     steps: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "order", readonly("order", self.order, (None,), np.int64))
-        object.__setattr__(self, "choice", readonly("choice", self.choice, (len(self.order),), np.int64))
-        object.__setattr__(self, "q", readonly("q", self.q, (len(self.order), 6)))
 
 
 def node_offsets(configurations: Many[Floats]) -> NDArray[np.int64]:

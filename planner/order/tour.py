@@ -10,6 +10,7 @@ anew without it.
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from planner.path.path import path_time
 from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, Floats, JointLimits, Progress
 from planner.timing.motion import check_inside, check_limits
-from planner.values import readonly
+from planner.values import Value, readonly
 
 
 class TourStatus(IntEnum):
@@ -84,7 +85,7 @@ class Dropped:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tour:
+class Tour(Value):
     """A certified motion over the views; leg k leads to view `order[k]`, the last leg home.
 
     Attributes:
@@ -111,17 +112,17 @@ class Tour:
         rounds: orderings computed.
     """
 
-    order: NDArray[np.int64]
-    choice: NDArray[np.int64]
-    q: Floats
-    via: Floats
-    segment: NDArray[np.int64]
-    view: NDArray[np.int64]
-    pose: NDArray[np.int64]
-    entered: NDArray[np.int64]
-    clearance: Floats
-    between: tuple[str, ...]
-    detour: NDArray[np.bool_]
+    order: Annotated[NDArray[np.int64], "n"]
+    choice: Annotated[NDArray[np.int64], "n"]
+    q: Annotated[Floats, "n 6"]
+    via: Annotated[Floats, "N 6"]
+    segment: Annotated[NDArray[np.int64], "N"]
+    view: Annotated[NDArray[np.int64], "N"]
+    pose: Annotated[NDArray[np.int64], "N"]
+    entered: Annotated[NDArray[np.int64], "n"]
+    clearance: Annotated[Floats, "legs"]
+    between: Annotated[tuple[str, ...], "legs"]
+    detour: Annotated[NDArray[np.bool_], "legs"]
     duration: float
     baseline_duration: float
     lower_bound: float
@@ -130,19 +131,6 @@ class Tour:
     home_blocker: str
     checks: int
     rounds: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "order", readonly("order", self.order, (None,), np.int64))
-        n = len(self.order)
-        object.__setattr__(self, "choice", readonly("choice", self.choice, (n,), np.int64))
-        object.__setattr__(self, "q", readonly("q", self.q, (n, 6)))
-        object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
-        object.__setattr__(self, "segment", readonly("segment", self.segment, (len(self.via),), np.int64))
-        object.__setattr__(self, "view", readonly("view", self.view, (len(self.via),), np.int64))
-        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.via),), np.int64))
-        object.__setattr__(self, "entered", readonly("entered", self.entered, (n,), np.int64))
-        object.__setattr__(self, "clearance", readonly("clearance", self.clearance, (len(self.between),)))
-        object.__setattr__(self, "detour", readonly("detour", self.detour, (len(self.between),), np.bool_))
 
 
 def plan_motion(

@@ -7,6 +7,7 @@ point near them, wherever that is certified and faster.
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from planner.path.certified_edge import certify, clearance_along, quantise_insid
 from planner.path.rrt_connect import rrt_connect
 from planner.ports import CollisionChecker, Floats, JointLimits
 from planner.timing.motion import check_inside, check_limits, move_time
-from planner.values import readonly
+from planner.values import Value, readonly
 
 CHECKS = 40_000
 """Default budget of a search: configurations checked, about half a second at 80,000 per second."""
@@ -45,7 +46,7 @@ _SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PathResult:
+class PathResult(Value):
     """A certified path, or why there is none.
 
     Attributes:
@@ -59,16 +60,12 @@ class PathResult:
         duration: time of the moves [s]; inf without a path.
     """
 
-    via: Floats | None
+    via: Annotated[Floats, "m 6"] | None
     status: PathStatus
     checks: int
     clearance: float
     between: str
     duration: float
-
-    def __post_init__(self) -> None:
-        if self.via is not None:
-            object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
 
 
 def connect(

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import PlannerError
 from planner.ports import CollisionChecker, Kinematics, Progress
 from planner.reach.setpoints import Setpoints, setpoints
-from planner.values import readonly
+from planner.values import Value, freeze, readonly
 
 if TYPE_CHECKING:
     from planner.viewpoints.viewpoints import Viewpoints
@@ -58,7 +58,7 @@ _VERDICT_SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reach:
+class Reach(Value):
     """Verdict and joint solutions of each viewpoint.
 
     Attributes:
@@ -68,20 +68,14 @@ class Reach:
         blocker: V names of what blocks, such as "housing with part"; "" unless the verdict is COLLISION.
     """
 
-    verdict: NDArray[np.uint8]
-    q: Floats
-    offsets: Integers
-    blocker: tuple[str, ...]
+    verdict: Annotated[NDArray[np.uint8], "V"]
+    q: Annotated[Floats, "total 6"]
+    offsets: Annotated[Integers, "V+1"]
+    blocker: Annotated[tuple[str, ...], "V"]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "verdict", readonly("verdict", self.verdict, (None,), np.uint8))
-        object.__setattr__(self, "q", readonly("q", self.q, (None, 6)))
-        object.__setattr__(self, "offsets", readonly("offsets", self.offsets, (len(self.verdict) + 1,), np.int64))
         object.__setattr__(self, "blocker", tuple(self.blocker))
-        if len(self.blocker) != len(self.verdict):
-            raise PlannerError(
-                f"blocker has {len(self.blocker)} names; it must have {len(self.verdict)}, one a viewpoint"
-            )
+        freeze(self)
         counts = np.diff(self.offsets)
         if self.offsets[0] != 0 or self.offsets[-1] != len(self.q) or (counts < 0).any():
             raise PlannerError(f"offsets must rise from 0 to {len(self.q)}, the number of rows of q")

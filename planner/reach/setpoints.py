@@ -6,12 +6,13 @@ before any collision check, so that what is found free is what is commanded.
 
 import itertools
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.ports import JointLimits
-from planner.values import readonly
+from planner.values import Value
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -40,7 +41,7 @@ def from_steps(steps: ArrayLike) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setpoints:
+class Setpoints(Value):
     """All set-points within the joint limits that put the flange at given poses.
 
     Attributes:
@@ -51,18 +52,11 @@ class Setpoints:
         geometry: (n,) int64 which of those each row is a turn of.
     """
 
-    real: NDArray[np.bool_]
-    q: Floats
-    pose: Integers
-    first: Integers
-    geometry: Integers
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "real", readonly("real", self.real, (None,), np.bool_))
-        object.__setattr__(self, "q", readonly("q", self.q, (None, 6)))
-        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.q),), np.int64))
-        object.__setattr__(self, "first", readonly("first", self.first, (None,), np.int64))
-        object.__setattr__(self, "geometry", readonly("geometry", self.geometry, (len(self.q),), np.int64))
+    real: Annotated[NDArray[np.bool_], "N"]
+    q: Annotated[Floats, "n 6"]
+    pose: Annotated[Integers, "n"]
+    first: Annotated[Integers, "g"]
+    geometry: Annotated[Integers, "n"]
 
 
 def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:

@@ -4,19 +4,20 @@ Object frame (the mesh file's axes), metres.
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Value, freeze
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TriangleMesh:
+class TriangleMesh(Value):
     """A triangle mesh; a face's corners turn counter-clockwise when seen from outside.
 
     Attributes:
@@ -25,13 +26,12 @@ class TriangleMesh:
         diagonal: length of the bounding box's diagonal [m]; tolerances are shares of it.
     """
 
-    vertices: Floats
-    faces: Ints
+    vertices: Annotated[Floats, "V 3"]
+    faces: Annotated[Ints, "F 3"]
     diagonal: float = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", readonly("vertices", self.vertices, (None, 3)))
-        object.__setattr__(self, "faces", readonly("faces", self.faces, (None, 3), np.int32))
+        freeze(self)
         if not np.isfinite(self.vertices).all():
             raise PlannerError("vertices contains infinity; every coordinate must be finite")
         if not len(self.faces):

@@ -4,6 +4,7 @@ Coverage is a sum of the areas of samples of the *reference* mesh (Section 3.2).
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.surface.closest import closest_face
 from planner.surface.mesh import Floats, Ints, TriangleMesh, face_areas, face_centres, face_normals
-from planner.values import readonly
+from planner.values import Value
 
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceSamples:
+class SurfaceSamples(Value):
     """Surface features: the rows of the measurability matrix, or the points on which coverage is measured.
 
     Attributes:
@@ -28,19 +29,11 @@ class SurfaceSamples:
         planning_face: (S,) int32 face of the planning mesh that it belongs to.
     """
 
-    points: Floats
-    normals: Floats
-    areas: Floats
-    face: Ints
-    planning_face: Ints
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points", readonly("points", self.points, (None, 3)))
-        count = len(self.points)
-        object.__setattr__(self, "normals", readonly("normals", self.normals, (count, 3)))
-        object.__setattr__(self, "areas", readonly("areas", self.areas, (count,)))
-        object.__setattr__(self, "face", readonly("face", self.face, (count,), np.int32))
-        object.__setattr__(self, "planning_face", readonly("planning_face", self.planning_face, (count,), np.int32))
+    points: Annotated[Floats, "S 3"]
+    normals: Annotated[Floats, "S 3"]
+    areas: Annotated[Floats, "S"]
+    face: Annotated[Ints, "S"]
+    planning_face: Annotated[Ints, "S"]
 
     def __len__(self) -> int:
         return len(self.points)

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import PlannerError
 from planner.ports import Floats, JointLimits
 from planner.timing.s_curve import Profile, fastest, sample
-from planner.values import readonly
+from planner.values import Value, freeze, readonly
 
 MARGIN = 1e-8
 """Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second
@@ -40,7 +40,7 @@ SAMPLE_PERIOD = 0.012
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(Value):
     """A timed motion through via points, at rest at each of them but those inside the line of a sweep.
 
     Samples are spaced evenly inside a move, at most `sample_period` apart, and every via point is a sample. A sample
@@ -62,36 +62,26 @@ class Motion:
         line: (N,) number of the sweep on whose line the via point is reached, from 0; -1 where a joint move reaches it.
     """
 
-    via_q: Floats
-    segment: NDArray[np.int64]
-    view: NDArray[np.int64]
-    via_t: Floats
-    t: Floats
-    q: Floats
-    qd: Floats
-    qdd: Floats
-    segment_of_sample: NDArray[np.int64]
+    via_q: Annotated[Floats, "N 6"]
+    segment: Annotated[NDArray[np.int64], "N"]
+    view: Annotated[NDArray[np.int64], "N"]
+    via_t: Annotated[Floats, "N"]
+    t: Annotated[Floats, "M"]
+    q: Annotated[Floats, "M 6"]
+    qd: Annotated[Floats, "M 6"]
+    qdd: Annotated[Floats, "M 6"]
+    segment_of_sample: Annotated[NDArray[np.int64], "M"]
     duration: float
     limits: JointLimits
-    pose: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    line: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    pose: Annotated[NDArray[np.int64], "N"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    line: Annotated[NDArray[np.int64], "N"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "via_q", readonly("via_q", self.via_q, (None, 6)))
-        n = len(self.via_q)
-        pose = self.pose if len(self.pose) else np.where(np.asarray(self.view) >= 0, 0, -1)
-        line = self.line if len(self.line) else np.full(n, -1)
-        object.__setattr__(self, "pose", readonly("pose", pose, (n,), np.int64))
-        object.__setattr__(self, "line", readonly("line", line, (n,), np.int64))
-        object.__setattr__(self, "segment", readonly("segment", self.segment, (n,), np.int64))
-        object.__setattr__(self, "view", readonly("view", self.view, (n,), np.int64))
-        object.__setattr__(self, "via_t", readonly("via_t", self.via_t, (n,)))
-        object.__setattr__(self, "t", readonly("t", self.t, (None,)))
-        m = len(self.t)
-        for name in ("q", "qd", "qdd"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (m, 6)))
-        segment_of_sample = readonly("segment_of_sample", self.segment_of_sample, (m,), np.int64)
-        object.__setattr__(self, "segment_of_sample", segment_of_sample)
+        if not len(self.pose):
+            object.__setattr__(self, "pose", np.where(np.asarray(self.view) >= 0, 0, -1))
+        if not len(self.line):
+            object.__setattr__(self, "line", np.full(len(self.via_q), -1))
+        freeze(self)
 
     @property
     def stops(self) -> NDArray[np.int64]:

@@ -10,13 +10,14 @@ handed about the viewing direction: clockwise for someone who looks along with t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Value, readonly
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ _ALONG_Z = 1e-3  # sine below which a view counts as along z: a flat top's norma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Viewpoints:
+class Viewpoints(Value):
     """Candidate viewpoints.
 
     Attributes:
@@ -34,19 +35,10 @@ class Viewpoints:
         roll: (V,) angle about the viewing axis [rad].
     """
 
-    T_object_scanner: Floats
-    face: NDArray[np.int32]
-    standoff: Floats
-    roll: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "T_object_scanner", readonly("T_object_scanner", self.T_object_scanner, (None, None, 4, 4))
-        )
-        count = len(self.T_object_scanner)
-        object.__setattr__(self, "face", readonly("face", self.face, (count,), np.int32))
-        object.__setattr__(self, "standoff", readonly("standoff", self.standoff, (count,)))
-        object.__setattr__(self, "roll", readonly("roll", self.roll, (count,)))
+    T_object_scanner: Annotated[Floats, "V K 4 4"]
+    face: Annotated[NDArray[np.int32], "V"]
+    standoff: Annotated[Floats, "V"]
+    roll: Annotated[Floats, "V"]
 
     def __len__(self) -> int:
         return len(self.T_object_scanner)

@@ -9,12 +9,13 @@ Object frame, metres, radians.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.ports import Floats, RayCaster, Scanner
-from planner.values import readonly
+from planner.values import Value
 from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -42,7 +43,7 @@ class Kind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WhatIf:
+class WhatIf(Value):
     """One change to a plan.
 
     Attributes:
@@ -59,13 +60,9 @@ class WhatIf:
     change: float
     sentence: str
     setting: str
-    T_object_scanner: Floats
+    T_object_scanner: Annotated[Floats, "n K 4 4"]
     scanner: Scanner
     casters: tuple[RayCaster, ...]
-
-    def __post_init__(self) -> None:
-        T = readonly("T_object_scanner", self.T_object_scanner, (None, None, 4, 4))
-        object.__setattr__(self, "T_object_scanner", T)
 
     def measures(self, targets: Targets, rows: Indices) -> NDArray[np.bool_]:
         """(n,) which of the rows at least one candidate measures under the change."""

@@ -18,13 +18,14 @@ frame, metres, radians.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.ports import Floats, Progress, RayCaster, Rejection, Scanner
-from planner.values import readonly
+from planner.values import Value, readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why.reasons import Reason
@@ -38,7 +39,7 @@ for _code in Rejection:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis:
+class Diagnosis(Value):
     """Reason and closest candidate of n open points.
 
     Attributes:
@@ -49,18 +50,11 @@ class Diagnosis:
         distance: (n,) from source to point, at that pose [m].
     """
 
-    reason: NDArray[np.uint8]
-    pose: Indices
-    grazing_source: Floats
-    grazing_sensor: Floats
-    distance: Floats
-
-    def __post_init__(self) -> None:
-        n = len(self.reason)
-        object.__setattr__(self, "reason", readonly("reason", self.reason, (n,), np.uint8))
-        object.__setattr__(self, "pose", readonly("pose", self.pose, (n,), np.int64))
-        for name in ("grazing_source", "grazing_sensor", "distance"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (n,)))
+    reason: Annotated[NDArray[np.uint8], "n"]
+    pose: Annotated[Indices, "n"]
+    grazing_source: Annotated[Floats, "n"]
+    grazing_sensor: Annotated[Floats, "n"]
+    distance: Annotated[Floats, "n"]
 
 
 def diagnose(

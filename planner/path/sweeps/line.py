@@ -13,13 +13,14 @@ Base frame, metres, radians.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.ports import Floats
 from planner.timing.s_curve import Profile
-from planner.values import readonly
+from planner.values import Value, readonly
 
 _EASE = 0.1  # time in which a ramp's acceleration is reached at the fastest [s]
 _SAME = 1e-7
@@ -56,7 +57,7 @@ DEFAULT_SPEED = SweepSpeed()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SweepLine:
+class SweepLine(Value):
     """A line of poses.
 
     Attributes:
@@ -66,15 +67,10 @@ class SweepLine:
         poses: K measuring poses on it.
     """
 
-    T_base_begin: Floats
-    displacement: Floats
-    turn: Floats
+    T_base_begin: Annotated[Floats, "4 4"]
+    displacement: Annotated[Floats, "3"]
+    turn: Annotated[Floats, "3"]
     poses: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_base_begin", readonly("T_base_begin", self.T_base_begin, (4, 4)))
-        object.__setattr__(self, "displacement", readonly("displacement", self.displacement, (3,)))
-        object.__setattr__(self, "turn", readonly("turn", self.turn, (3,)))
 
     @property
     def length(self) -> float:

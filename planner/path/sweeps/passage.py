@@ -1,16 +1,17 @@
 """A sweep as a tour sees it: where the arm arrives, where it leaves, and how long it takes."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.ports import Floats
-from planner.values import readonly
+from planner.values import Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Passage:
+class Passage(Value):
     """What the arm does at a view between arriving and leaving: the line of a sweep.
 
     Attributes:
@@ -20,14 +21,10 @@ class Passage:
         leaves: joint solution of the same view (its index) that begins where this one ends.
     """
 
-    via: Floats
-    pose: NDArray[np.int64]
+    via: Annotated[Floats, "m 6"]
+    pose: Annotated[NDArray[np.int64], "m"]
     duration: float
     leaves: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "via", readonly("via", self.via, (None, 6)))
-        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.via),), np.int64))
 
     @property
     def middle(self) -> Floats:

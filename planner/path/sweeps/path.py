@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from planner.path.sweeps.passage import Passage
 from planner.ports import Floats
 from planner.reach.setpoints import to_steps
 from planner.timing.s_curve import Profile
-from planner.values import readonly
+from planner.values import Value
 
 
 class SweepRefusal(IntEnum):
@@ -43,7 +44,7 @@ _SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SweepPath:
+class SweepPath(Value):
     """A sweep on one branch, in one direction.
 
     Attributes:
@@ -58,16 +59,11 @@ class SweepPath:
 
     line: SweepLine
     branch: int
-    q: Floats
-    u: Floats
-    pose: NDArray[np.int64]
+    q: Annotated[Floats, "m 6"]
+    u: Annotated[Floats, "m"]
+    pose: Annotated[NDArray[np.int64], "m"]
     profile: Profile
     sigma: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "q", readonly("q", self.q, (None, 6)))
-        object.__setattr__(self, "u", readonly("u", self.u, (len(self.q),)))
-        object.__setattr__(self, "pose", readonly("pose", self.pose, (len(self.q),), np.int64))
 
     @property
     def duration(self) -> float:
