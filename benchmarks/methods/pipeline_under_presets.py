@@ -16,14 +16,18 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.methods.preset_knobs import FINEST
 from cell.errors import CellError
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
 from cell.scene.presets import PRESETS
 from cell.study.bench import Bench
 from cell.study.scenes import scene_of
-from cell.study.turned import FINEST
+from cell.study.trial import Outcome
 from planner.measurability import coverage
+
+WHOLE = "whole"
+"""Its name among the knobs."""
 
 PAPER = "paper's method"
 
@@ -102,18 +106,18 @@ def measurable(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"measurable": found, "candidates": len(bench.zone), "reachable": int(reached.sum())}
 
 
-def row(part: str, method: str, values: Mapping[str, Any], seconds: Mapping[str, float], most: float) -> dict[str, Any]:
+def row(part: str, method: str, outcome: Outcome, most: float) -> dict[str, Any]:
     """One tidy row.
 
     Args:
         part: its name.
         method: a name of `METHODS`.
-        values: of the trial `whole`.
-        seconds: of the same.
+        outcome: of the trial `whole`.
         most: share of the surface that can be measured.
     """
+    values, seconds = outcome.values, outcome.seconds
     return {
-        "knob": "whole",
+        "knob": WHOLE,
         "part": part,
         "value": method,
         "seconds": seconds["work"],
