@@ -20,8 +20,8 @@ from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
-from cell.scene.presets import DEFAULT, PRESETS
 from cell.scene.plan_settings import PlanSettings
+from cell.scene.presets import DEFAULT, PRESETS
 from cell.scene.scene import Scanner
 from cell.study.bench import Bench
 from cell.study.scenes import bench_of
