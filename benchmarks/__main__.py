@@ -1,7 +1,8 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
 Every benchmark is a module of this folder with `run() -> list[dict]`; `chart(rows, folder)` beside it draws a picture.
-Timings are of this machine and this moment: compare rows of one run, not runs.
+Two are studies with words and options of their own (`python -m benchmarks speed --help`): they keep their trials and
+leave a folder with rows and pictures. Timings are of this machine and this moment: compare rows of one run, not runs.
 """
 
 import json
@@ -18,7 +19,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from cell.commands.failures import guarded
+
+STUDIES = {
+    "speed": "seconds against error of what presets turn, and of the whole pipeline under each preset",
+    "stability": "success and error of each method over the number that breaks it, and what the program says there",
+}
+"""Modules of `benchmarks.methods`, each with an `app` of its own."""
+
 REGISTRY = {
+    **STUDIES,
     "kinematics": "inverse kinematics: poses per second beside the round-trip error",
     "fidelity": "hull, convex pieces or triangles: contacts missed and false refusals beside time",
     "collision": "collision checks per second beside disagreements with python-fcl",
@@ -29,18 +39,16 @@ REGISTRY = {
     "cover": "view selection: seconds, views, lower bound, gap per solver",
     "coverage_requests": "curve, overlap and promises: processor seconds beside the gap that is left",
     "timing": "time of joint moves: pairs per second beside the error against ruckig",
-    "singularities": "beside the singularities: joint speed for 100 mm/s at the tool, residual of the IK",
+    "singularities": "beside the singularities: joint speed for 100 mm/s at the tool",
     "edge_resolution": "what a fixed step along a move misses, beside certification: time, misses, false refusals",
     "paths": "paths around obstacles on seeded scenes: found, checks and time beside ompl",
     "motion_recheck": "final motions of seeded scenes, judged by triangles every millisecond and by their differences",
     "gtsp": "generalised travelling salesman files: over the best known tour and over the lower bound, beside time",
-    "cycle_time": "cycle time of whole plans against the order before, RoboTSP's way and the lower bound",
-    "motion": "order and path: cycle time over the Christofides baseline",
+    "cycle_time": "cycle time of whole plans against an earlier version's, RoboTSP's way and the lower bound",
     "kills": "client and controller killed at random moments, then resumed: what is lost, what is doubled",
     "plan": "the main job as a whole process: stages, memory, prediction error on every part",
     "plant": "the dynamic arm: tracking error beside simulation speed; time steps, integrators and gains that diverge",
     "scan": "the execution as a whole process: seconds, memory, coverage achieved beside predicted, registration",
-    "table5": "the paper's Table 5 on the built-in Mseke",
     "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",
     "sigma": "the model of a point's standard deviation beside observed scatter; what its layer costs",
     "soak": "2,000 moves over each wire with 1 % of every fault: what the controller's journal says of them",
@@ -58,7 +66,7 @@ def main(
     charts: Annotated[Path | None, typer.Option(help="draw the charts into this folder")] = None,
 ) -> None:
     """Run benchmarks and print one table each."""
-    chosen = names or [name for name in REGISTRY if (Path(__file__).parent / f"{name}.py").exists()]
+    chosen = names or list(REGISTRY)
     unknown = sorted(set(chosen) - set(REGISTRY))
     if unknown:
         raise typer.BadParameter(f"no benchmark named {', '.join(unknown)}; there are {', '.join(REGISTRY)}")
@@ -69,6 +77,9 @@ def main(
     )
     results: dict[str, list[dict[str, Any]]] = {}
     for name in chosen:
+        if name in STUDIES:
+            _study(name, [])
+            continue
         module = import_module(f"benchmarks.{name}")
         results[name] = rows = module.run()
         _print(console, name, rows)
@@ -94,5 +105,13 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def _study(name: str, words: list[str]) -> int:
+    """Run a study with words and options of its own; returns the exit code."""
+    study = import_module(f"benchmarks.methods.{name}").app
+    return guarded(lambda: study(words, prog_name=f"python -m benchmarks {name}", standalone_mode=False), as_json=False)
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] and sys.argv[1] in STUDIES:
+        sys.exit(_study(sys.argv[1], sys.argv[2:]))
     app()

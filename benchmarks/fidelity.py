@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from benchmarks.configurations_beside_part import configurations
 from benchmarks.parts import meshes
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
@@ -29,7 +30,6 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene, load_scene
 from cell.stand_ins import NAMES
-from cell.study.near_part import configurations
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.triangle_distance import BOX
 from cell.world.triangle_tree import TriangleTree

@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from benchmarks.best_of import best_of
+from benchmarks.claimed_coverage import claim
 from cell import stand_ins
 from cell.part.workpiece import load
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
-from cell.study.claims import claim
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, fill
 from planner.ports import RayCaster
@@ -196,12 +197,12 @@ def _row(
     reference: TriangleMesh,
 ) -> dict[str, Any]:
     """Fill, choose a plan, predict, and look."""
-    M, seconds = _best(work)
+    M, seconds = best_of(work, REPEATS)
     found = claim(M, views, held_out, scanner, caster)
     return {
         "part": part,
         "fill": method,
-        "seconds": seconds,
+        "seconds": seconds["work"],
         "reference faces": len(reference.faces),
         "rows": M.shape[0],
         "viewpoints": M.shape[1],
@@ -210,15 +211,3 @@ def _row(
         "visible %": 100 * found.visible,
         "error points": found.error_points,
     }
-
-
-def _best(work: Callable[[], Measurability]) -> tuple[Measurability, float]:
-    """Result and shortest time of some runs [s]; the others measure what else the machine does."""
-    times = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        result = work()
-        times.append(time.perf_counter() - start)
-        if sum(times) > 5:
-            break
-    return result, min(times)

@@ -4,18 +4,14 @@ The parts of benchmarks/parts.py. The first row is the cold process: no cache of
 to plan somewhere else.
 """
 
-import json
-import os
-import resource
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
+from benchmarks.cell_process import run_cell
 from benchmarks.checks import independent_visible
 from benchmarks.parts import parts, place
+from cell.errors import CellError
 
 
 def run() -> list[dict[str, Any]]:
@@ -30,24 +26,17 @@ def run() -> list[dict[str, Any]]:
 
 
 def _row(name: str, arguments: tuple[str, ...], out: Path, cache: Path) -> dict[str, Any]:
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    start = perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-m", "cell", "plan", *arguments, "--place", place(), "--out", str(out), "--json"],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    seconds = perf_counter() - start
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    row: dict[str, Any] = {"part": name, "exit": done.returncode, "s": round(seconds, 2)}
-    row["cpu s"] = round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 2)
-    if done.returncode != 0:
-        return row | {"said": done.stderr.strip().splitlines()[-1][:100]}
-    summary = json.loads(done.stdout)
+    row: dict[str, Any] = {"part": name}
+    try:
+        summary, took = run_cell(out.parent, "plan", *arguments, "--place", place(), "--out", str(out), cache=cache)
+    except CellError as error:
+        return row | {"said": str(error)[:100]}
     predicted, coverable = summary["coverage"]["visible"], summary["coverage"]["coverable"]
     truth = independent_visible(out, seed=12345)
-    row |= {
-        "peak MB (so far)": after.ru_maxrss // 1024,
+    return row | {
+        "s": round(took["s"], 2),
+        "cpu s": round(took["cpu s"], 2),
+        "peak MB": took["peak MB"],
         "reachable": summary["verdicts"]["reachable"],
         "views": summary["n_views"],
         "bound": summary["lower_bound"],
@@ -57,4 +46,3 @@ def _row(name: str, arguments: tuple[str, ...], out: Path, cache: Path) -> dict[
         "motion s": round(summary["motion"]["duration_s"], 1),
         "nearest mm": summary["motion"]["minimum_clearance_mm"],
     }
-    return row

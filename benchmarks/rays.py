@@ -37,27 +37,29 @@ from cell.scene.resolve import resolve
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import load_scene
 from cell.part.workpiece import load
-from planner import legs, measurability, surface
-from planner.viewpoints import optimal_scanning_zone
+from planner.measurability import matrix
+from planner.surface.decimate import decimate
+from planner.surface.sample import sample
+from planner.viewpoints.zone import optimal_scanning_zone
 
 faces, per_face = int(sys.argv[1]), int(sys.argv[2])
 part = load("mseke")
 settings = resolve(load_scene(None, {"part": {"name": "mseke"}}), part)
-planning = surface.decimate(part.reference, faces)
-features = surface.sample(part.reference, planning, per_face * len(planning.faces), np.random.default_rng(0))
+planning = decimate(part.reference, faces)
+features = sample(part.reference, planning, per_face * len(planning.faces), np.random.default_rng(0))
 views = optimal_scanning_zone(planning, settings.standoffs, (0.0,))
 caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
 passed = [0]
 def counting(*arguments):
     passed[0] += len(arguments[3])
     return legs_free(*arguments)
-legs_free, measurability.legs_free = measurability.legs_free, counting
+legs_free, matrix.legs_free = matrix.legs_free, counting
 scanner = LaserArea(**settings.scanner)
 best = None
 for _ in range(int(sys.argv[3])):
     passed[0] = 0
     start = time.perf_counter()
-    M = measurability.fill(views, features, scanner, caster)
+    M = matrix.fill(views, features, scanner, caster)
     seconds = time.perf_counter() - start
     best = min(best, seconds) if best else seconds
 
@@ -73,7 +75,7 @@ class Timed:
 caster._scene = timed = Timed(caster._scene)
 caster._workers = 1  # one thread, so that Embree's seconds and those of the whole can be divided
 start = time.perf_counter()
-measurability.fill(views, features, scanner, caster)
+matrix.fill(views, features, scanner, caster)
 alone = time.perf_counter() - start
 print(json.dumps({
     "what": f"fill {len(planning.faces)} x {len(views)}, {per_face} per face",

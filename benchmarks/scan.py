@@ -11,9 +11,6 @@ predicted by the plan, achieved by the report, and measured again from the files
 """
 
 import json
-import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from time import perf_counter
@@ -23,8 +20,10 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
+from benchmarks.cell_process import run_cell
 from benchmarks.checks import independent_visible
 from benchmarks.parts import parts, place
+from cell.errors import CellError
 from cell.part.workpiece import load
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
@@ -48,7 +47,7 @@ def run() -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         plan = folder / "default"
-        _cell(folder, "plan", "mseke", "--place", place(), "--out", str(plan), "--json")
+        run_cell(folder, "plan", "mseke", "--place", place(), "--out", str(plan), cache=folder / "cache")
         rows = [
             _execution(folder, plan, ()),
             _execution(folder, plan, ("--pose-error", POSE_ERROR, "--range-noise", RANGE_NOISE)),
@@ -59,7 +58,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _execution(folder: Path, plan: Path, options: tuple[str, ...]) -> dict[str, Any]:
-    _, took = _cell(folder, "scan", str(plan), "--resolution", RESOLUTION_DEG, *options, "--json")
+    _, took = run_cell(folder, "scan", str(plan), "--resolution", RESOLUTION_DEG, *options, cache=folder / "cache")
     execution = max((plan / "executions").iterdir())
     report = json.loads((execution / "report.json").read_text())
     seconds = json.loads((execution / "manifest.json").read_text())["seconds"]
@@ -128,9 +127,9 @@ def _coverage(folder: Path, name: str, arguments: tuple[str, ...]) -> dict[str, 
     out = folder / name
     row: dict[str, Any] = {"what": "coverage", "part": name}
     try:
-        _cell(folder, "plan", *arguments, "--place", place(), "--out", str(out), "--json")
-        summary, took = _cell(folder, "scan", str(out), "--resolution", COARSE_DEG, "--json")
-    except _FailedError as error:
+        run_cell(folder, "plan", *arguments, "--place", place(), "--out", str(out), cache=folder / "cache")
+        summary, took = run_cell(folder, "scan", str(out), "--resolution", COARSE_DEG, cache=folder / "cache")
+    except CellError as error:
         return row | {"said": str(error)[:100]}
     coverage = summary["coverage"]
     return row | {
@@ -141,26 +140,3 @@ def _coverage(folder: Path, name: str, arguments: tuple[str, ...]) -> dict[str, 
         "achieved %": 100 * coverage["visible"],
         "measured again %": 100 * independent_visible(out, seed=12345),
     }
-
-
-class _FailedError(Exception):
-    """A process ended otherwise than expected."""
-
-
-def _cell(folder: Path, *arguments: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the process printed as JSON, and what it took."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
-    out, err = folder / "stdout", folder / "stderr"
-    with out.open("wb") as stdout, err.open("wb") as stderr:
-        start = perf_counter()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "cell", *arguments], env=environment, stdout=stdout, stderr=stderr
-        )
-        # The usage of this one child; the sum over all children would hold the largest peak so far.
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    seconds = perf_counter() - start
-    if process.returncode != 0:
-        raise _FailedError((err.read_text().strip() or "no output").splitlines()[-1])
-    took = {"s": seconds, "cpu s": usage.ru_utime + usage.ru_stime, "peak MB": usage.ru_maxrss // 1024}
-    return json.loads(out.read_text()), took

@@ -186,24 +186,3 @@ def pose_sd(text: str | None) -> dict[str, float]:
 def preset(name: str | None) -> dict[str, str]:
     """Keys of `[plan]` of `--preset`; the scene refuses a name that it does not know."""
     return {} if name is None else {"preset": name}
-
-
-def knobs(names: list[str]) -> tuple[list[str], bool, str | None]:
-    """Knobs, whether the whole pipeline, and the part, of the words after `cell study speed`; none: all, no part.
-
-    Raises:
-        UsageError: if more than one word is no knob.
-    """
-    from cell.study.fronts import WHOLE
-    from cell.study.knobs import KNOBS
-
-    known = [*KNOBS, WHOLE]
-    others = [name for name in names if name not in known]
-    if len(others) > 1:
-        close = [difflib.get_close_matches(name, known, n=1) for name in others]
-        hint = next((f"did you mean {found[0]}? " for found in close if found), "")
-        raise UsageError(
-            f"{' and '.join(others)} cannot both be the part; {hint}knobs are {', '.join(known)}; one part may follow"
-        )
-    wanted = [name for name in dict.fromkeys(names) if name in known] or known
-    return [name for name in wanted if name != WHOLE], WHOLE in wanted, others[0] if others else None

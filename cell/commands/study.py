@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.commands.options import Preset
+from cell.errors import UsageError
 
 if TYPE_CHECKING:
     from cell.commands.terminal import Terminal
-    from cell.scene.scene import Scene
     from cell.study.curves import SceneWith
     from cell.study.study import Study, StudyResult
 
@@ -91,7 +91,6 @@ def _table(name: str, help_text: str) -> None:
         out: Out = None,
         as_json: AsJson = False,
     ) -> None:
-        from cell.errors import UsageError
         from cell.stand_ins import NAMES
         from cell.study.tables import table_study
 
@@ -211,7 +210,6 @@ def scanner(
     as_json: AsJson = False,
 ) -> None:
     """Find the scanner: views and coverage over one of its numbers, or over real sensors. Give one of the options."""
-    from cell.errors import UsageError
     from cell.study.curves import knob_study, range_study, sensor_study
     from cell.study.ranges import pairs
     from cell.study.ranges import values as range_of
@@ -236,89 +234,15 @@ def scanner(
         conducted(lambda: knob_study(make, given[0], wanted, robot=robot), processes, cluster, out, as_json)
 
 
-@app.command(
-    epilog="Examples:\n\ncell study speed\n\ncell study speed samples decimation mug\n\n"
-    "cell study speed samples mug --values 1,4,16\n\ncell study speed whole robinet"
-)
-def speed(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[KNOB ...] [PART]",
-            help="Knobs: decimation, samples, rays, solver, collision, edges, ordering, scan, grid, plant; whole: the "
-            "pipeline under each preset and by the paper's method. Default: all, on parts on which they matter.",
-            show_default=False,
-        ),
-    ] = None,
-    values: Annotated[
-        str | None, typer.Option(metavar="V,V,...", help="In place of the range of a single knob.")
-    ] = None,
-    repeats: Annotated[int, typer.Option(help="Runs of each work, of which the best counts.")] = 3,
-    units: Units = None,
-    scene: SceneFile = None,
-    processes: Annotated[
-        int,
-        typer.Option(metavar="N", help="Worker processes. More than one disturb each other's timing."),
-    ] = 1,
-    cluster: Cluster = None,
-    out: Out = None,
-    as_json: AsJson = False,
-) -> None:
-    """Chart speed against accuracy: seconds and error of each knob, and of the whole pipeline under the presets."""
-    from cell.commands.options import knobs
-    from cell.errors import UsageError
-    from cell.study.fronts import speed_study, whole_parts
-    from cell.study.knobs import KNOBS
+def _moved(name: str) -> None:
+    def command() -> None:
+        raise UsageError(
+            f"cell study {name} is now python -m benchmarks {name}, to be run in a clone of scan-cell's repository"
+        )
 
-    turned, with_whole, part = knobs(names or [])
-    if values is not None and (with_whole or len(turned) != 1):
-        raise UsageError("--values are those of one knob; name it, for instance cell study speed samples --values 1,4")
-    if repeats < 1:
-        raise UsageError(f"--repeats {repeats} must be at least 1")
-    wanted = None if values is None else KNOBS[turned[0]].parsed(values)
-    own = part is None and scene is None  # then each knob has a part of its own
-
-    def of(name: str | None) -> "tuple[str, Scene]":
-        found = scene_maker(name, units, scene)({})
-        return (found.part.name if found.part.path is None else Path(found.part.path).stem), found
-
-    turns = [(knob, *of(KNOBS[knob].part if own else part)) for knob in turned]
-    wholes = []
-    for name in (whole_parts() if own else (part,)) if with_whole else ():
-        options = [*([] if name is None else [_absolute(name)]), *([] if units is None else ["--units", units])]
-        options += [] if scene is None else ["--scene", str(scene.absolute())]
-        wholes.append((*of(name), options))
-    conducted(lambda: speed_study(turns, wholes, values=wanted, repeats=repeats), processes, cluster, out, as_json)
-
-
-def _absolute(part: str) -> str:
-    """A file's whole path, for a process in another folder; a built-in part by its name."""
-    from cell.stand_ins import NAMES
-
-    return part if part in NAMES and not Path(part).is_file() else str(Path(part).absolute())
-
-
-@app.command(epilog="Examples:\n\ncell study stability\n\ncell study stability ik path --quick")
-def stability(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME ...]",
-            help="ik, limits, reach, path, plant, size, offset, grazing, decimation, cover, sparse, noise. "
-            "Default: all.",
-            show_default=False,
-        ),
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few values, small problems: whether it still works.")] = False,
-    processes: Processes = None,
-    cluster: Cluster = None,
-    out: Out = None,
-    as_json: AsJson = False,
-) -> None:
-    """Map where each method breaks: success and error over what breaks it, and what the program says there."""
-    from cell.study.stability import stability_study
-
-    conducted(lambda: stability_study(names or [], quick=quick), processes, cluster, out, as_json)
+    command.__doc__ = f"Moved: python -m benchmarks {name}."
+    words = {"allow_extra_args": True, "ignore_unknown_options": True}
+    app.command(name, hidden=True, context_settings=words)(command)
 
 
 _table("table1", "The paper's Table 1: views and coverage over the decimation of the part.")
@@ -327,3 +251,5 @@ _table("table3", "The paper's Table 3: views and coverage over the scanner's fie
 _table("table4", "The paper's Table 4: views and coverage over the angle between rays.")
 _table("table5", "The paper's Table 5: reachable viewpoints, views and coverage over the part's position.")
 _table("all", "All five tables of the paper: 86 rows, its method and ours side by side.")
+_moved("speed")
+_moved("stability")

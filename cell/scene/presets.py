@@ -1,9 +1,9 @@
 """Presets: what `--preset fast|balanced|accurate` settles where neither scene file nor option says anything.
 
 A preset is data: keys of the scene that it fills in, and a factor for the part's default number of planning faces.
-`balanced` fills in nothing: it *is* the defaults. The values come from the fronts of `cell study speed`
-(docs/speed_accuracy.md): each is at the knee of its front, or one step beyond; what a front shows to cost nothing
-(triangles in collisions, certified moves) no preset gives up.
+`balanced` fills in nothing: it *is* the defaults. The values come from the fronts of docs/speed_accuracy.md: each is at
+the knee of its front, or one step beyond; what is measured to cost next to nothing (triangles in collisions, certified
+moves) no preset gives up.
 """
 
 from collections.abc import Mapping

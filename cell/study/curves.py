@@ -15,6 +15,7 @@ from cell.scene.scene import Scene
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
+from cell.study.views import views
 
 WITHIN_POINTS = 0.5
 """Coverages that differ by less than this count as equal when the best value is chosen [points]."""
@@ -95,7 +96,7 @@ def sensor_study(scene_with: SceneWith, names: Sequence[str], *, robot: bool) ->
 
 
 def _trial(scene: Scene, robot: bool) -> Trial:
-    return Trial.of("views", {**scene_settings(scene), "robot": robot})
+    return Trial.of(views, {**scene_settings(scene), "robot": robot})
 
 
 def _study(name: str, title: str, asked: Sequence[tuple[float | str, Trial]]) -> Study:

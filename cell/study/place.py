@@ -23,7 +23,7 @@ from scipy.stats import qmc
 
 from cell.errors import UnreachableError
 from cell.scene.scene import Scene
-from cell.study.placed import COVERAGE_ONLY, WHOLE
+from cell.study.placement_trial import COVERAGE_ONLY, WHOLE, placement
 from cell.study.run import run
 from cell.study.scenes import scene_settings
 from cell.study.study import Row
@@ -118,7 +118,7 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
 
     def ask(name: str, points: Sequence[Place], **what: Any) -> list[Mapping[str, Any]]:
         trials = [
-            Trial.of("placement", {**base, "position_mm": p[:3], "abc_deg": (p[3], b, c), "solver": "auto", **what})
+            Trial.of(placement, {**base, "position_mm": p[:3], "abc_deg": (p[3], b, c), "solver": "auto", **what})
             for p in points
         ]
 

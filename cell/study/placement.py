@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from cell.scene.scene import Scene
-from cell.study.placed import WHOLE
+from cell.study.placement_trial import WHOLE, placement
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
@@ -48,7 +48,7 @@ def placement_study(
         (
             place,
             Trial.of(
-                "placement",
+                placement,
                 {**base, "position_mm": place[:3], "abc_deg": (place[3], b, c), "what": WHOLE, "solver": "greedy",
                  "candidates": None},
             ),

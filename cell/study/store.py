@@ -12,7 +12,7 @@ from cell import caches
 from cell.errors import FileError
 from cell.study.trial import Outcome, Trial
 
-SCHEMA = "scan-cell/trial/1"
+SCHEMA = "scan-cell/trial/2"
 
 
 def cache_folder() -> Path:
@@ -41,7 +41,7 @@ def save(outcome: Outcome, folder: Path) -> None:
     text = json.dumps(
         {
             "schema": SCHEMA,
-            "name": outcome.trial.name,
+            "function": outcome.trial.function,
             "settings": outcome.trial.settings,
             "values": dict(outcome.values),
             "failure": outcome.failure,

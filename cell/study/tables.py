@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
 from cell.scene.plan_settings import PlanSettings
+from cell.study import table_row
 from cell.study.bench import DENSER
 from cell.study.paper import TABLES, PaperRow
 from cell.study.study import Row, Study
@@ -51,7 +52,7 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
     """
     tables = list(TABLES) if table == "all" else [table]
     asked = [
-        (name, paper, Trial.of("table-row", _settings(name, paper, faces_share)))
+        (name, paper, Trial.of(table_row.row, _settings(name, paper, faces_share)))
         for name in tables
         for paper in TABLES[name]
         if not parts or paper.part in parts

@@ -1,9 +1,9 @@
 """One trial of a study: what is computed, under which settings, and the key that its result is kept under.
 
-A trial is a name of `TRIALS` and a table of settings that JSON can hold; its function is a pure map from those settings
-to values that JSON can hold (and `seconds`, which are kept apart). So it can be sent to another process or machine, its
-result can be kept on disk, and the key says everything that the result depends on: name, settings and the program's
-own sources.
+A trial is a function of a module and a table of settings that JSON can hold; the function is a pure map from those
+settings to values that JSON can hold (and `seconds`, which are kept apart). So it can be sent to another process or
+machine, its result can be kept on disk, and the key says everything that the result depends on: function, settings, the
+program's own sources, and those of the package beside it that the function is in.
 """
 
 import hashlib
@@ -19,17 +19,6 @@ from typing import Any
 from cell.errors import CellError
 from planner.errors import PlannerError
 
-TRIALS = {
-    "table-row": "cell.study.table_row:row",
-    "placement": "cell.study.placed:placement",
-    "views": "cell.study.views:views",
-    "knob": "cell.study.knobs:turn",
-    "whole": "cell.study.whole:whole",
-    "measurable": "cell.study.whole:measurable",
-    "stability": "cell.study.stability:at",
-}
-"""Name of a trial and where its function is; only these can be run, whoever asks."""
-
 TrialFunction = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 _SOURCES = ("planner", "cell", "drivers")
@@ -40,28 +29,32 @@ class Trial:
     """What is computed.
 
     Attributes:
-        name: a key of `TRIALS`.
+        function: module and name of the function, as "module:name".
         settings: canonical JSON of the settings.
     """
 
-    name: str
+    function: str
     settings: str
 
     @classmethod
-    def of(cls, name: str, settings: Mapping[str, Any]) -> "Trial":
-        """A trial from a table of settings.
+    def of(cls, function: TrialFunction, settings: Mapping[str, Any]) -> "Trial":
+        """A trial from a function of a module, which a worker can import, and a table of settings.
 
         Raises:
-            KeyError: if no trial has this name.
             ValueError: if a setting is NaN or infinite.
         """
-        _ = TRIALS[name]
+        name = f"{function.__module__}:{function.__name__}"
         return cls(name, json.dumps(dict(settings), sort_keys=True, allow_nan=False))
+
+    @property
+    def digest(self) -> str:
+        """sha256 (hex) over the sources that compute it here."""
+        return sources_digest(self.function.partition(".")[0])
 
     @property
     def key(self) -> str:
         """sha256 (hex) over all that the result depends on."""
-        return hashlib.sha256(f"{self.name}\n{self.settings}\n{sources_digest()}".encode()).hexdigest()
+        return hashlib.sha256(f"{self.function}\n{self.settings}\n{self.digest}".encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +81,14 @@ def compute(trial: Trial, digest: str) -> Outcome:
 
     Args:
         trial: what to compute.
-        digest: `sources_digest()` of the program that asks; another program here is a failure.
+        digest: `Trial.digest` of the program that asks; another program here is a failure.
     """
-    if digest != sources_digest():
+    if digest != trial.digest:
         return Outcome(trial, {}, "this worker runs another version of scan-cell; install the same one there", {})
-    module, _, function = TRIALS[trial.name].partition(":")
-    run: TrialFunction = getattr(importlib.import_module(module), function)
+    module, _, function = trial.function.partition(":")
     start = perf_counter()
     try:
+        run: TrialFunction = getattr(importlib.import_module(module), function)
         # Through JSON, so that a result is the same whether it was computed here, elsewhere, or read from disk.
         values = json.loads(json.dumps(dict(run(json.loads(trial.settings))), allow_nan=False))
     except Exception as error:  # whatever a placement, a part or a scanner may do: the sentence is kept with the trial
@@ -109,11 +102,15 @@ def _sentence(error: Exception) -> str:
 
 
 @cache
-def sources_digest() -> str:
-    """sha256 (hex) over the program's own sources and models: another program, other results."""
+def sources_digest(package: str) -> str:
+    """sha256 (hex) over the program's sources and models, and over those of a package beside it: others, other results.
+
+    Args:
+        package: one of the program's, or one that stands in the same folder as these.
+    """
     root = Path(__file__).parents[2]
     digest = hashlib.sha256()
-    folders = [root / name for name in _SOURCES] + [root / "models", root / "cell" / "models"]
+    folders = [root / name for name in dict.fromkeys((*_SOURCES, "models", "cell/models", package))]
     for folder in folders:
         for path in sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".toml", ".xml"}):
             digest.update(str(path.relative_to(folder)).encode())

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from cell.errors import UsageError
-from cell.study.trial import Outcome, Trial, compute, sources_digest
+from cell.study.trial import Outcome, Trial, compute
 
 _DIED = "the process that computed it died, twice (out of memory, or a crash in a library)"
 _PATIENCE_S = 10.0
@@ -68,7 +68,7 @@ class Processes:
             try:
                 while queue or at_work:
                     while queue and len(at_work) < at_once:
-                        at_work[self._open().submit(compute, queue[0], sources_digest())] = queue[0]
+                        at_work[self._open().submit(compute, queue[0], queue[0].digest)] = queue[0]
                         queue.popleft()
                     done, _ = wait(at_work, return_when=FIRST_COMPLETED)
                     for future in sorted(done, key=lambda future: at_work[future].settings):
@@ -137,7 +137,7 @@ class Cluster:
 
         with self._client.as_current():
             keys = [trial.key for trial in trials]
-            digests = [sources_digest()] * len(trials)
+            digests = [trial.digest for trial in trials]
             futures = self._client.map(compute, trials, digests, key=keys, pure=True, retries=_RETRIES)
             asked = dict(zip(keys, trials, strict=True))
             for future in as_completed(futures):

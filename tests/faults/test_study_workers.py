@@ -15,6 +15,7 @@ import pytest
 
 from cell.errors import UsageError
 from cell.study import run as study_run
+from cell.study import table_row
 from cell.study.run import Told
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import open_workers
@@ -22,7 +23,7 @@ from cell.study.workers import open_workers
 
 def _trials(count: int) -> list[Trial]:
     return [
-        Trial.of("table-row", {"part": "petanque", "faces": 16 + number, "samples_per_face": 4})
+        Trial.of(table_row.row, {"part": "petanque", "faces": 16 + number, "samples_per_face": 4})
         for number in range(count)
     ]
 

@@ -11,7 +11,7 @@ from cell.rays import virtual_scan
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.scene.scene import load_scene
 from cell.study.bench import DENSER, Bench, fewest_for, most_with
-from cell.study.placed import placement
+from cell.study.placement_trial import placement
 from cell.study.scenes import bench_of, scene_of, scene_settings
 from cell.study.tables import not_beaten
 from planner.measurability import coverage

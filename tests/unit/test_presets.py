@@ -95,5 +95,7 @@ def test_tables_that_are_none_are_left_to_the_scene(tmp_path: Path) -> None:
 
 
 def test_each_preset_has_a_price_and_the_help_says_all() -> None:
-    """One line."""
+    """One line; the page has the same prices."""
+    page = (Path(__file__).parents[2] / "docs" / "speed_accuracy.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in page and preset.price in page for name, preset in PRESETS.items())
     assert all(preset.price and "\n" not in preset.price and preset.price in line() for preset in PRESETS.values())

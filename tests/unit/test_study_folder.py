@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from cell.commands.terminal import Terminal
 from cell.errors import FileError
 from cell.study import study as studies
+from cell.study import table_row
 from cell.study.study import Study, StudyResult, conduct, markdown_table, shown
 from cell.study.trial import Outcome, Trial
 
-_TRIALS = [Trial.of("table-row", {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
+_TRIALS = [Trial.of(table_row.row, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
 
 
 class _Workers:

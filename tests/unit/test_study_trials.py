@@ -7,16 +7,16 @@ from typing import Any
 import pytest
 
 from cell.errors import FileError
-from cell.study import store, trial
+from cell.study import store, table_row, trial
 from cell.study.run import run
-from cell.study.trial import Outcome, Trial, compute, sources_digest
+from cell.study.trial import Outcome, Trial, compute
 from cell.study.workers import Processes
 
 _SMALL: dict[str, Any] = {"part": "petanque", "faces": 30, "samples_per_face": 4}
 
 
 def _kept(folder: Path, **change: Any) -> Outcome:
-    outcome = Outcome(Trial.of("table-row", _SMALL), {"views": 3}, "", {"total": 1.5})
+    outcome = Outcome(Trial.of(table_row.row, _SMALL), {"views": 3}, "", {"total": 1.5})
     store.save(outcome, folder)
     (path,) = folder.rglob("*.json")
     if change:
@@ -26,24 +26,27 @@ def _kept(folder: Path, **change: Any) -> Outcome:
 
 def test_equal_settings_are_one_trial_in_whatever_order_they_are_given() -> None:
     """The key is of the content."""
-    one = Trial.of("table-row", {"part": "mug", "faces": 40})
-    assert one == Trial.of("table-row", {"faces": 40, "part": "mug"})
-    assert one.key != Trial.of("table-row", {"faces": 41, "part": "mug"}).key
+    one = Trial.of(table_row.row, {"part": "mug", "faces": 40})
+    assert one == Trial.of(table_row.row, {"faces": 40, "part": "mug"})
+    assert one.key != Trial.of(table_row.row, {"faces": 41, "part": "mug"}).key
 
 
 def test_a_changed_program_has_other_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     """What another version computed is not taken for this version's."""
-    before = Trial.of("table-row", _SMALL).key
-    monkeypatch.setattr(trial, "sources_digest", lambda: "another")
-    assert Trial.of("table-row", _SMALL).key != before
+    before = Trial.of(table_row.row, _SMALL).key
+    monkeypatch.setattr(trial, "sources_digest", lambda package: "another")
+    assert Trial.of(table_row.row, _SMALL).key != before
+
+
+def test_a_trial_of_a_package_beside_the_program_depends_on_its_sources_too() -> None:
+    """The laboratory's trials have keys of its own sources; the program's do not depend on them."""
+    assert trial.sources_digest("planner") == trial.sources_digest("cell") != trial.sources_digest("benchmarks")
 
 
 def test_settings_that_json_cannot_hold_exactly_are_refused() -> None:
     """NaN is equal to nothing, so no key could find it again."""
     with pytest.raises(ValueError, match="JSON"):
-        Trial.of("table-row", {"faces": float("nan")})
-    with pytest.raises(KeyError):
-        Trial.of("no-such-trial", {})
+        Trial.of(table_row.row, {"faces": float("nan")})
 
 
 def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> None:
@@ -77,15 +80,15 @@ def test_a_torn_file_is_not_taken(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     """It names the folder and what to do."""
     (tmp_path / "file").write_text("")
-    outcome = Outcome(Trial.of("table-row", _SMALL), {}, "", {})
+    outcome = Outcome(Trial.of(table_row.row, _SMALL), {}, "", {})
     with pytest.raises(FileError, match="XDG_CACHE_HOME"):
         store.save(outcome, tmp_path / "file")
 
 
 def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> None:
     """A standoff of zero is a sentence of ours; the failure is not kept as a result."""
-    bad = Trial.of("table-row", {**_SMALL, "standoff_mm": -1.0})
-    outcome = compute(bad, sources_digest())
+    bad = Trial.of(table_row.row, {**_SMALL, "standoff_mm": -1.0})
+    outcome = compute(bad, bad.digest)
     assert "standoff" in outcome.failure
     assert outcome.values == {}
     store.save(outcome, tmp_path)
@@ -94,5 +97,5 @@ def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> Non
 
 def test_a_worker_of_another_version_refuses() -> None:
     """Its result would be kept under a key that says otherwise."""
-    outcome = compute(Trial.of("table-row", _SMALL), "another program")
+    outcome = compute(Trial.of(table_row.row, _SMALL), "another program")
     assert "version" in outcome.failure

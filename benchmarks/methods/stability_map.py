@@ -6,7 +6,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class MapPoint:
     """What came of one value.
 
     Attributes:
@@ -22,7 +22,7 @@ class Seen:
     more: Mapping[str, Any] = field(default_factory=dict)
 
 
-Look = Callable[[str, float, int], Seen]
+Look = Callable[[str, float, int], MapPoint]
 """Line of the map, value of what breaks the method, how much to ask."""
 
 

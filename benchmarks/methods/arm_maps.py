@@ -1,4 +1,4 @@
-"""Where the arm's methods break: inverse kinematics, joint limits, reach, path search, the dynamic arm.
+"""Where the arm's methods break: inverse kinematics, joint limits, reach, path search.
 
 The truth is in how the questions are made: a pose comes from joint angles that are at a given distance from a
 singularity, a limit or the edge of the envelope, so that it is known what has to be found. Metres, radians.
@@ -11,12 +11,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from cell.plant.servo import COARSEST_STEP, Settings
+from benchmarks.methods.stability_map import Map, MapPoint
 from cell.robot import model as robot
 from cell.robot.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
 from cell.scene.scene import Scene
-from cell.study.plant_move import one_move
-from cell.study.stability_map import Map, Seen
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
@@ -52,7 +50,7 @@ def _drawn(count: int, seed: int = 0) -> Floats:
     return np.asarray(rng.uniform(_INNER * limits.lower, _INNER * limits.upper, (count, 6)))
 
 
-def singular(line: str, distance: float, count: int) -> Seen:
+def singular(line: str, distance: float, count: int) -> MapPoint:
     """Inverse kinematics beside the singularities: is the branch that a pose came from there, and how good is it?"""
     kinematics = _kinematics()
     forearm, stretched = _forearm()
@@ -77,13 +75,13 @@ def singular(line: str, distance: float, count: int) -> Seen:
     own = np.nanmin(np.where(real, off, np.inf), axis=1)
     good = np.zeros(len(q), dtype=np.bool_)
     good[np.repeat(np.arange(len(q)), real.sum(axis=1))[residual <= _SAME_POSE]] = True
-    return Seen(
+    return MapPoint(
         float((found & good).mean()), float(residual.max()),
         more={"branches": float(real.sum(axis=1).mean()), "own joint angles off rad": float(np.median(own))},
     )  # fmt: skip
 
 
-def limit(line: str, inside_deg: float, count: int) -> Seen:
+def limit(line: str, inside_deg: float, count: int) -> MapPoint:
     """Joint limits: are set-points inside the range kept and those outside refused?"""
     kinematics, limits = _kinematics(), _kinematics().limits
     axis = int(line.removeprefix("A")) - 1
@@ -99,13 +97,13 @@ def limit(line: str, inside_deg: float, count: int) -> Seen:
     wanted = inside_deg >= 0
     doubtful = abs(np.radians(inside_deg)) <= _HALF_STEP  # rounds onto the limit
     right = np.ones(len(q), dtype=np.bool_) if doubtful else kept == wanted
-    return Seen(
+    return MapPoint(
         float(right.mean()), max(float(np.degrees(beyond)), 0.0), "" if kept.all() else Verdict.JOINT_LIMIT.sentence,
         {"kept %": 100 * float(kept.mean())},
     )  # fmt: skip
 
 
-def reached(line: str, inside_mm: float, count: int) -> Seen:
+def reached(line: str, inside_mm: float, count: int) -> MapPoint:
     """Reach at the envelope's edge: of poses that are surely in or out of reach, how many are told right?"""
     kinematics = _kinematics()
     arm, (forearm, stretched) = kinematics.arm, _forearm()
@@ -133,7 +131,7 @@ def reached(line: str, inside_mm: float, count: int) -> Seen:
         kept = residual <= _NUMERIC_GOOD
         error, says = (float(residual[kept].max()) if kept.any() else None), ""
     right = (kept == (inside > 0)) | (abs(inside) <= STRETCH_TOLERANCE)
-    return Seen(
+    return MapPoint(
         float(right.mean()), None if error is None else 1e6 * error, says, {"found %": 100 * float(kept.mean())}
     )
 
@@ -196,7 +194,7 @@ def _place(checker: MujocoCollisionChecker, position: Floats, turn: float) -> Fl
     return np.asarray(q[checker.free(q)][0])
 
 
-def path(line: str, beyond_mm: float, seeds: int) -> Seen:
+def path(line: str, beyond_mm: float, seeds: int) -> MapPoint:
     """Path search into a gap that is a little wider than the clearance needs: how often is a path found?"""
     world, checker = _between_plates(beyond_mm)
     _, wide = _between_plates(20.0)
@@ -210,20 +208,9 @@ def path(line: str, beyond_mm: float, seeds: int) -> Seen:
     failed = [result for result in found if result.via is None]
     times = [result.duration for result in found if result.via is not None]
     right = 1.0 if beyond_mm < 0 and len(failed) == seeds else len(times) / seeds
-    return Seen(
+    return MapPoint(
         right, float(np.median(times)) if times else None, failed[0].status.sentence if failed else "",
         {"checks": int(np.median([result.checks for result in found]))},
-    )  # fmt: skip
-
-
-def plant(line: str, step_ms: float, _: int) -> Seen:
-    """The dynamic arm over its time step: does the hard move settle, and how far is it off on the way?"""
-    settings = Settings(time_step=step_ms / 1000, integrator="Euler" if line == "Euler" else "implicitfast")
-    move = one_move(settings)
-    settled = move.outcome == "settled"
-    return Seen(
-        float(settled), 1e3 * move.tracking_error() if settled else None,
-        settings.doubt or ("" if settled else f"the arm is {move.outcome}"), {"outcome": move.outcome},
     )  # fmt: skip
 
 
@@ -256,12 +243,6 @@ MAPS = {
         "time of the path, median [s]", 6.0,
         (20.0, 10.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.2, -0.5, -2.0), (20.0, -0.5), path, (5, 1), scale="symlog",
         linear_below=0.1, towards_small=True,
-    ),
-    "plant": Map(
-        "The dynamic arm over its time step", "time step [ms]", "moves that settle",
-        "farthest off its reference [mm]", 0.15,
-        (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0), (1.0, 20.0), plant, (1, 1),
-        lines=("implicitfast", "Euler"), borders=(None, 1000 * COARSEST_STEP),
     ),
 }  # fmt: skip
 """Of the arm."""

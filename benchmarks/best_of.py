@@ -13,7 +13,7 @@ T = TypeVar("T")
 _ENOUGH_S = 6.0  # after so much processor time no further run is begun
 
 
-def timed(work: Callable[[], T], repeats: int) -> tuple[T, dict[str, float]]:
+def best_of(work: Callable[[], T], repeats: int) -> tuple[T, dict[str, float]]:
     """Result of a work and its seconds: "work" on the wall clock, "processor" over all cores.
 
     Args:

@@ -1,11 +1,8 @@
-"""`cell study speed`: seconds against error, one knob at a time, and the whole pipeline under presets beside it.
-
-A row holds the seconds that its trial took where and when it was computed: rows of one run on one machine compare,
-rows of two do not. Errors and views are the same everywhere.
-"""
+"""The pictures of `speed`: error over processor time, a panel a knob, and the whole pipeline, a panel a part."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -13,77 +10,16 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from benchmarks.methods.pipeline_under_presets import PAPER, WHOLE
+from benchmarks.methods.preset_knobs import KNOBS, Knob, Value
 from cell.scene.presets import DEFAULT, PRESETS
-from cell.scene.scene import Scene
-from cell.study import whole
-from cell.study.knobs import KNOBS, Knob, Value
-from cell.study.scenes import scene_settings
-from cell.study.study import Row, Study
-from cell.study.trial import Outcome, Trial
+from cell.study.study import Row
 
-WHOLE = "whole"
-"""Beside the knobs: the whole pipeline."""
-
-REPEATS = 3
-
-_COLOURS = {"fast": "#ca6f1e", "balanced": "#1e8449", "accurate": "#7d3c98", whole.PAPER: "#b03a2e"}
-_MARKS = {"fast": "v", "balanced": "*", "accurate": "^", whole.PAPER: "s"}
-_SIZES = {"fast": 9, "balanced": 14, "accurate": 9, whole.PAPER: 8}
+_COLOURS = {"fast": "#ca6f1e", "balanced": "#1e8449", "accurate": "#7d3c98", PAPER: "#b03a2e"}
+_MARKS = {"fast": "v", "balanced": "*", "accurate": "^", PAPER: "s"}
+_SIZES = {"fast": 9, "balanced": 14, "accurate": 9, PAPER: 8}
 _LINE = "#2471a3"
 _BESIDE = 0.3  # points whose seconds and errors differ by less than this (of e): the second's label goes below
-_SHOWN = ("knob", "part", "value", "presets", "seconds", "processor s", "error", "unit", "views")
-
-
-def speed_study(
-    turns: Sequence[tuple[str, str, Scene]],
-    wholes: Sequence[tuple[str, Scene, Sequence[str]]],
-    *,
-    values: Sequence[Value] | None = None,
-    repeats: int = REPEATS,
-) -> Study:
-    """The study of some knobs, and of the whole pipeline on some parts.
-
-    Args:
-        turns: name of each knob, name of its part, and the scene that it is turned on.
-        wholes: name, scene and options of `cell plan` of each part that the whole pipeline is run on.
-        values: in place of a knob's range, where there is one knob.
-        repeats: runs of each work, of which the best counts.
-    """
-    turned = [
-        (name, part, value, Trial.of("knob", {**base, "knob": name, "value": value, "repeats": repeats}))
-        for name, part, base in ((name, part, scene_settings(scene)) for name, part, scene in turns)
-        for value in (values or KNOBS[name].values)
-    ]
-    methods = [
-        (name, method, Trial.of("whole", {"options": list(options), "method": method, "files": _files(each)}))
-        for name, each, options in wholes
-        for method in whole.METHODS
-    ]
-    truths = {name: Trial.of("measurable", scene_settings(each)) for name, each, _ in wholes}
-
-    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
-        found = {outcome.trial: outcome for outcome in outcomes}
-        listed = [_row(name, part, value, found[trial]) for name, part, value, trial in turned if trial in found]
-        for name, truth in truths.items():
-            of_part = [(method, found[t]) for n, method, t in methods if n == name and t in found]
-            if truth in found and of_part:
-                # A plan's own poses may measure a speck more than the finest candidates do.
-                most = max(found[truth].values["measurable"], *(each.values["visible"] for _, each in of_part))
-                listed += [whole.row(name, method, each.values, each.seconds, most) for method, each in of_part]
-        return listed
-
-    trials = [*truths.values(), *(trial for *_, trial in turned), *(trial for *_, trial in methods)]
-    return Study("speed", "Speed against accuracy", trials, rows, pictures, sentences, _SHOWN)
-
-
-def whole_parts() -> tuple[str, ...]:
-    """Built-in parts that the whole pipeline is run on where none is asked for: large, hollow, round."""
-    return ("mseke", "mug", "petanque")
-
-
-def _files(scene: Scene) -> dict[str, str]:
-    found: dict[str, str] = scene_settings(scene)["files"]
-    return found
 
 
 def presets_at(knob: Knob, value: Value) -> list[str]:
@@ -91,43 +27,8 @@ def presets_at(knob: Knob, value: Value) -> list[str]:
     return [name for name in PRESETS if knob.of_preset(name) == value]
 
 
-def _row(name: str, part: str, value: Value, outcome: Outcome) -> Row:
-    knob, values = KNOBS[name], outcome.values
-    return {
-        "knob": name,
-        "part": part,
-        "value": value,
-        "presets": " ".join(presets_at(knob, value)),
-        "seconds": outcome.seconds["work"],
-        "processor s": outcome.seconds["processor"],
-        "error": values["error"],
-        "unit": knob.error_unit,
-        **values["more"],
-    }
-
-
-def sentences(rows: Sequence[Row]) -> list[str]:
-    """For each knob what a step from the default to either side costs and brings; then the whole pipeline."""
-    said = []
-    for name, line in _by_knob(rows).items():
-        knob = KNOBS[name]
-        usual = next((row for row in line if row["value"] == knob.default), None)
-        if usual is None:
-            continue
-        at = line.index(usual)
-        steps = []
-        for row in [*line[max(0, at - 1) : at], *line[at + 1 : at + 2]]:
-            ratio = row["processor s"] / usual["processor s"] if usual["processor s"] else math.nan
-            steps.append(f"at {_label(knob, row)} {ratio:.2f} times the time and {_error(row)}")
-        said.append(
-            f"**{name}** ({knob.title}; {knob.measure}): {_error(usual)} at the default of {_label(knob, usual)}; "
-            + "; ".join(steps)
-            + "."
-        )
-    return said + whole.sentences([row for row in rows if row["knob"] == WHOLE])
-
-
-def _by_knob(rows: Sequence[Row]) -> dict[str, list[Row]]:
+def by_knob(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows of each knob, those of the whole pipeline left out."""
     found: dict[str, list[Row]] = {}
     for row in rows:
         if row["knob"] != WHOLE:
@@ -135,19 +36,14 @@ def _by_knob(rows: Sequence[Row]) -> dict[str, list[Row]]:
     return found
 
 
-def _error(row: Mapping[str, Any]) -> str:
-    return f"{row['error']:.3g} {row['unit']}"
-
-
-def _label(knob: Knob, row: Mapping[str, Any]) -> str:
-    value = row["value"]
-    text = value if isinstance(value, str) else f"{value:g}"
-    return f"{text} {knob.unit}".rstrip() if not isinstance(value, str) else text
+def label(knob: Knob, row: Mapping[str, Any]) -> str:
+    """A row's value with its unit."""
+    return f"{row['value']:g} {knob.unit}".rstrip()
 
 
 def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
     """All fronts on one page, and the whole pipeline."""
-    lines = _by_knob(rows)
+    lines = by_knob(rows)
     if lines:
         yield "speed_fronts", _fronts(lines)
     ends = [row for row in rows if row["knob"] == WHOLE]
@@ -156,14 +52,9 @@ def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
 
 
 def _fronts(lines: Mapping[str, Sequence[Row]]) -> Figure:
-    columns = min(3, len(lines))
-    height = math.ceil(len(lines) / columns)
-    figure = Figure(figsize=(4.9 * columns, 3.5 * height + 0.7), dpi=110, layout="constrained")
-    grid = figure.subplots(height, columns, squeeze=False)
-    for axes, (name, line) in zip(grid.flat, lines.items(), strict=False):
+    figure = Figure(figsize=(4.9 * len(lines), 4.2), dpi=110, layout="constrained")
+    for axes, (name, line) in zip(figure.subplots(1, len(lines), squeeze=False).flat, lines.items(), strict=True):
         _front(axes, name, line)
-    for axes in list(grid.flat)[len(lines) :]:
-        axes.axis("off")
     handles = [
         figure.axes[0].plot([], [], _MARKS[name], color=_COLOURS[name], markersize=_SIZES[name], label=_of(name))[0]
         for name in PRESETS
@@ -192,7 +83,7 @@ def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
             axes.plot(x, y, _MARKS[preset], color=_COLOURS[preset], markersize=_SIZES[preset], zorder=3)
         counted = f" ({row['views']})" if knob.error_unit == "points" and "views" in row else ""
         axes.annotate(
-            f"{_label(knob, row)}{counted}",
+            f"{label(knob, row)}{counted}",
             (x, y),
             xytext=(5, -13 if below else 6),
             textcoords="offset points",
@@ -201,7 +92,7 @@ def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
     axes.set_xscale("log")
     _decimal(axes.xaxis)
     axes.set_title(f"{name}: {knob.title}\non {line[0]['part']}", fontsize=9, loc="left")
-    axes.set_ylabel(_wrapped(knob.measure), fontsize=8)
+    axes.set_ylabel(fill(knob.measure, 36), fontsize=8)
     axes.set_xlabel("processor time [s]", fontsize=8)
     _plain(axes)
     low, high = min(seconds), max(seconds)
@@ -271,16 +162,3 @@ def _plain(axes: Axes) -> None:
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _wrapped(text: str) -> str:
-    """Two lines where one is longer than a panel is high."""
-    if len(text) < 38:
-        return text
-    words = text.split()
-    lines = [""]
-    for word in words:
-        if len(lines[-1]) + len(word) > 36:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return "\n".join(lines)

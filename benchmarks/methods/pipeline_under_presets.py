@@ -4,26 +4,25 @@ Seconds are those of the process, start-up included, nothing taken from caches. 
 what any view could measure that the robot reaches: candidates of a mesh of four times the default faces at four rolls.
 """
 
-import json
-import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from resource import RUSAGE_CHILDREN, getrusage
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from cell.errors import CellError
+from benchmarks.cell_process import run_cell
+from benchmarks.methods.preset_knobs import FINEST
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
 from cell.scene.presets import PRESETS
 from cell.study.bench import Bench
 from cell.study.scenes import scene_of
-from cell.study.turned import FINEST
+from cell.study.trial import Outcome
 from planner.measurability import coverage
+
+WHOLE = "whole"
+"""Its name among the knobs."""
 
 PAPER = "paper's method"
 
@@ -34,7 +33,6 @@ METHODS: Mapping[str, tuple[str, ...]] = {
 """Options of `cell plan` for each way to run it; all choose from their mesh's candidates at the scene's rolls."""
 
 _ROLLS_DEG = (0.0, 45.0, 90.0, 135.0)
-_GOOD = (0, 3)  # exit codes that leave a plan; 3: below the coverage that the scene requires
 
 
 def whole(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -48,10 +46,9 @@ def whole(settings: Mapping[str, Any]) -> dict[str, Any]:
         CellError: with the command's own sentence where it fails.
     """
     with tempfile.TemporaryDirectory(prefix="cell-speed-") as scratch:
-        run = str(Path(scratch) / "run")
-        method = METHODS[settings["method"]]
-        plan, planning = _cell(scratch, "plan", *settings["options"], *method, "--no-cache", "--out", run, "--json")
-        scan, scanning = _cell(scratch, "scan", run, "--json")
+        folder, options = Path(scratch), (*settings["options"], *METHODS[settings["method"]])
+        plan, planning = run_cell(folder, "plan", *options, "--no-cache", "--out", str(folder / "run"))
+        scan, scanning = run_cell(folder, "scan", str(folder / "run"))
     surface = scan["deviation"]
     return {
         "views": plan["n_views"],
@@ -61,23 +58,10 @@ def whole(settings: Mapping[str, Any]) -> dict[str, Any]:
         "sampled": scan["coverage"]["sampled"],
         "rms_um": None if surface is None else 1000 * surface["rms_mm"],
         "seconds": {
-            "work": planning[0], "processor": planning[1], "scan work": scanning[0], "scan processor": scanning[1],
+            "work": planning["s"], "processor": planning["cpu s"],
+            "scan work": scanning["s"], "scan processor": scanning["cpu s"],
         },
     }  # fmt: skip
-
-
-def _cell(folder: str, *arguments: str) -> tuple[dict[str, Any], tuple[float, float]]:
-    """What a command of the program prints as JSON; its seconds on the wall clock and of all cores."""
-    used, start = getrusage(RUSAGE_CHILDREN), perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-m", "cell", *arguments], cwd=folder, capture_output=True, text=True, check=False
-    )
-    seconds, after = perf_counter() - start, getrusage(RUSAGE_CHILDREN)
-    if done.returncode not in _GOOD:
-        told = done.stderr.strip().splitlines()
-        raise CellError(told[-1] if told else f"cell {arguments[0]} ended with code {done.returncode}")
-    busy = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
-    return json.loads(done.stdout), (seconds, busy)
 
 
 def measurable(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -102,18 +86,18 @@ def measurable(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"measurable": found, "candidates": len(bench.zone), "reachable": int(reached.sum())}
 
 
-def row(part: str, method: str, values: Mapping[str, Any], seconds: Mapping[str, float], most: float) -> dict[str, Any]:
+def row(part: str, method: str, outcome: Outcome, most: float) -> dict[str, Any]:
     """One tidy row.
 
     Args:
         part: its name.
         method: a name of `METHODS`.
-        values: of the trial `whole`.
-        seconds: of the same.
+        outcome: of the trial `whole`.
         most: share of the surface that can be measured.
     """
+    values, seconds = outcome.values, outcome.seconds
     return {
-        "knob": "whole",
+        "knob": WHOLE,
         "part": part,
         "value": method,
         "seconds": seconds["work"],

@@ -1,4 +1,4 @@
-"""`cell study stability`: success and error of each method over the number that breaks it, with its safe region.
+"""`python -m benchmarks stability`: success and error of each method over the number that breaks it; its safe region.
 
 A map asks a method at values of one number, some of them far beyond what anybody needs, and judges it by a truth that
 the method has no part in. At each value the program is asked as well what it would tell its user there: nothing, a
@@ -10,18 +10,37 @@ is silent.
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from textwrap import fill
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.methods import arm_maps, planning_maps, reconstruction_maps
+from benchmarks.methods.stability_map import Map
+from cell.commands.study import Cluster, Out, Processes, conducted
 from cell.errors import UsageError
-from cell.study import stability_robot, stability_scan, stability_views
-from cell.study.stability_map import Map
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
 
-MAPS: Mapping[str, Map] = {**stability_robot.MAPS, **stability_views.MAPS, **stability_scan.MAPS}
+MAPS: Mapping[str, Map] = {**arm_maps.MAPS, **planning_maps.MAPS, **reconstruction_maps.MAPS}
+
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def stability(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[MAP ...]", help=f"{', '.join(MAPS)}. Default: all.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few values, small problems: whether it still works.")] = False,
+    processes: Processes = None,
+    cluster: Cluster = None,
+    out: Out = None,
+) -> None:
+    """Map where each method breaks: success and error over what breaks it, and what the program says there."""
+    conducted(lambda: stability_study(names or [], quick=quick), processes, cluster, out, as_json=False)
 
 
 def at(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -30,8 +49,8 @@ def at(settings: Mapping[str, Any]) -> dict[str, Any]:
     Args:
         settings: map, line, value and size.
     """
-    seen = MAPS[settings["map"]].look(settings["line"], settings["value"], settings["size"])
-    return {"success": seen.success, "error": seen.error, "says": seen.says, "more": dict(seen.more)}
+    point = MAPS[settings["map"]].look(settings["line"], settings["value"], settings["size"])
+    return {"success": point.success, "error": point.error, "says": point.says, "more": dict(point.more)}
 
 
 def stability_study(names: Sequence[str], *, quick: bool = False) -> Study:
@@ -52,7 +71,7 @@ def stability_study(names: Sequence[str], *, quick: bool = False) -> Study:
             name,
             line,
             value,
-            Trial.of("stability", {"map": name, "line": line, "value": value, "size": each.sizes[quick]}),
+            Trial.of(at, {"map": name, "line": line, "value": value, "size": each.sizes[quick]}),
         )
         for name, each in MAPS.items()
         if name in names or not names

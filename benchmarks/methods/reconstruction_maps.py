@@ -9,15 +9,15 @@ from functools import lru_cache
 
 import numpy as np
 
+from benchmarks.eight_scans import eight_scans, noisy
+from benchmarks.methods.bumpy_body import body
+from benchmarks.methods.stability_map import Map, MapPoint
 from cell.part.workpiece import Workpiece
 from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
-from cell.study.clouds import eight_scans, noisy
-from cell.study.stability_body import body
-from cell.study.stability_map import Map, Seen
 from planner.ports import Floats
 from planner.surface.sample import sample
 
@@ -59,34 +59,34 @@ def _in_sight(count: int) -> Floats:
     return np.asarray(samples.points[seen])
 
 
-def _judged(result: Reconstruction, count: int) -> Seen:
+def _judged(result: Reconstruction, count: int) -> MapPoint:
     says = " ".join(result.doubts) if result.mesh is not None else result.status.value
     spacing = {"spacing mm": 1e3 * result.spacing if np.isfinite(result.spacing) else None}
     if result.mesh is None:
-        return Seen(0.0, None, says, spacing)
+        return MapPoint(0.0, None, says, spacing)
     places = _in_sight(count)
     near = NearestSurface(result.mesh).closest(places).distance <= _NEAR * _diagonal()
     off = deviation(result.mesh, _nearest(), np.random.default_rng(0), count=count)
-    return Seen(
+    return MapPoint(
         float(near.mean()), 100 * off.rms / _diagonal(), says,
         {**spacing, "rms mm": 1e3 * off.rms, "holes": result.holes, "outliers": result.outliers,
          "noise mm": 1e3 * result.noise, "faces": len(result.mesh.faces)},
     )  # fmt: skip
 
 
-def sparse(line: str, step_deg: float, count: int) -> Seen:
+def sparse(line: str, step_deg: float, count: int) -> MapPoint:
     """The surface of scans with ever larger angles between rays."""
     return _judged(reconstruct(merge(list(_scans(step_deg)))), count)
 
 
-def noise(line: str, spacings: float, count: int) -> Seen:
+def noise(line: str, spacings: float, count: int) -> MapPoint:
     """The surface of scans with ever more noise along the rays, in point spacings."""
     step = float(line.split()[0])
     spacing = _spacing(step)
-    seen = _judged(reconstruct(merge(noisy(list(_scans(step)), spacings * spacing))), count)
-    if seen.error is None:
-        return seen
-    return replace(seen, error=seen.error / 100 * _diagonal() / spacing)
+    point = _judged(reconstruct(merge(noisy(list(_scans(step)), spacings * spacing))), count)
+    if point.error is None:
+        return point
+    return replace(point, error=point.error / 100 * _diagonal() / spacing)
 
 
 @lru_cache(maxsize=4)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from benchmarks.methods.bumpy_body import body
+from benchmarks.methods.stability_map import Map, MapPoint
 from cell import stand_ins
 from cell.errors import FileError
 from cell.part import workpiece
@@ -19,8 +21,6 @@ from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from cell.scene import doubts
-from cell.study.stability_body import body
-from cell.study.stability_map import Map, Seen
 from planner import cover
 from planner.cover import CoverStatus
 from planner.measurability import coverage
@@ -95,7 +95,7 @@ def _agreeing(M: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
     return float((M & truth).sum() / (M | truth).sum())
 
 
-def size(line: str, metres: float, count: int) -> Seen:
+def size(line: str, metres: float, count: int) -> MapPoint:
     """The fill for parts of any size: the same matrix as in float64?"""
     part = _part()
     loaded = workpiece.from_mesh("part", part.vertices * metres, part.faces.astype(np.int64), "m", "")
@@ -103,10 +103,10 @@ def size(line: str, metres: float, count: int) -> Seen:
     M = fill(views, features, scanner, EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces))
     agreeing = _agreeing(M.matrix().toarray(), _truth(count))
     says = " ".join(f.sentence for f in loaded.findings if f.kind is workpiece.Kind.UNITS)
-    return Seen(agreeing, 100 * (1 - agreeing), says)
+    return MapPoint(agreeing, 100 * (1 - agreeing), says)
 
 
-def offset(line: str, sizes: float, count: int) -> Seen:
+def offset(line: str, sizes: float, count: int) -> MapPoint:
     """The fill for a part that lies far from its file's origin, as the file's precision leaves it."""
     part, shift = _part(), sizes * _AWAY / np.linalg.norm(_AWAY)
     moved = part.vertices + shift
@@ -116,18 +116,18 @@ def offset(line: str, sizes: float, count: int) -> Seen:
     try:
         loaded = workpiece.from_mesh("part", moved, part.faces.astype(np.int64), "m", "")
     except FileError as error:
-        return Seen(0.0, off, str(error))
+        return MapPoint(0.0, off, str(error))
     says = " ".join(f.sentence for f in loaded.findings if f.kind is workpiece.Kind.FAR)
     mesh = loaded.reference
     if len(mesh.faces) != len(part.faces):  # faces have collapsed
-        return Seen(0.0, off, says)
+        return MapPoint(0.0, off, says)
     scanner, features, views = _question(1.0, count)
     there = _carried(features, part, mesh)
     T = np.array(views.T_object_scanner)
     T[..., :3, 3] += shift
     views = Viewpoints(T, views.face, views.standoff, views.roll)
     M = fill(views, there, scanner, EmbreeRayCaster(mesh.vertices, mesh.faces))
-    return Seen(_agreeing(M.matrix().toarray(), _truth(count)), off, says)
+    return MapPoint(_agreeing(M.matrix().toarray(), _truth(count)), off, says)
 
 
 def _carried(features: SurfaceSamples, part: TriangleMesh, mesh: TriangleMesh) -> SurfaceSamples:
@@ -144,7 +144,7 @@ def _carried(features: SurfaceSamples, part: TriangleMesh, mesh: TriangleMesh) -
 _PLATE_M, _AT_M, _PART_M = 0.05, 0.3, 0.4  # a plate before the scanner; the diagonal of the part that it belongs to
 
 
-def grazing(line: str, angle_deg: float, count: int) -> Seen:
+def grazing(line: str, angle_deg: float, count: int) -> MapPoint:
     """A plate at a grazing angle: all of it is in sight; what is predicted of it, and what does a scan find?"""
     tilt, half = np.radians(angle_deg), _PLATE_M / 2
     across, along = np.array([1.0, 0, 0]), np.array([0.0, np.cos(tilt), np.sin(tilt)])
@@ -162,7 +162,7 @@ def grazing(line: str, angle_deg: float, count: int) -> Seen:
     if len(points):
         near, _ = cKDTree(points).query(samples.points)
         found = np.asarray(near <= 0.01 * _PART_M)
-    return Seen(
+    return MapPoint(
         float(predicted.mean()), 100 * float((predicted & ~found).mean()), doubts.grazing(angle_deg),
         {"scan points": len(points)},
     )  # fmt: skip
@@ -193,17 +193,17 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
     return visible, len(plan.views), len(planning.faces), doubts.off_mesh(features, planning)
 
 
-def decimation(line: str, faces: float, samples: int) -> Seen:
+def decimation(line: str, faces: float, samples: int) -> MapPoint:
     """A plan from a coarse planning mesh: how much of the part does it measure?"""
     fine, *_ = _measured_by(line, _FINE, samples)
     visible, views, came_out, off = _measured_by(line, round(faces), samples)
-    return Seen(
+    return MapPoint(
         min(visible / fine, 1.0), 100 * off, doubts.planning_mesh(off, came_out),
         {"faces": came_out, "views": views, "visible %": 100 * visible},
     )  # fmt: skip
 
 
-def selection(line: str, percent: float, count: int) -> Seen:
+def selection(line: str, percent: float, count: int) -> MapPoint:
     """Selection over the density of the matrix: how far may the plan be from the fewest?"""
     rng = np.random.default_rng(0)
     if line == _CAPS:  # each view measures a cap of the sphere that has this share of its area
@@ -213,7 +213,7 @@ def selection(line: str, percent: float, count: int) -> Seen:
         M = rng.random((count, count)) < percent / 100
     found = cover.solve(csr_array(M), np.ones(count), rng=np.random.default_rng(0))
     proven = found.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE)
-    return Seen(
+    return MapPoint(
         1.0, 100 * found.gap, "" if proven else found.sentence,
         {"views": len(found.views), "bound": found.lower_bound, "work": found.work, "proven": proven},
     )  # fmt: skip

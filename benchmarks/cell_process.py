@@ -1,0 +1,42 @@
+"""A command of the program as a process of its own: what it prints, how long it takes, how much memory it needs."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from cell.errors import CellError
+
+_GOOD = (0, 3)  # exit codes that leave a plan; 3: below the coverage that the scene requires
+
+
+def run_cell(folder: Path, *arguments: str, cache: Path | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the process printed as JSON, and what it took: "s" on the wall clock, "cpu s" of all cores, "peak MB".
+
+    Args:
+        folder: keeps what it prints.
+        arguments: of the command line; `--json` is added.
+        cache: in place of the user's folder of caches.
+
+    Raises:
+        CellError: with the command's own sentence where it fails.
+    """
+    environment = dict(os.environ) if cache is None else {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    out, err = folder / "stdout", folder / "stderr"
+    with out.open("wb") as stdout, err.open("wb") as stderr:
+        start = perf_counter()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "cell", *arguments, "--json"], env=environment, stdout=stdout, stderr=stderr
+        )
+        # The usage of this one child; the sum over all children would hold the largest peak so far.
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    seconds = perf_counter() - start
+    if process.returncode not in _GOOD:
+        told = err.read_text().strip().splitlines()
+        raise CellError(told[-1] if told else f"cell {arguments[0]} ended with code {process.returncode}")
+    took = {"s": seconds, "cpu s": usage.ru_utime + usage.ru_stime, "peak MB": usage.ru_maxrss // 1024}
+    return json.loads(out.read_text()), took

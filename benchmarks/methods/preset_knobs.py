@@ -1,0 +1,213 @@
+"""The numbers that presets turn: planning faces, samples on each, rays of a scan; seconds and error of one value.
+
+Each function takes the bench, the knob's value and how often to repeat, and gives an error against a truth, with the
+seconds that the work took. The truths are computed once a process. No robot.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from benchmarks.best_of import best_of
+from benchmarks.claimed_coverage import claim
+from benchmarks.eight_scans import eight_scans, noisy
+from cell.errors import UsageError
+from cell.plan.candidates import first
+from cell.reconstruction.cloud import ScanCloud, merge
+from cell.reconstruction.deviation import deviation
+from cell.reconstruction.nearest import NearestSurface
+from cell.reconstruction.reconstruct import Reconstruction, reconstruct
+from cell.scene.plan_settings import PlanSettings
+from cell.scene.presets import DEFAULT, PRESETS
+from cell.scene.scene import Scanner
+from cell.study.bench import Bench
+from cell.study.scenes import bench_of
+from planner import cover
+from planner.errors import PlannerError
+from planner.measurability import coverage
+from planner.measurability.matrix import fill, measured
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
+from planner.viewpoints.viewpoints import Viewpoints
+
+FINEST = 4
+"""Candidates of so many times the default planning faces stand for all that there could be."""
+
+_FEATURES, _SELECTION = 0, 2  # streams of randomness, as `cell plan` has them
+_NOISE = 30e-6  # of the scans, along the ray [m]
+
+Value = float | int
+
+
+@dataclass(frozen=True, slots=True)
+class KnobResult:
+    """What came of one value.
+
+    Attributes:
+        error: against the truth, in the knob's unit.
+        seconds: "work" on the wall clock, "processor" over all cores.
+        more: what else is worth a column.
+    """
+
+    error: float
+    seconds: Mapping[str, float]
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """One knob.
+
+    Attributes:
+        title: what is turned, for people.
+        unit: of its values, as beside a number; "" for a count.
+        values: its range, the fastest first.
+        of_preset: the value that a preset has.
+        truth: what an error is measured against.
+        measure: what the error is, with its unit.
+        error_unit: unit of the error alone.
+        turn: computes one value: of bench, value and repeats.
+    """
+
+    title: str
+    unit: str
+    values: tuple[Value, ...]
+    of_preset: Callable[[str], Value]
+    truth: str
+    measure: str
+    error_unit: str
+    turn: Callable[[Bench, Any, int], KnobResult]
+
+    @property
+    def default(self) -> Value:
+        """The value of the default preset."""
+        return self.of_preset(DEFAULT)
+
+    def parsed(self, text: str) -> list[Value]:
+        """Values of an option, separated by commas, of the kind that the knob has.
+
+        Raises:
+            UsageError: if one is of another kind.
+        """
+        return [self._parsed(piece) for piece in text.split(",")]
+
+    def _parsed(self, text: str) -> Value:
+        kind = type(self.values[0])
+        try:
+            value = kind(text)
+        except ValueError:
+            value = kind(0)
+        if not 0 < value < float("inf"):
+            valid = "whole numbers" if kind is int else "numbers"
+            raise UsageError(f"--values: {text} is no value of this knob; valid are {valid} above 0")
+        return value
+
+
+def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
+    """Planning faces as a share of the default: surface that the plan loses for want of candidates and samples."""
+
+    def work() -> tuple[Viewpoints, cover.Cover]:
+        planning = _planning(bench, share)
+        candidates = first(bench.scene, bench.settings, bench.part, planning)
+        rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
+        count = bench.scene.plan.samples_per_face * len(planning.faces)
+        features = sample(bench.part.reference, planning, count, rng)
+        M = fill(candidates, features, bench.scanner, bench.caster)
+        rng = np.random.default_rng([bench.scene.plan.seed, _SELECTION])
+        return candidates, cover.solve(M.matrix(), features.areas, rng=rng)
+
+    (candidates, plan), seconds = best_of(work, repeats)
+    visible = bench.visible(candidates.T_object_scanner[plan.views])
+    error = 100 * (_most(bench) - visible)
+    return KnobResult(error, seconds, {"views": len(plan.views), "candidates": len(candidates)})
+
+
+def samples(bench: Bench, per_face: int, repeats: int) -> KnobResult:
+    """Aimed samples per face: how far the matrix's claim for its plan is from the truth."""
+    planning, candidates = bench.planning, bench.zone
+    rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
+    features = sample(bench.part.reference, planning, per_face * len(planning.faces), rng)
+    M, seconds = best_of(lambda: fill(candidates, features, bench.scanner, bench.caster), repeats)
+    found = claim(M, candidates, bench.samples, bench.scanner, bench.caster)
+    return KnobResult(abs(found.error_points), seconds, {"views": found.views, "visible %": 100 * found.visible})
+
+
+def scan(bench: Bench, step_deg: float, repeats: int) -> KnobResult:
+    """Angle between the rays of a scan, the surface made of it: rms deviation of that from the part [um]."""
+    points: list[ScanCloud] = []
+
+    def work() -> Reconstruction:
+        points[:] = noisy(eight_scans(bench.part, step_deg), _NOISE)
+        return reconstruct(merge(points))
+
+    result, seconds = best_of(work, repeats)
+    if result.mesh is None:
+        raise PlannerError(f"{result.status.value}; scan more finely")
+    off = deviation(result.mesh, _nearest(bench), np.random.default_rng(0))
+    found = np.concatenate([each.points for each in points])
+    sampled = coverage.sampled(found, bench.samples, coverage.sampling_radius(bench.part.reference)).fraction
+    more = {"grid mm": 1000 * result.grid, "faces": len(result.mesh.faces), "points": len(found)}
+    return KnobResult(1e6 * off.rms, seconds, {**more, "sampled %": 100 * sampled})
+
+
+def _planning(bench: Bench, share: float) -> TriangleMesh:
+    return decimate(bench.part.reference, max(4, round(share * bench.settings.faces)))
+
+
+@lru_cache(maxsize=2)
+def _most(bench: Bench) -> float:
+    """Share of the surface that the finest candidates measure together, on the held-out samples."""
+    candidates = first(bench.scene, bench.settings, bench.part, _planning(bench, FINEST))
+    found = measured(candidates.T_object_scanner, bench.samples, bench.scanner, (bench.caster,))
+    return float(bench.samples.areas[found].sum() / bench.samples.areas.sum())
+
+
+@lru_cache(maxsize=2)
+def _nearest(bench: Bench) -> NearestSurface:
+    return NearestSurface(bench.part.reference)
+
+
+def _samples_of(preset: str) -> int:
+    return int(PRESETS[preset].plan.get("samples_per_face", PlanSettings.model_fields["samples_per_face"].default))
+
+
+def _resolution_of(preset: str) -> float:
+    given = PRESETS[preset].scanner.get("resolution_deg", Scanner.model_fields["resolution_deg"].default)
+    return float(given[0])
+
+
+KNOBS: Mapping[str, Knob] = {
+    "decimation": Knob(
+        "faces of the planning mesh", "x default", (0.125, 0.25, 0.5, 1.0, 2.0),
+        lambda preset: PRESETS[preset].faces_factor,
+        "what all candidates of a mesh of four times the default faces measure together",
+        "surface that the plan misses of it [points]", "points", decimation,
+    ),
+    "samples": Knob(
+        "surface samples per face, aimed at", "", (1, 2, 4, 8, 16), _samples_of,
+        "visible coverage on 100,000 samples that the matrix has not seen",
+        "coverage that the matrix claims for its plan, off by [points]", "points", samples,
+    ),
+    "scan": Knob(
+        "angle between the rays of a scan", "deg", (2.0, 1.0, 0.5, 0.25, 0.125), _resolution_of,
+        "the part's own surface; 30 um of noise along the rays",
+        "rms deviation of the surface made of the scans [um]", "um", scan,
+    ),
+}  # fmt: skip
+
+
+def turn(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """One value of one knob: the trial.
+
+    Args:
+        settings: scene and files (`cell.study.scenes`), knob, value, and repeats, of which the best counts.
+
+    Returns:
+        The error, in the knob's unit, and what else is worth a column; under "seconds" what the work took.
+    """
+    found = KNOBS[settings["knob"]].turn(bench_of(settings), settings["value"], settings["repeats"])
+    return {"error": found.error, "more": dict(found.more), "seconds": dict(found.seconds)}

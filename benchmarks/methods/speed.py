@@ -1,0 +1,187 @@
+"""`python -m benchmarks speed`: seconds against error of the numbers that presets turn, and the pipeline under presets.
+
+A row holds the seconds that its trial took where and when it was computed: rows of one run on one machine compare,
+rows of two do not. Errors and views are the same everywhere.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.methods import pipeline_under_presets as pipeline
+from benchmarks.methods.preset_knobs import KNOBS, Knob, Value, turn
+from benchmarks.methods.speed_charts import by_knob, label, pictures, presets_at
+from cell.commands.study import Cluster, Out, SceneFile, conducted, scene_maker
+from cell.errors import UsageError
+from cell.scene.scene import Scene
+from cell.stand_ins import NAMES
+from cell.study.scenes import scene_settings
+from cell.study.study import Row, Study
+from cell.study.trial import Outcome, Trial
+
+WHOLE_PARTS = ("mseke", "mug", "petanque")
+"""Built-in parts that the whole pipeline is run on where none is asked for: large, hollow, round."""
+
+ELSEWHERE = {
+    "rays": "fill",
+    "solver": "cover",
+    "collision": "fidelity",
+    "edges": "edge_resolution",
+    "ordering": "gtsp",
+    "grid": "reconstruction",
+    "plant": "plant",
+}
+"""What else trades speed for accuracy, and the benchmark that measures it; no preset turns it."""
+
+_SHOWN = ("knob", "part", "value", "presets", "seconds", "processor s", "error", "unit", "views")
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def speed(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KNOB ...]",
+            help=f"{', '.join(KNOBS)}; {pipeline.WHOLE}: the pipeline under each preset and by the paper's method. "
+            "Default: all.",
+            show_default=False,
+        ),
+    ] = None,
+    part: Annotated[str | None, typer.Option(help="Built-in part or mesh file. Default: the scene's.")] = None,
+    scene: SceneFile = None,
+    values: Annotated[str | None, typer.Option(metavar="V,V,...", help="In place of a single knob's range.")] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs of each work, of which the best counts.")] = 3,
+    processes: Annotated[int, typer.Option(metavar="N", help="More than one disturb each other's timing.")] = 1,
+    cluster: Cluster = None,
+    out: Out = None,
+) -> None:
+    """Chart speed against accuracy: seconds and error of each knob, and of the whole pipeline under the presets."""
+    wanted = chosen(names or [])
+    turned = [name for name in wanted if name != pipeline.WHOLE]
+    if values is not None and (len(turned) != 1 or len(wanted) != 1):
+        raise UsageError("--values are those of one knob; name it, for instance samples --values 1,4")
+    given = None if values is None else KNOBS[turned[0]].parsed(values)
+    wholes = []
+    for name in () if pipeline.WHOLE not in wanted else (part,) if part or scene else WHOLE_PARTS:
+        options = [*([] if name is None else [_absolute(name)]), *(["--scene", str(scene.absolute())] if scene else [])]
+        wholes.append((scene_maker(name, None, scene)({}), options))
+    base = scene_maker(part, None, scene)({})
+    study = speed_study([(name, base) for name in turned], wholes, values=given, repeats=repeats)
+    conducted(lambda: study, processes, cluster, out, as_json=False)
+
+
+def chosen(names: Sequence[str]) -> list[str]:
+    """Knobs that were asked for, `whole` among them; none: all.
+
+    Raises:
+        UsageError: if one is none of ours; it says which benchmark measures it.
+    """
+    known = [*KNOBS, pipeline.WHOLE]
+    for name in names:
+        if name in ELSEWHERE:
+            raise UsageError(f"no preset turns {name}; python -m benchmarks {ELSEWHERE[name]} measures it")
+        if name not in known:
+            raise UsageError(f"there is no knob {name}; there are {', '.join(known)}")
+    return list(dict.fromkeys(names)) or known
+
+
+def speed_study(
+    turns: Sequence[tuple[str, Scene]],
+    wholes: Sequence[tuple[Scene, Sequence[str]]],
+    *,
+    values: Sequence[Value] | None = None,
+    repeats: int = 3,
+) -> Study:
+    """The study of some knobs, and of the whole pipeline on some parts.
+
+    Args:
+        turns: name of each knob and the scene that it is turned on.
+        wholes: scene and options of `cell plan` of each part that the whole pipeline is run on.
+        values: in place of a knob's range, where there is one knob.
+        repeats: runs of each work, of which the best counts.
+    """
+    turned = [
+        (name, scene, value, Trial.of(turn, {**own, "knob": name, "value": value, "repeats": repeats}))
+        for name, scene, own in ((name, scene, scene_settings(scene)) for name, scene in turns)
+        for value in (values or KNOBS[name].values)
+    ]
+    methods = [
+        (scene, method, Trial.of(pipeline.whole, {"options": list(options), "method": method, "files": _files(scene)}))
+        for scene, options in wholes
+        for method in pipeline.METHODS
+    ]
+    truths = [(scene, Trial.of(pipeline.measurable, scene_settings(scene))) for scene, _ in wholes]
+
+    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+        found = {outcome.trial: outcome for outcome in outcomes}
+        listed = [_row(name, scene, value, found[trial]) for name, scene, value, trial in turned if trial in found]
+        for scene, truth in truths:
+            of_part = [(method, found[trial]) for each, method, trial in methods if each is scene and trial in found]
+            if truth in found and of_part:
+                # A plan's own poses may measure a speck more than the finest candidates do.
+                most = max(found[truth].values["measurable"], *(each.values["visible"] for _, each in of_part))
+                listed += [pipeline.row(_part(scene), method, each, most) for method, each in of_part]
+        return listed
+
+    trials = [trial for *_, trial in (*truths, *turned, *methods)]
+    return Study("speed", "Speed against accuracy", trials, rows, pictures, sentences, _SHOWN)
+
+
+def _absolute(part: str) -> str:
+    """A file's whole path, for a process in another folder; a built-in part by its name."""
+    return part if part in NAMES and not Path(part).is_file() else str(Path(part).absolute())
+
+
+def _part(scene: Scene) -> str:
+    return scene.part.name if scene.part.path is None else Path(scene.part.path).stem
+
+
+def _files(scene: Scene) -> dict[str, str]:
+    found: dict[str, str] = scene_settings(scene)["files"]
+    return found
+
+
+def _row(name: str, scene: Scene, value: Value, outcome: Outcome) -> Row:
+    return {
+        "knob": name,
+        "part": _part(scene),
+        "value": value,
+        "presets": " ".join(presets_at(KNOBS[name], value)),
+        "seconds": outcome.seconds["work"],
+        "processor s": outcome.seconds["processor"],
+        "error": outcome.values["error"],
+        "unit": KNOBS[name].error_unit,
+        **outcome.values["more"],
+    }
+
+
+def sentences(rows: Sequence[Row]) -> list[str]:
+    """For each knob what a step from the default to either side costs and brings; then the whole pipeline."""
+    said = [
+        _sentence(name, KNOBS[name], line)
+        for name, line in by_knob(rows).items()
+        if any(row["value"] == KNOBS[name].default for row in line)
+    ]
+    return said + pipeline.sentences([row for row in rows if row["knob"] == pipeline.WHOLE])
+
+
+def _sentence(name: str, knob: Knob, line: Sequence[Row]) -> str:
+    usual = next(row for row in line if row["value"] == knob.default)
+    at = line.index(usual)
+    steps = []
+    for row in [*line[max(0, at - 1) : at], *line[at + 1 : at + 2]]:
+        ratio = row["processor s"] / usual["processor s"] if usual["processor s"] else math.nan
+        steps.append(f"at {label(knob, row)} {ratio:.2f} times the time and {_error(row)}")
+    return (
+        f"**{name}** ({knob.title}; {knob.measure}): {_error(usual)} at the default of {label(knob, usual)}; "
+        f"{'; '.join(steps)}."
+    )
+
+
+def _error(row: Mapping[str, Any]) -> str:
+    return f"{row['error']:.3g} {row['unit']}"

@@ -1,0 +1,68 @@
+"""What the program tells of what is beyond where its methods are good: a sentence each, none where all is well."""
+
+import numpy as np
+import trimesh
+
+from cell.part import workpiece
+from cell.part.workpiece import FARTHEST_SIZES, Kind
+from cell.plant.servo import COARSEST_STEP, Settings
+from cell.reconstruction.cloud import ScanCloud, merge
+from cell.reconstruction.reconstruct import NOISIEST, SPARSEST, reconstruct
+from cell.scene import doubts
+from cell.scene.scene import Scene
+from planner.surface.decimate import decimate
+from planner.surface.sample import sample
+
+
+def test_a_time_step_that_is_too_long_is_told() -> None:
+    """The default says nothing."""
+    assert Settings().doubt == ""
+    assert "2 ms is longer than 1 ms" in Settings(time_step=2 * COARSEST_STEP).doubt
+
+
+def test_a_part_far_from_its_origin_is_told() -> None:
+    """With both lengths, and not at the border itself."""
+    box = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+    def kinds(away: float) -> set[Kind]:
+        return {f.kind for f in workpiece.from_mesh("tip", box - 0.5 + [away, 0, 0], faces, "m", "").findings}
+
+    assert Kind.FAR not in kinds(0.999 * FARTHEST_SIZES)
+    assert Kind.FAR in kinds(1.001 * FARTHEST_SIZES)
+
+
+def test_a_grazing_limit_that_no_scan_reaches_is_told() -> None:
+    """At the limit itself nothing is said."""
+    for limit, said in ((doubts.STEEPEST_GRAZING_DEG, 0), (doubts.STEEPEST_GRAZING_DEG + 1, 1)):
+        assert len(doubts.of_scene(Scene.model_validate({"scanner": {"grazing_max_deg": limit}}))) == said
+
+
+def test_a_coarse_planning_mesh_is_told_and_a_fine_one_is_not() -> None:
+    """The finer, the nearer to the part."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    part = workpiece.from_mesh("ball", np.array(ball.vertices), np.array(ball.faces), "m", "").reference
+    off = {}
+    for faces in (12, 150, 600):
+        planning = decimate(part, faces)
+        off[faces] = doubts.off_mesh(sample(part, planning, 2000, np.random.default_rng(0)), planning)
+    assert off[12] > off[150] > off[600]
+    assert doubts.planning_mesh(off[600], 600) == ""
+    assert "of 12 faces is coarse" in doubts.planning_mesh(off[12], 12)
+    assert doubts.planning_mesh(doubts.COARSEST_MESH, 99) == ""
+
+
+def _plane(step: float, sigma: float) -> ScanCloud:
+    x, y = np.meshgrid(np.arange(0.0, 0.1, step), np.arange(0.0, 0.1, step))
+    z = np.random.default_rng(0).normal(0, 1, x.shape) * sigma
+    return ScanCloud(np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1), np.array([0.05, 0.05, 1.0]))
+
+
+def test_sparse_and_noisy_clouds_are_told() -> None:
+    """A dense exact plane says nothing, each fault its own sentence."""
+    assert reconstruct(merge([_plane(0.001, 0.0)])).doubts == ()
+    (sparse,) = reconstruct(merge([_plane(1.2 * SPARSEST * 0.14, 0.0)])).doubts
+    assert "apart" in sparse
+    (noisy,) = reconstruct(merge([_plane(0.001, 0.001)])).doubts
+    assert "scatter" in noisy
+    assert NOISIEST < 1

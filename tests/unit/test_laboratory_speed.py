@@ -1,0 +1,157 @@
+"""The laboratory's speed fronts: the table of knobs, the rows, sentences and pictures, the measures beneath them."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.best_of import best_of
+from benchmarks.methods import pipeline_under_presets as pipeline
+from benchmarks.methods.preset_knobs import KNOBS, samples
+from benchmarks.methods.speed import ELSEWHERE, chosen, pictures, sentences, speed_study
+from benchmarks.methods.speed_charts import presets_at
+from cell.errors import UsageError
+from cell.narrator import Quiet
+from cell.scene.presets import PRESETS
+from cell.scene.scene import load_scene
+from cell.study.bench import Bench
+from cell.study.study import conduct
+from cell.study.trial import Outcome, Trial
+from cell.study.workers import Processes
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", list(KNOBS))
+def test_every_value_that_a_preset_has_is_on_its_front(name: str) -> None:
+    """So that each mark of the picture is measured."""
+    knob = KNOBS[name]
+    for preset in PRESETS:
+        assert knob.of_preset(preset) in knob.values, preset
+    assert len(set(knob.values)) == len(knob.values) >= 3
+    assert knob.truth
+    assert knob.error_unit in knob.measure
+
+
+def test_the_page_has_the_same_table() -> None:
+    """Knob, range, default, truth and error measure, in the order of the code."""
+    page = (ROOT / "docs" / "speed_accuracy.md").read_text(encoding="utf-8")
+    for name, knob in KNOBS.items():
+        text = ", ".join(f"{value:g}" for value in knob.values)
+        unit = f" {knob.unit}" if knob.unit else ""
+        row = f"| `{name}` | {knob.title} | {text}{unit} | {knob.default:g} | {knob.truth} | {knob.measure} |"
+        assert row in page, row
+
+
+def test_a_preset_differs_from_the_default_in_every_knob() -> None:
+    """That is what makes them the knobs of this study."""
+    for knob in KNOBS.values():
+        assert {knob.of_preset(preset) for preset in PRESETS} > {knob.default}
+    assert presets_at(KNOBS["samples"], 16) == []
+
+
+def test_what_is_no_knob_is_refused_with_where_it_is_measured() -> None:
+    """No words are all knobs and the whole pipeline."""
+    assert chosen([]) == [*KNOBS, pipeline.WHOLE]
+    with pytest.raises(UsageError, match="there is no knob sampels; there are decimation, samples"):
+        chosen(["samples", "sampels"])
+    for name, benchmark in ELSEWHERE.items():
+        assert (ROOT / "benchmarks" / f"{benchmark}.py").is_file()
+        with pytest.raises(UsageError, match=f"python -m benchmarks {benchmark} "):
+            chosen([name])
+
+
+@pytest.mark.parametrize(("name", "text", "values"), [("samples", "1, 4", [1, 4]), ("scan", "1,0.5", [1.0, 0.5])])
+def test_values_of_an_option_are_of_the_knob_s_kind(name: str, text: str, values: list[Any]) -> None:
+    """Whole numbers stay whole."""
+    found = KNOBS[name].parsed(text)
+    assert found == values
+    assert [type(value) for value in found] == [type(value) for value in values]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("samples", "1.5"), ("samples", "0"), ("samples", ""), ("samples", "-1"), ("samples", "many"),
+        ("scan", "nan"), ("scan", "inf"), ("scan", "0"),
+    ],
+)  # fmt: skip
+def test_a_value_of_another_kind_is_refused(name: str, text: str) -> None:
+    """With what is valid."""
+    with pytest.raises(UsageError, match="valid are"):
+        KNOBS[name].parsed(text)
+
+
+def _outcome(trial: Trial) -> Outcome:
+    """What a trial might give: time grows, error falls."""
+    seconds = {"work": 2.0, "processor": 1.5, "scan work": 4.0, "scan processor": 3.0, "total": 9.0}
+    if trial.function.endswith(":measurable"):
+        return Outcome(trial, {"measurable": 0.9, "candidates": 10, "reachable": 5}, "", seconds)
+    if trial.function.endswith(":whole"):
+        own = {"views": 9, "lower_bound": 8, "visible": 0.88, "motion_s": 7.0, "sampled": 0.8, "rms_um": None}
+        return Outcome(trial, own, "", seconds)
+    error = 0.0 if '"value": 16' in trial.settings else 2.0
+    return Outcome(trial, {"error": error, "more": {"views": 5}}, "", seconds)
+
+
+def test_rows_sentences_and_pictures_of_knobs_and_of_the_whole() -> None:
+    """One row a value, one a way to run the whole; an error of zero has a place on a logarithmic axis."""
+    scene = load_scene(None, {"part": {"name": "mug"}})
+    study = speed_study([("samples", scene), ("scan", scene)], [(scene, ["mug"])])
+    rows = study.rows([_outcome(trial) for trial in study.trials])
+    knobs = [row for row in rows if row["knob"] != pipeline.WHOLE]
+    assert [row["value"] for row in knobs] == [*KNOBS["samples"].values, *KNOBS["scan"].values]
+    assert {row["presets"] for row in knobs if row["knob"] == "samples"} == {"fast", "balanced", "accurate", ""}
+    ends = [row for row in rows if row["knob"] == pipeline.WHOLE]
+    assert [row["value"] for row in ends] == list(pipeline.METHODS)
+    assert {row["part"] for row in rows} == {"mug"}
+    assert ends[0]["error"] == pytest.approx(2.0)
+    said = sentences(rows)
+    assert len(said) == 2 + 3
+    assert "1.00 times the time" in said[0]
+    drawn = dict(pictures(rows))
+    assert list(drawn) == ["speed_fronts", "speed_whole"]
+    for figure in drawn.values():
+        figure.canvas.draw()  # type: ignore[attr-defined]
+
+
+def test_a_truth_that_failed_leaves_out_only_its_part() -> None:
+    """An error against nothing would be a lie."""
+    scene = load_scene(None, {"part": {"name": "mug"}})
+    study = speed_study([("samples", scene)], [(scene, ["mug"])])
+    rows = study.rows([_outcome(trial) for trial in study.trials if not trial.function.endswith(":measurable")])
+    assert {row["knob"] for row in rows} == {"samples"}
+
+
+def test_more_samples_bring_the_claim_closer() -> None:
+    """The front falls from its first to its last value."""
+    bench = Bench(load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 80}}), samples=20_000)
+    errors = [samples(bench, count, 1).error for count in (1, 32)]
+    assert errors[1] < errors[0]
+
+
+def test_the_best_of_a_few_runs_counts() -> None:
+    """And the work is done as often as asked."""
+    runs: list[int] = []
+    result, seconds = best_of(lambda: runs.append(1) or len(runs), 3)
+    assert result == 3
+    assert 0 <= seconds["work"] < 1
+    assert set(seconds) == {"work", "processor"}
+
+
+@pytest.mark.slow
+def test_fronts_and_the_pipeline_of_a_small_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reduced: two values of each knob by a worker, and a plan and a scan as processes of their own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    scene = load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 60}})
+    study = speed_study([(name, scene) for name in KNOBS], [], values=(1, 2), repeats=1)
+    with Processes(1) as workers:
+        result = conduct(study, workers, out=tmp_path / "fronts", narrator=Quiet())
+    assert result.failed == []
+    assert len(result.rows) == 2 * len(KNOBS)
+    assert all(row["processor s"] > 0 and row["error"] >= 0 for row in result.rows)
+    assert (result.folder / "speed_fronts.png").stat().st_size > 1000
+    found = pipeline.whole({"options": ["petanque", "--faces", "60"], "method": "fast", "files": {}})
+    assert found["views"] >= found["lower_bound"]
+    assert 0 < found["visible"] < 1
+    assert found["seconds"]["processor"] > 0
