@@ -14,10 +14,12 @@ import typer
 from benchmarks.methods import pipeline_under_presets as pipeline
 from benchmarks.methods.preset_knobs import KNOBS, Knob, Value, turn
 from benchmarks.methods.speed_charts import by_knob, label, pictures, presets_at
-from cell.commands.study import Cluster, Out, SceneFile, conducted, scene_maker
+from cell.commands.options import SceneFile, from_fields
+from cell.commands.study import conducted, scene_maker
 from cell.errors import UsageError
 from cell.scene.scene import Scene
 from cell.stand_ins import NAMES
+from cell.study.options import StudyRun
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
@@ -42,7 +44,10 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command()
+@from_fields
 def speed(
+    *,
+    run: StudyRun,
     names: Annotated[
         list[str] | None,
         typer.Argument(
@@ -56,9 +61,6 @@ def speed(
     scene: SceneFile = None,
     values: Annotated[str | None, typer.Option(metavar="V,V,...", help="In place of a single knob's range.")] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Runs of each work, of which the best counts.")] = 3,
-    processes: Annotated[int, typer.Option(metavar="N", help="More than one disturb each other's timing.")] = 1,
-    cluster: Cluster = None,
-    out: Out = None,
 ) -> None:
     """Chart speed against accuracy: seconds and error of each knob, and of the whole pipeline under the presets."""
     wanted = chosen(names or [])
@@ -69,10 +71,11 @@ def speed(
     wholes = []
     for name in () if pipeline.WHOLE not in wanted else (part,) if part or scene else WHOLE_PARTS:
         options = [*([] if name is None else [_absolute(name)]), *(["--scene", str(scene.absolute())] if scene else [])]
-        wholes.append((scene_maker(name, None, scene)({}), options))
-    base = scene_maker(part, None, scene)({})
+        wholes.append((scene_maker(name, scene, {})({}), options))
+    base = scene_maker(part, scene, {})({})
     study = speed_study([(name, base) for name in turned], wholes, values=given, repeats=repeats)
-    conducted(lambda: study, processes, cluster, out, as_json=False)
+    alone = run.model_copy(update={"processes": run.processes or 1})  # more than one disturb each other's timing
+    conducted(lambda: study, alone, as_json=False)
 
 
 def chosen(names: Sequence[str]) -> list[str]:

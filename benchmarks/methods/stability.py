@@ -18,8 +18,10 @@ from matplotlib.figure import Figure
 
 from benchmarks.methods import arm_maps, planning_maps, reconstruction_maps
 from benchmarks.methods.stability_map import Map
-from cell.commands.study import Cluster, Out, Processes, conducted
+from cell.commands.options import from_fields
+from cell.commands.study import conducted
 from cell.errors import UsageError
+from cell.study.options import StudyRun
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
 
@@ -30,17 +32,17 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command()
+@from_fields
 def stability(
+    *,
+    run: StudyRun,
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[MAP ...]", help=f"{', '.join(MAPS)}. Default: all.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few values, small problems: whether it still works.")] = False,
-    processes: Processes = None,
-    cluster: Cluster = None,
-    out: Out = None,
 ) -> None:
     """Map where each method breaks: success and error over what breaks it, and what the program says there."""
-    conducted(lambda: stability_study(names or [], quick=quick), processes, cluster, out, as_json=False)
+    conducted(lambda: stability_study(names or [], quick=quick), run, as_json=False)
 
 
 def at(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from cell.commands import options
 from cell.errors import UsageError
 
 _LINE = "The line"
@@ -68,7 +67,10 @@ def emulate(
         raise UsageError(f"--port is for cell emulate modbus; cell emulate {protocol} has --link")
     if not 0.0 < time_scale <= 1e6:
         raise UsageError(f"--time-scale {time_scale:g} must be above 0 and at most 1e6")
-    axes = options.numbers("--start", start) or []
+    try:
+        axes = [float(piece) for piece in start.split(",")]
+    except ValueError:
+        axes = []
     if len(axes) != 6:
         raise UsageError(f"--start {start} must be six numbers, A1 to A6 in deg, for instance 0,-90,90,0,90,0")
     try:

@@ -1,14 +1,15 @@
 """`cell place` as the command line gives it: a part and a range in, the best place and how sure it is out."""
 
 import json
-import os
 import sys
 from typing import Annotated
 
-import typer
-
-from cell.commands.options import Preset
-from cell.commands.study import AsJson, Cluster, Out, Part, Processes, SceneFile, Units, scene_maker, tell
+from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields
+from cell.commands.study import tell
+from cell.scene.option import flag, offers
+from cell.scene.options import scene_of
+from cell.scene.scene import Scene
+from cell.study.options import PlaceRange, StudyRun
 
 EPILOG = (
     "Examples:\n\n"
@@ -19,37 +20,27 @@ EPILOG = (
 )
 
 
+@from_fields
 def place(
+    *,
     part: Part = None,
-    x: Annotated[str, typer.Option(metavar="MM:MM", help="From and to, or one value.")] = "700:1600",
-    y: Annotated[str, typer.Option(metavar="MM:MM", help="From and to, or one value.")] = "0:900",
-    z: Annotated[str, typer.Option(metavar="MM:MM", help="Of the part's centre.")] = "-200:400",
-    yaw: Annotated[str, typer.Option(metavar="DEG:DEG", help="Turn about the vertical (A).")] = "-180:180",
-    seed: Annotated[int | None, typer.Option(help="Seed of the places that are looked at.")] = None,
-    units: Units = None,
+    where: PlaceRange,
     scene: SceneFile = None,
-    preset: Preset = None,
-    processes: Processes = None,
-    cluster: Cluster = None,
-    out: Out = None,
+    wishes: Annotated[Wishes, offers(Scene, "units", "preset", "seed")],
+    run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
     """Search where the part should stand: most coverage, then fewest views, then the shortest cycle."""
     from cell.commands.terminal import Terminal
-    from cell.study.place import Range, pictures, search, sentences
-    from cell.study.ranges import span
+    from cell.study.place import pictures, search, sentences
     from cell.study.study import StudyResult, study_folder, write_folder
     from cell.study.workers import open_workers
 
-    (x0, x1), (y0, y1), (z0, z1), (a0, a1) = (
-        span(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))
-    )
-    where = Range((x0, y0, z0, a0), (x1, y1, z1, a1))
-    checked = scene_maker(part, units, scene, preset)({} if seed is None else {"plan": {"seed": seed}})
-    folder = study_folder("place", out)
+    checked = scene_of(scene, part, spell=flag, **wishes)
+    folder = study_folder("place", run.out)
     terminal = Terminal(quiet_stdout=as_json)
     with (
-        open_workers(os.cpu_count() or 1 if processes is None else processes, cluster) as workers,
+        open_workers(run.count, run.cluster) as workers,
         terminal.rounds() as progress,
     ):
         found = search(checked, where, workers, progress=progress)

@@ -1,7 +1,6 @@
 """`cell study ...`: one command a study, all with the same options for where it runs and what it leaves."""
 
 import json
-import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,8 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.commands.options import Preset
+from cell.commands.options import AsJson, OfPartAndPreset, Part, SceneFile, Wishes, from_fields
 from cell.errors import UsageError
+from cell.scene.option import flag
+from cell.scene.options import spelled, tables
+from cell.scene.scene import Scene, load_scene
+from cell.study.options import ScannerNumber, StudyRun
 
 if TYPE_CHECKING:
     from cell.commands.terminal import Terminal
@@ -33,30 +36,18 @@ app = typer.Typer(
     epilog=EPILOG,
 )
 
-Processes = Annotated[
-    int | None, typer.Option(metavar="N", help="Local worker processes. Default: one per core.", show_default=False)
-]
-Cluster = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, for instance tcp://scheduler:8786.")
-]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the study. Default: sim_runs/study-<name>.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.")]
-
-
 _NOTHING = 2  # every trial failed: what was asked for cannot be
 
 
-def conducted(
-    make: "Callable[[], Study]", processes: int | None, cluster: str | None, out: Path | None, as_json: bool
-) -> None:
+def conducted(make: "Callable[[], Study]", run: StudyRun, as_json: bool) -> None:
     """Run a study and show what it says."""
     from cell.commands.terminal import Terminal
     from cell.study.study import conduct
     from cell.study.workers import open_workers
 
     terminal = Terminal(quiet_stdout=as_json)
-    with open_workers(os.cpu_count() or 1 if processes is None else processes, cluster) as workers:
-        result = conduct(make(), workers, out=out, narrator=terminal)
+    with open_workers(run.count, run.cluster) as workers:
+        result = conduct(make(), workers, out=run.out, narrator=terminal)
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
@@ -79,16 +70,16 @@ def tell(terminal: "Terminal", result: "StudyResult") -> None:
 
 
 def _table(name: str, help_text: str) -> None:
+    @from_fields
     def command(
+        *,
+        run: StudyRun,
         part: Annotated[
             list[str] | None, typer.Option(metavar="NAME", help="Only rows of this part; may be given again.")
         ] = None,
         faces_share: Annotated[
             float, typer.Option(help="Share of the planning faces; below 1 is a reduced study.")
         ] = 1.0,
-        processes: Processes = None,
-        cluster: Cluster = None,
-        out: Out = None,
         as_json: AsJson = False,
     ) -> None:
         from cell.stand_ins import NAMES
@@ -99,58 +90,42 @@ def _table(name: str, help_text: str) -> None:
                 raise UsageError(f"--part {each} is not built in; there are {', '.join(NAMES)}")
         if not 0 < faces_share <= 1:
             raise UsageError(f"--faces-share {faces_share:g} must be above 0 and at most 1")
-        conducted(
-            lambda: table_study(name, faces_share=faces_share, parts=part or []), processes, cluster, out, as_json
-        )
+        conducted(lambda: table_study(name, faces_share=faces_share, parts=part or []), run, as_json)
 
     command.__doc__ = help_text
     app.command(name, epilog=EPILOG)(command)
 
 
-Part = Annotated[
-    str | None,
-    typer.Argument(help="As in cell plan: mesh file or built-in part. Default: the scene's.", show_default=False),
-]
-SceneFile = Annotated[Path | None, typer.Option(help="Scene file (TOML). Default: the built-in scene.")]
-Units = Annotated[str | None, typer.Option(help="Unit of the mesh file.")]
 Robot = Annotated[bool, typer.Option("--robot", help="Use only views that the robot reaches at the scene's placement.")]
 
 
-def scene_maker(part: str | None, units: str | None, scene: Path | None, preset: str | None = None) -> "SceneWith":
+def scene_maker(part: str | None, scene: Path | None, wishes: Wishes) -> "SceneWith":
     """The scene of the options, with more keys changed by a study.
 
     Raises:
         UsageError: as `cell plan` does for its options.
     """
-    from cell.commands import options
-    from cell.scene.scene import Scene, load_scene
-
-    own = {"part": {} if part is None else options.part(part, units)}
-    if part is None and units is not None:
-        own["part"]["units"] = units
-    plan = options.preset(preset)
+    own = tables(part, spell=flag, **wishes)
 
     def scene_with(more: Mapping[str, Mapping[str, Any]]) -> Scene:
-        tables = {**own, **more, "plan": {**plan, **more.get("plan", {})}}
-        with options.named_as_options({"plan": plan}):
-            return load_scene(scene, tables)
+        asked = {**own, **more, "plan": {**own.get("plan", {}), **more.get("plan", {})}}
+        return load_scene(scene, asked, spelled(own, flag))
 
     return scene_with
 
 
 @app.command(epilog="Example:\n\ncell study placement mug --x 1000:1600:50 --y 300:900:50")
+@from_fields
 def placement(
+    *,
     part: Part = None,
     x: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step of x.")] = "1000:1600:50",
     y: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step of y.")] = "300:900:50",
     z: Annotated[str, typer.Option(metavar="MM[:MM:MM]", help="Heights of the part's centre.")] = "0",
     yaw: Annotated[str, typer.Option(metavar="DEG[:DEG:DEG]", help="Turns about the vertical (A).")] = "0",
-    units: Units = None,
     scene: SceneFile = None,
-    preset: Preset = None,
-    processes: Processes = None,
-    cluster: Cluster = None,
-    out: Out = None,
+    wishes: OfPartAndPreset,
+    run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
     """Map where the part can stand: reach, coverage, views and cycle time over its position."""
@@ -158,21 +133,20 @@ def placement(
     from cell.study.ranges import values
 
     grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
-    base = scene_maker(part, units, scene, preset)({})
-    conducted(lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]), processes, cluster, out, as_json)
+    base = scene_maker(part, scene, wishes)({})
+    conducted(lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]), run, as_json)
 
 
 @app.command(epilog="Example:\n\ncell study standoff mug --values 50:500:50")
+@from_fields
 def standoff(
+    *,
     part: Part = None,
     values: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step.")] = "50:500:50",
     robot: Robot = False,
-    units: Units = None,
     scene: SceneFile = None,
-    preset: Preset = None,
-    processes: Processes = None,
-    cluster: Cluster = None,
-    out: Out = None,
+    wishes: OfPartAndPreset,
+    run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
     """Find the scanning zone: views and coverage over the standoff distance."""
@@ -180,33 +154,23 @@ def standoff(
     from cell.study.ranges import values as range_of
 
     wanted = range_of("--values", values)
-    make = scene_maker(part, units, scene, preset)
-    conducted(lambda: knob_study(make, "standoff", wanted, robot=robot), processes, cluster, out, as_json)
+    make = scene_maker(part, scene, wishes)
+    conducted(lambda: knob_study(make, "standoff", wanted, robot=robot), run, as_json)
 
 
 @app.command(
     epilog="Examples:\n\ncell study scanner mug --fov 10:90:10\n\n"
     "cell study scanner --range 50-150,100-300,200-600\n\ncell study scanner --sensors gocator-2340,gocator-2530"
 )
+@from_fields
 def scanner(
+    *,
     part: Part = None,
-    fov: Annotated[str | None, typer.Option(metavar="DEG:DEG:DEG", help="Fields of view, both ways.")] = None,
-    resolution: Annotated[str | None, typer.Option(metavar="DEG:DEG:DEG", help="Angles between rays.")] = None,
-    baseline: Annotated[str | None, typer.Option(metavar="MM:MM:MM", help="Baselines.")] = None,
-    grazing: Annotated[str | None, typer.Option(metavar="DEG:DEG:DEG", help="Grazing limits.")] = None,
-    ranges: Annotated[
-        str | None, typer.Option("--range", metavar="MM-MM,...", help="Near and far limits; the standoff is between.")
-    ] = None,
-    sensors: Annotated[
-        str | None, typer.Option(metavar="NAME,...", help="Real sensors, see cell sensors; all: all of them.")
-    ] = None,
+    number: ScannerNumber,
     robot: Robot = False,
-    units: Units = None,
     scene: SceneFile = None,
-    preset: Preset = None,
-    processes: Processes = None,
-    cluster: Cluster = None,
-    out: Out = None,
+    wishes: OfPartAndPreset,
+    run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
     """Find the scanner: views and coverage over one of its numbers, or over real sensors. Give one of the options."""
@@ -214,24 +178,24 @@ def scanner(
     from cell.study.ranges import pairs
     from cell.study.ranges import values as range_of
 
-    knobs = {"fov": fov, "resolution": resolution, "baseline": baseline, "grazing": grazing}
-    given = [name for name, text in {**knobs, "range": ranges, "sensors": sensors}.items() if text is not None]
+    given = number.model_dump(exclude_none=True)
     if len(given) != 1:
         raise UsageError(
             "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
         )
-    make = scene_maker(part, units, scene, preset)
-    if ranges is not None:
-        limits = pairs("--range", ranges)
-        conducted(lambda: range_study(make, limits, robot=robot), processes, cluster, out, as_json)
-    elif sensors is not None:
+    ((name, text),) = given.items()
+    make = scene_maker(part, scene, wishes)
+    if name == "ranges":
+        limits = pairs("--range", text)
+        conducted(lambda: range_study(make, limits, robot=robot), run, as_json)
+    elif name == "sensors":
         from cell.scene import sensors as library
 
-        names = library.names() if sensors == "all" else sensors.split(",")
-        conducted(lambda: sensor_study(make, names, robot=robot), processes, cluster, out, as_json)
+        chosen = library.names() if text == "all" else text.split(",")
+        conducted(lambda: sensor_study(make, chosen, robot=robot), run, as_json)
     else:
-        wanted = range_of(f"--{given[0]}", knobs[given[0]] or "")
-        conducted(lambda: knob_study(make, given[0], wanted, robot=robot), processes, cluster, out, as_json)
+        wanted = range_of(flag(name), text)
+        conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json)
 
 
 def _moved(name: str) -> None:

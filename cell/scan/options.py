@@ -1,83 +1,92 @@
 """What `cell scan` can be asked for, checked."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
-import numpy as np
+from pydantic import Field, ValidationError
 
-from cell.errors import UsageError
-from cell.scan.pose_error import Disturbance
+from cell.scene.fields import NotNegative, Positive, Table
+from cell.scene.option import Option
+from cell.scene.problems import sentences
+
+_ERRORS, STEEL = "Errors of the execution", "Real controllers"
+_POSE_ERROR = Option(
+    "Error of the executed pose, one sigma along and about each axis: the scanner stands off what the controller "
+    "reports.",
+    _ERRORS,
+    metavar="MM,DEG",
+    form="two numbers, mm and deg",
+    examples=("0.5,0.1",),
+    counts=(2,),
+)
+OF_EACH_TIME = frozenset({"driver", "realtime", "confirm_motion", "speed_percent", "reset"})
+"""What is said anew where an execution is resumed; all else stays as it was begun."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanOptions:
-    """What `cell scan` was asked for.
+class ScanOptions(Table):
+    """What `cell scan` was asked for; what None means, each option says."""
 
-    Attributes:
-        driver: URL of the controller.
-        realtime: let the simulated controller take as long as an arm would.
-        view: the one view to scan, from 1 in visiting order; None scans all.
-        resolution_deg: in place of the plan's.
-        range_noise_mm: one sigma along the ray.
-        pose_error_mm: one sigma of the executed position, along each axis.
-        pose_error_deg: one sigma of the executed rotation, about each axis.
-        register: correct poses by registration; None does it where there is a pose error.
-        close_holes: close the holes of the surface, marked.
-        seed: of noise and pose error; None takes the plan's.
-        confirm_motion: the user's word that an arm of steel may move.
-        speed_percent: of the speed that the plan was timed with; None: all of it in simulation, and 10 % of the axis
-            speeds on hardware.
-        reset: clear a latched fault of the controller before anything moves.
-        noise: "model": noise along the ray by the scanner's own sigma, in addition to `range_noise_mm`; or "none".
-    """
-
-    driver: str = "sim://"
-    realtime: bool = False
-    view: int | None = None
-    resolution_deg: float | None = None
-    range_noise_mm: float = 0.0
-    pose_error_mm: float = 0.0
-    pose_error_deg: float = 0.0
-    register: bool | None = None
-    close_holes: bool = False
-    seed: int | None = None
-    noise: str = "none"
-    confirm_motion: bool = False
-    speed_percent: float | None = None
-    reset: bool = False
-
-    def __post_init__(self) -> None:
-        for name, value in (
-            ("--range-noise", self.range_noise_mm),
-            ("--pose-error", self.pose_error_mm),
-            ("--pose-error", self.pose_error_deg),
-        ):
-            if not 0 <= value < np.inf:
-                raise UsageError(f"{name} {value:g} must be 0 or more")
-        if self.noise not in ("none", "model"):
-            raise UsageError(f"--noise {self.noise} is unknown; it must be none or model")
-        if self.resolution_deg is not None and not 0 < self.resolution_deg < np.inf:
-            raise UsageError(f"--resolution {self.resolution_deg:g} must be above 0, in degrees")
-        if self.speed_percent is not None and not 0 < self.speed_percent <= 100:
-            raise UsageError(f"--speed {self.speed_percent:g} must be above 0 and at most 100, in percent")
-        if self.seed is not None and self.seed < 0:
-            raise UsageError(f"--seed {self.seed} must be 0 or more")
+    driver: Annotated[str, Option("Which controller drives.", metavar="URL")] = "sim://"
+    realtime: Annotated[bool, Option("Let the simulated arm take its time. Default: as fast as it goes.")] = False
+    view: Annotated[
+        int | None, Option("Scan this view only, counted from 1 in visiting order. Default: all of them.")
+    ] = None
+    resolution_deg: Annotated[Positive | None, Option("Angle between rays. Default: the plan's.")] = None
+    range_noise_mm: Annotated[NotNegative, Option("Noise along each ray, one sigma.", _ERRORS)] = 0.0
+    noise: Annotated[
+        Literal["none", "model"],
+        Option(
+            "Model: noise along each ray by the scanner's own law as well, from range, triangulation angle and "
+            "incidence.",
+            _ERRORS,
+        ),
+    ] = "none"
+    pose_error_mm: Annotated[NotNegative, _POSE_ERROR] = 0.0
+    pose_error_deg: Annotated[NotNegative, _POSE_ERROR] = 0.0
+    registration: Annotated[
+        bool | None,
+        Option("Correct the reported poses by matching the scans. Default: with a pose error.", _ERRORS, "register"),
+    ] = None
+    seed: Annotated[int | None, Field(ge=0), Option("Seed of noise and pose error. Default: the plan's.", _ERRORS)] = (
+        None
+    )
+    close_holes: Annotated[bool, Option("Close the holes of the surface; the faces are marked.")] = False
+    speed_percent: Annotated[
+        float | None,
+        Field(gt=0, le=100),
+        Option(
+            "Of the speed that the plan was timed with. Default: 100 in simulation; 10 % of the axis speeds on a real "
+            "controller.",
+            STEEL,
+        ),
+    ] = None
+    confirm_motion: Annotated[bool, Option("Your word that a real arm may move. Else it is asked for.", STEEL)] = False
+    reset: Annotated[bool, Option("Clear a latched fault of the controller first.", STEEL)] = False
 
     @property
     def registers(self) -> bool:
         """Whether poses are corrected by registration."""
-        return self.disturbance.moves_pose if self.register is None else self.register
+        moved = self.pose_error_mm > 0 or self.pose_error_deg > 0
+        return moved if self.registration is None else self.registration
 
-    @property
-    def disturbance(self) -> Disturbance:
-        """Noise and pose error in SI units."""
-        return Disturbance(
-            self.range_noise_mm / 1000,
-            self.pose_error_mm / 1000,
-            float(np.radians(self.pose_error_deg)),
-            self.noise == "model",
-        )
-
-    def kept(self) -> dict[str, Any]:
+    def kept(self) -> dict[str, object]:
         """For the manifest: all that a report made later needs, settled."""
-        return {**asdict(self), "register": self.registers}
+        return {**self.model_dump(exclude={"registration"}), "register": self.registers}
+
+    @classmethod
+    def begun(cls, kept: Mapping[str, object]) -> "ScanOptions":
+        """The options of a manifest.
+
+        Raises:
+            ValueError: in one sentence, if one of them cannot be.
+        """
+        own = {key: value for key, value in kept.items() if key in cls.model_fields}
+        try:
+            return cls.model_validate({**own, "registration": kept.get("register")})
+        except ValidationError as error:
+            raise ValueError("; ".join(sentences(error, cls))) from error
+
+    def resumed(self, now: "ScanOptions") -> "ScanOptions":
+        """These, as an execution goes on with: `OF_EACH_TIME` as they are now, the driver only where it is given."""
+        said = OF_EACH_TIME if "driver" in now.model_fields_set else OF_EACH_TIME - {"driver"}
+        return self.model_copy(update={name: getattr(now, name) for name in said})

@@ -6,9 +6,11 @@ Metres and radians inside.
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
+from cell.scan.options import ScanOptions
 from planner.ports import Floats
 
 
@@ -27,6 +29,12 @@ class Disturbance:
     position: float = 0.0
     rotation: float = 0.0
     by_model: bool = False
+
+    @classmethod
+    def of(cls, options: ScanOptions) -> Self:
+        """The errors that were asked for."""
+        rotation = float(np.radians(options.pose_error_deg))
+        return cls(options.range_noise_mm / 1000, options.pose_error_mm / 1000, rotation, options.noise == "model")
 
     @property
     def moves_pose(self) -> bool:

@@ -5,7 +5,6 @@ What is made of the scans stands in `cell.scan.post_processing`.
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.execution_reader import RecordedExecution, read_execution
 from cell.scan.execution_results import usable
 from cell.scan.options import ScanOptions
+from cell.scan.pose_error import Disturbance
 from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
 from cell.scan.scene import ScanScene
@@ -91,8 +91,8 @@ def resume(
     Args:
         run_folder: of a finished plan.
         execution: its id, or "latest".
-        options: driver (empty: that of the beginning), confirmation, speed and reset of this time; everything else is
-            as the execution was begun with.
+        options: those of `OF_EACH_TIME` count (a driver only where given); everything else is as the execution was
+            begun with.
         argv: for the manifest.
         narrator: is told what goes on.
         ask: puts a question to a person; None where nobody is there.
@@ -104,11 +104,7 @@ def resume(
     recorded = read_execution(run, execution)
     scans, left_out = usable(recorded, run_reader.views(run))
     begun = resumable(run, recorded)
-    now = options or ScanOptions(driver="")
-    settled = replace(
-        begun, driver=now.driver or begun.driver, realtime=now.realtime, confirm_motion=now.confirm_motion,
-        speed_percent=now.speed_percent, reset=now.reset,
-    )  # fmt: skip
+    settled = begun.resumed(options or ScanOptions())
     motion = run_reader.motion(run)
     scene = scan_scene.load(run, begun.resolution_deg)
     seed = int(recorded.manifest["seed"])
@@ -149,8 +145,7 @@ def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
         raise FileError(f"execution {name} is not of the plan that is in {run.folder} now; scan anew")
     with understood(recorded.folder / "manifest.json"):
         options, _ = dict(manifest["options"]), int(manifest["seed"])
-        known = {field.name for field in fields(ScanOptions)}
-        return ScanOptions(**{key: value for key, value in options.items() if key in known})
+        return ScanOptions.begun(options)
 
 
 _NAMED = 10  # views named in a sentence
@@ -193,7 +188,7 @@ def _executed(
     with work.step(EXECUTING) as progress, driver:
         folder.note(controller=driver.capabilities.controller, speed_fraction=round(speed, 6))
         seconds = execute.run(
-            legs, driver, scene, options.disturbance, folder, seed=int(folder.manifest["seed"]), speed=speed,
+            legs, driver, scene, Disturbance.of(options), folder, seed=int(folder.manifest["seed"]), speed=speed,
             clock=clock, progress=progress,
         )  # fmt: skip
         folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)

@@ -20,4 +20,5 @@ Units = Literal["mm", "cm", "m", "um", "in"]
 class Table(BaseModel):
     """A table of the scene file: every key known, strictly typed, finite; frozen."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+    # Built when first used: `--help` needs only the fields.
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)

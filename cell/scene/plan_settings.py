@@ -4,44 +4,123 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from cell.scene import presets
 from cell.scene.fields import NotNegative, Positive, Share, Table
+from cell.scene.option import Option
+
+_VIEWS, _WISHES = "Views", "Wishes beyond the fewest views (docs/coverage_requests.md)"
+_Candidates = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)]
+_PIN, _BAN = (
+    Option(told, _WISHES, name, metavar="ID[,ID...]", form="candidates by their numbers", examples=("12,40",))
+    for name, told in (("pin", "Candidates that the plan must take."), ("ban", "Candidates that it must not take."))
+)
+_OVERLAP = Option(
+    "All scans hang together: views are joined where they share so much of what the smaller one measures, or such an "
+    "area.",
+    _WISHES,
+    metavar="SHARE%|AREAmm2",
+    form="a share of the smaller view or an area",
+    examples=("20%", "500mm2"),
+)
+_POSE_SD = Option(
+    "Standard deviations of executed poses: samples count only where the plan measures them with probability "
+    "1 - alpha.",
+    _WISHES,
+    metavar="MMmm,DEGdeg",
+    form="standard deviations of position and orientation with their units",
+    examples=("0.5mm,0.1deg",),
+)
 
 
 class PlanSettings(Table):
     """How to plan; None takes the part's default."""
 
-    preset: Literal["fast", "balanced", "accurate"] = "balanced"
-    candidates: Literal["optimal-scanning-zone", "view-sphere", "targeted"] = "optimal-scanning-zone"
+    preset: Annotated[
+        Literal["fast", "balanced", "accurate"],
+        Option(f"What is settled where neither scene file nor option says anything. {presets.line()}.", _VIEWS),
+    ] = "balanced"
+    candidates: Annotated[
+        Literal["optimal-scanning-zone", "view-sphere", "targeted"],
+        Option("Which viewpoints are looked at; in the optimal scanning zone one per face.", _VIEWS),
+    ] = "optimal-scanning-zone"
     view_sphere_step_deg: Annotated[
         tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
     ] = (15.0, 15.0)
-    standoffs_mm: Annotated[tuple[Positive, ...], Field(strict=False, min_length=1)] | None = None
-    rolls_deg: Annotated[tuple[float, ...], Field(strict=False, min_length=1)] = (0.0, 90.0)
-    faces: Annotated[int, Field(ge=4)] | None = None
-    percent_kept: Annotated[float, Field(gt=0, le=100)] | None = None
-    samples_per_face: Annotated[int, Field(ge=1)] = 4
-    fill: Literal["aimed", "rays"] = "aimed"
-    solver: Literal["auto", "greedy", "meta-raps", "local-search", "exact"] = "auto"
-    coverage: Share = 1.0
-    required_visible: Annotated[float, Field(ge=0, le=1)] = 0.0
-    max_sigma_mm: Positive | None = None
-    collision: Literal["hull", "decomposed", "exact"] = "exact"
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
-    max_views: Annotated[int, Field(ge=1)] | None = None
-    multiplicity: Annotated[int, Field(ge=1)] = 1
-    pinned: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = ()
-    banned: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = ()
-    cost: Literal["views", "time"] = "views"
+    standoffs_mm: Annotated[
+        Annotated[tuple[Positive, ...], Field(strict=False, min_length=1)] | None,
+        Option("Distances from surface to laser source. Default: the part's.", _VIEWS, name="standoff"),
+    ] = None
+    rolls_deg: Annotated[
+        tuple[float, ...],
+        Field(strict=False, min_length=1),
+        Option("Rolls about the viewing axis.", _VIEWS, name="roll"),
+    ] = (0.0, 90.0)
+    faces: Annotated[
+        int | None,
+        Field(ge=4),
+        Option("Faces of the planning mesh (one candidate normal each). Default: the part's.", _VIEWS),
+    ] = None
+    percent_kept: Annotated[
+        float | None,
+        Field(gt=0, le=100),
+        Option("In place of --faces: percentage of the faces that is KEPT.", _VIEWS, "percent", metavar="PERCENT"),
+    ] = None
+    samples_per_face: Annotated[
+        int, Field(ge=1), Option("Surface samples per planning face (fill aimed).", _VIEWS, name="samples")
+    ] = 4
+    fill: Annotated[Literal["aimed", "rays"], Option("How the measurability matrix is filled.", _VIEWS)] = "aimed"
+    solver: Annotated[
+        Literal["auto", "greedy", "meta-raps", "local-search", "exact"],
+        Option("How the views are chosen; auto proves the fewest where it can.", _VIEWS),
+    ] = "auto"
+    coverage: Annotated[
+        Share, Option("Share of the coverable area that the plan must measure.", _VIEWS, metavar="SHARE")
+    ] = 1.0
+    required_visible: Annotated[
+        float,
+        Field(ge=0, le=1),
+        Option(
+            "Exit with code 3 when the predicted visible coverage of the WHOLE surface is below this share.",
+            _VIEWS,
+            name="require",
+            metavar="SHARE",
+        ),
+    ] = 0.0
+    max_sigma_mm: Annotated[
+        Positive | None,
+        Option("Count a point as measured only if its expected standard deviation is at most this.", _VIEWS),
+    ] = None
+    collision: Annotated[
+        Literal["hull", "decomposed", "exact"],
+        Option("What the part is to arm and scanner: its hull, convex pieces or exactly its triangles.", _VIEWS),
+    ] = "exact"
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1), Option("Seed of every random choice.", _VIEWS)] = 0
+    max_views: Annotated[int | None, Field(ge=1), Option("The most coverage with at most so many views.", _WISHES)] = (
+        None
+    )
+    multiplicity: Annotated[
+        int, Field(ge=1), Option("Measure each sample from so many views.", _WISHES, also="k_fold")
+    ] = 1
+    pinned: Annotated[_Candidates, _PIN] = ()
+    banned: Annotated[_Candidates, _BAN] = ()
+    cost: Annotated[
+        Literal["views", "time"],
+        Option("What a view costs: 1, or time (scan, settling and an estimated move, in seconds).", _WISHES),
+    ] = "views"
     scan_s: NotNegative = 2.0
     settle_s: NotNegative = 0.5
-    overlap_mm2: Positive | None = None
-    overlap_share: Share | None = None
-    overlap_in_order: bool = False
-    pose_sd_mm: NotNegative = 0.0
-    pose_sd_deg: NotNegative = 0.0
-    alpha: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    overlap_mm2: Annotated[Positive | None, _OVERLAP] = None
+    overlap_share: Annotated[Share | None, _OVERLAP] = None
+    overlap_in_order: Annotated[bool, Option("Each view overlaps an earlier one.", _WISHES)] = False
+    pose_sd_mm: Annotated[NotNegative, _POSE_SD] = 0.0
+    pose_sd_deg: Annotated[NotNegative, _POSE_SD] = 0.0
+    alpha: Annotated[
+        float,
+        Field(gt=0, lt=1),
+        Option("Probability with which such a sample may be missed.", _WISHES, metavar="SHARE"),
+    ] = 0.05
     ensemble: Annotated[int, Field(ge=1, le=10_000)] = 32
-    curve: bool = False
+    curve: Annotated[bool, Option("Also coverage over the number of views, bounded.", _WISHES)] = False
 
     @field_validator("fill")
     @classmethod

@@ -1,6 +1,7 @@
 """From pydantic's errors to sentences for the author of a scene file: the key, what is wrong, what would be valid."""
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
@@ -25,10 +26,17 @@ _WANTED = {
     "dict_type": "a table",
     "string_pattern_mismatch": "a name of letters, digits, spaces, '_', '-' and '.'",
 }
+_KEY = re.compile(r"\b\w+(?:\.\w+)+|^\w+")  # in a sentence: the first word is one, others have a dot
 
 
-def sentences(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """One sentence a problem, in the order of the file's keys as the model lists them."""
+def sentences(error: ValidationError, model: type[BaseModel], names: Mapping[str, str] | None = None) -> list[str]:
+    """One sentence a problem, in the order of the file's keys as the model lists them.
+
+    Args:
+        error: of pydantic.
+        model: the table as a whole.
+        names: how the user wrote keys that came from elsewhere than the file, by key.
+    """
     details = error.errors()
     lengths: dict[tuple[int | str, ...], int] = {}  # of lists that are too short: pydantic names every missing place
     for detail in details:
@@ -37,6 +45,8 @@ def sentences(error: ValidationError, model: type[BaseModel]) -> list[str]:
     found = []
     for detail in details:
         sentence = _sentence(dict(detail), model, lengths)
+        if names:
+            sentence = _KEY.sub(lambda key: names.get(key[0], key[0]), sentence)
         if sentence not in found:
             found.append(sentence)
     return found

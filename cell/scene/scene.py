@@ -22,6 +22,7 @@ from pydantic import (
 
 from cell.errors import SceneError
 from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
+from cell.scene.option import Option
 from cell.scene.plan_settings import PlanSettings
 
 if TYPE_CHECKING:
@@ -31,6 +32,17 @@ if TYPE_CHECKING:
 RESERVED_NAMES = (
     *("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6"),
     *("bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
+)
+
+PART, _HARDWARE = "Part and place", "Robot and scanner"
+_PLACE = Option(
+    "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
+    PART,
+    name="place",
+    metavar="X,Y,Z[,A,B,C]",
+    form="x,y,z or x,y,z,A,B,C (mm and deg)",
+    examples=("1200,500,0",),
+    counts=(3, 6),
 )
 
 
@@ -61,7 +73,9 @@ class Robot(Table):
     home_deg: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] = (0, -90, 90, 0, 90, 0)
     pedestal_height_mm: NotNegative = 600.0
     pedestal_size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)] = (600.0, 600.0)
-    speed_scaling: Share = 1.0
+    speed_scaling: Annotated[
+        Share, Option("Override: share of the axis speeds.", _HARDWARE, name="speed", metavar="SHARE")
+    ] = 1.0
     acceleration_scaling: Share = 1.0
     velocity_deg_s: Annotated[AxisLimits, Field(strict=False)] | None = None
     acceleration_deg_s2: Annotated[AxisLimits, Field(strict=False)] | None = None
@@ -74,12 +88,16 @@ class Scanner(Table):
     model_config = ConfigDict(extra="allow")  # `_keys_of_its_type` refuses what the plug-in does not know
 
     type: str = "laser-area"
-    sensor: str | None = None
+    sensor: Annotated[
+        str | None, Option("A real sensor by name, see cell sensors; in place of scanner.type.", _HARDWARE)
+    ] = None
     fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] = (60.0, 60.0)
     resolution_deg: Annotated[tuple[Positive, Positive], Field(strict=False)] = (0.25, 0.25)
     planning_resolution_deg: Positive = 1.0
     range_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
-    baseline_mm: NotNegative | None = None
+    baseline_mm: Annotated[
+        NotNegative | None, Option("From laser source to sensor. Default: the part's.", _HARDWARE)
+    ] = None
     grazing_max_deg: Grazing = 75.0
     sensor_grazing_max_deg: Grazing = 90.0
     sensor_fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] | None = None
@@ -154,7 +172,11 @@ class Part(Table):
 
     name: Literal["mseke", "mug", "robinet", "petanque", "humerus", "st-jean"] = "mseke"
     path: str | None = None
-    units: Annotated[Units | None, Field(validate_default=True)] = None
+    units: Annotated[
+        Units | None,
+        Field(validate_default=True),
+        Option("Unit of the mesh file. Never guessed.", PART),
+    ] = None
 
     @field_validator("path")
     @classmethod
@@ -180,7 +202,8 @@ class Part(Table):
 class Placement(_Posed):
     """Where the middle of the part's bounding box stands in the robot's base frame."""
 
-    position_mm: Triple = (1200.0, 500.0, 0.0)
+    position_mm: Annotated[Triple, _PLACE] = (1200.0, 500.0, 0.0)
+    abc_deg: Annotated[Triple, _PLACE] = (0.0, 0.0, 0.0)
 
 
 class Post(Table):
@@ -237,15 +260,15 @@ class Scene(Table):
     """A whole scene; `Scene()` is the built-in one."""
 
     clearance_mm: NotNegative = 10.0
-    robot: Robot = Robot()
-    scanner: Scanner = Scanner()
-    mount: Mount = Mount()
-    housing: Housing = Housing()
-    part: Part = Part()
-    placement: Placement = Placement()
-    post: Post = Post()
+    robot: Robot = Field(default_factory=Robot)
+    scanner: Scanner = Field(default_factory=Scanner)
+    mount: Mount = Field(default_factory=Mount)
+    housing: Housing = Field(default_factory=Housing)
+    part: Part = Field(default_factory=Part)
+    placement: Placement = Field(default_factory=Placement)
+    post: Post = Field(default_factory=Post)
     fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
-    plan: PlanSettings = PlanSettings()
+    plan: PlanSettings = Field(default_factory=PlanSettings)
 
     @field_validator("fixtures")
     @classmethod
@@ -257,13 +280,18 @@ class Scene(Table):
         return fixtures
 
 
-def load_scene(path: Path | None, options: Mapping[str, Mapping[str, Any]] | None = None) -> Scene:
+def load_scene(
+    path: Path | None,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    names: Mapping[str, str] | None = None,
+) -> Scene:
     """Read and check a scene file; what it leaves open is filled in by its preset (`cell.scene.presets`).
 
     Args:
         path: the TOML file; None is the built-in scene. Paths inside it are relative to its folder.
         options: tables of keys that go before the file's (the command line's). A `part` with a name or a path replaces
             the file's whole part.
+        names: how their user wrote keys of the options, such as "--faces" for "plan.faces", for the sentences.
 
     Raises:
         SceneError: with every problem of the file on a line of its own: the key, what is wrong, what would be valid.
@@ -282,7 +310,7 @@ def load_scene(path: Path | None, options: Mapping[str, Mapping[str, Any]] | Non
     try:
         return Scene.model_validate(content, context={"folder": folder})
     except ValidationError as error:
-        problems = sentences(error, Scene)
+        problems = sentences(error, Scene, names)
     where = "the scene" if path is None else f"the scene {path}"
     count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
     raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))

@@ -23,6 +23,7 @@ from scipy.stats import qmc
 
 from cell.errors import UnreachableError
 from cell.scene.scene import Scene
+from cell.study.options import PlaceRange
 from cell.study.placement_trial import COVERAGE_ONLY, WHOLE, placement
 from cell.study.run import run
 from cell.study.scenes import scene_settings
@@ -52,14 +53,6 @@ Place = tuple[float, ...]
 
 Progress = Callable[[str, int, int], None]
 """Told (round, trials done, trials in all)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """Where the part may stand: first and last value of each of AXES; equal ones fix it."""
-
-    low: tuple[float, float, float, float]
-    high: tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +90,7 @@ class Found:
     n_places: int
 
 
-def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress | None = None) -> Found:
+def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progress | None = None) -> Found:
     """Search the best place.
 
     Args:
@@ -109,7 +102,7 @@ def search(scene: Scene, where: Range, workers: Workers, *, progress: Progress |
     Raises:
         UnreachableError: if nothing is reached anywhere in the range.
     """
-    low, high = np.array(where.low), np.array(where.high)
+    low, high = map(np.array, where.ends)
     free = np.flatnonzero(high > low)
     base = scene_settings(scene)
     _, b, c = scene.placement.abc_deg

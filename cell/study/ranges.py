@@ -36,25 +36,6 @@ def values(option: str, text: str) -> tuple[float, ...]:
     return tuple(round(first + index * step, 9) for index in range(count))
 
 
-def span(option: str, text: str) -> tuple[float, float]:
-    """`from:to`, or one value, which is both.
-
-    Args:
-        option: the option's name, for the sentence.
-        text: of the option.
-
-    Raises:
-        UsageError: if it is neither, or runs backwards.
-    """
-    try:
-        low, high = (float(piece) for piece in (text.split(":") if ":" in text else (text, text)))
-    except ValueError:
-        low, high = math.nan, math.nan
-    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise UsageError(f"{option} {text} must be from:to or one value, for instance {option} 700:1600")
-    return low, high
-
-
 def pairs(option: str, text: str) -> list[tuple[float, float]]:
     """Pairs such as `50-150,100-300`.
 

@@ -237,7 +237,7 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
     one = read_scan(outcome.folder / "scans" / "0001.npz")
     assert (one.q_commanded == one.q_reported).all()
     assert (one.stored["T_object_scanner"] != one.stored["T_object_scanner_true"]).any()
-    raw = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9, register=False)
+    raw = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9, registration=False)
     assert raw.summary["registration"] is None
     assert raw.summary["cloud"]["rms_to_reference_mm"] == cloud["rms_to_reference_as_reported_mm"]
     assert raw.summary["deviation"]["rms_mm"] > 1.5 * outcome.summary["deviation"]["rms_mm"]

@@ -96,8 +96,8 @@ def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: 
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (("scan", "run", "--noise", "loud"), "must be none or model"),
-        (("plan", "mug", "--max-sigma", "0"), "max_sigma_mm"),
+        (("scan", "run", "--noise", "loud"), "valid are: none, model"),
+        (("plan", "mug", "--max-sigma", "0"), "--max-sigma is 0.0; it must be above 0"),
         (("plan", "mug", "--faces", "40", "--place", "1200,500,0", "--max-sigma", "1e-6"), "the best point has an"),
     ],
 )

@@ -164,7 +164,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(
         known.extend([*narrator.notes, question])
         return "no"
 
-    options = ScanOptions(str(emulated.url), speed_percent=50.0)
+    options = ScanOptions(driver=str(emulated.url), speed_percent=50.0)
     with pytest.raises(UsageError, match="nothing was moved"):
         resume(run_folder, "latest", options, argv=[], narrator=narrator, ask=ask)
     assert "a new way to view 2 was planned" in known[1]

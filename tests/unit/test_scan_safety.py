@@ -6,6 +6,7 @@ import pytest
 from cell.errors import DriverFailureError, UsageError
 from cell.scan import safety
 from cell.scan.options import ScanOptions
+from cell.scene.option import flag, read
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.limits import kr16
 from drivers.setpoints import from_rad
@@ -50,7 +51,7 @@ def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
 def test_a_speed_that_is_no_percentage_is_refused(percent: float) -> None:
     """Above 0, at most 100."""
     with pytest.raises(UsageError, match="--speed"):
-        ScanOptions(speed_percent=percent)
+        read(ScanOptions, {"speed": percent}, flag)
 
 
 def test_steel_does_not_move_without_somebody_s_word() -> None:

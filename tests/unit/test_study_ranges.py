@@ -3,7 +3,9 @@
 import pytest
 
 from cell.errors import UsageError
-from cell.study.ranges import pairs, span, values
+from cell.scene.option import flag, read
+from cell.study.options import PlaceRange
+from cell.study.ranges import pairs, values
 
 
 def test_a_range_holds_its_first_and_last_value() -> None:
@@ -29,16 +31,17 @@ def test_what_is_no_range_is_refused_with_the_option_s_name(text: str) -> None:
 
 
 def test_a_span_is_two_values_or_one_twice() -> None:
-    """Negative ones too."""
-    assert span("--y", "-600:600") == (-600.0, 600.0)
-    assert span("--y", "5") == (5.0, 5.0)
+    """Negative ones too; what is not given is the whole axis."""
+    where = read(PlaceRange, {"y": "-600:600", "z": "5"})
+    assert (where.y_mm, where.z_mm) == ((-600.0, 600.0), (5.0, 5.0))
+    assert where.x_mm == (700.0, 1600.0)
 
 
-@pytest.mark.parametrize("text", ["2:1", "a:1", "1:2:3", "", "nan"])
+@pytest.mark.parametrize("text", ["2:1", "a:1", "1:2:3", "", "nan", "0:inf"])
 def test_what_is_no_span_is_refused(text: str) -> None:
-    """With the option's name and an example."""
+    """With the option's name."""
     with pytest.raises(UsageError, match="--y"):
-        span("--y", text)
+        read(PlaceRange, {"y": text}, flag)
 
 
 def test_pairs_are_near_and_far_limits() -> None:
