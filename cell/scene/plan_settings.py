@@ -7,8 +7,8 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from cell.scene.fields import NotNegative, Positive, Share, Table
 
 
-class PlanSettings(Table):
-    """How to plan; None takes the part's default."""
+class PlanKeys(Table):
+    """The keys of the table; None takes the part's default."""
 
     preset: Literal["fast", "balanced", "accurate"] = "balanced"
     candidates: Literal["optimal-scanning-zone", "view-sphere", "targeted"] = "optimal-scanning-zone"
@@ -42,6 +42,10 @@ class PlanSettings(Table):
     alpha: Annotated[float, Field(gt=0, lt=1)] = 0.05
     ensemble: Annotated[int, Field(ge=1, le=10_000)] = 32
     curve: bool = False
+
+
+class PlanSettings(PlanKeys):
+    """How to plan: the keys, and that they go together."""
 
     @field_validator("fill")
     @classmethod
