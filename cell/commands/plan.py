@@ -59,5 +59,5 @@ def plan(
         sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
     else:
         rows = [*report.table(outcome.summary), ("run folder", str(outcome.folder))]
-        terminal.pairs(f"View plan of {outcome.summary['part']['name']}", rows)
+        terminal.pairs(f"View plan of {outcome.summary.part.name}", rows)
     raise typer.Exit(outcome.exit_code)

@@ -1,16 +1,15 @@
-"""What a plan says of its motion's clearance: per segment, and the tightest moment of all, as JSON values."""
-
-from typing import Any
+"""What a plan says of its motion's clearance: per segment, and the tightest moment of all."""
 
 import numpy as np
 
+from cell.run.plan_json import Clearance, SegmentClearance, Tightest
 from cell.world.clearance import MotionClearance, moment
 from planner.errors import PlannerError
 from planner.timing.motion import Motion
 
 
-def clearance_summary(measured: MotionClearance, motion: Motion, collision: str) -> dict[str, Any]:
-    """The object `clearance` of plan.json and report.json; mm, deg and s as the names say.
+def clearance_of(measured: MotionClearance, motion: Motion, collision: str) -> Clearance:
+    """The clearance as plan.json and report.json say it.
 
     Args:
         measured: of the motion.
@@ -18,23 +17,23 @@ def clearance_summary(measured: MotionClearance, motion: Motion, collision: str)
         collision: what stood for the part: hull, decomposed or exact.
     """
     tightest = measured.tightest
-    return {
-        "collision": collision,
-        "segments": [
-            {"minimum_mm": _mm(nearest), "at_least_mm": _mm(proven), "between": between}
+    return Clearance(
+        collision=collision,
+        segments=[
+            SegmentClearance(minimum_mm=_mm(nearest), at_least_mm=_mm(proven), between=between)
             for nearest, proven, between in zip(measured.distance, measured.at_least, measured.between, strict=True)
         ],
-        "tightest": None
+        tightest=None
         if tightest is None
-        else {
-            "segment": tightest.segment,
-            "time_s": round(moment(motion.t, motion.q, motion.segment_of_sample, tightest), 6),
-            "distance_mm": _mm(tightest.distance),
-            "between": tightest.between,
-            "points_in_base_mm": (1000 * tightest.points).round(4).tolist(),
-            "q_deg": [float(angle) for angle in np.degrees(tightest.q).round(6)],
-        },
-    }
+        else Tightest(
+            segment=tightest.segment,
+            time_s=round(moment(motion.t, motion.q, motion.segment_of_sample, tightest), 6),
+            distance_mm=_mm(tightest.distance),
+            between=tightest.between,
+            points_in_base_mm=(1000 * tightest.points).round(4).tolist(),
+            q_deg=np.degrees(tightest.q).round(6).tolist(),
+        ),
+    )
 
 
 def require_no_contact(measured: MotionClearance) -> None:
@@ -51,14 +50,14 @@ def require_no_contact(measured: MotionClearance) -> None:
             )
 
 
-def tightest_sentence(clearance: dict[str, Any]) -> str:
+def tightest_sentence(clearance: Clearance) -> str:
     """The tightest moment for a person; "" where there is none."""
-    tightest = clearance["tightest"]
+    tightest = clearance.tightest
     if tightest is None:
         return ""
     return (
-        f"{tightest['distance_mm']:.1f} mm, {tightest['between']}, {tightest['time_s']:.2f} s after the start, on the "
-        f"way of segment {tightest['segment'] + 1} of {len(clearance['segments'])}"
+        f"{tightest.distance_mm:.1f} mm, {tightest.between}, {tightest.time_s:.2f} s after the start, on the "
+        f"way of segment {tightest.segment + 1} of {len(clearance.segments)}"
     )
 
 

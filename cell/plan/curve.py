@@ -1,12 +1,11 @@
 """Coverage over the number of views in the run folder: `curve.json` and `curve.png`."""
 
-from typing import Any
-
 import numpy as np
 
 from cell.plan.picture_process import Drawing
 from cell.plan.request import Request, Selected
 from cell.run.folder import RunFolder
+from cell.run.report_json import Curve, Fewest
 from planner.cover.curve import CoverageCurve, coverage_curve
 from planner.measurability.matrix import Measurability
 from planner.reach.reach import Reach
@@ -35,14 +34,10 @@ def curve_of(
     )  # fmt: skip
 
 
-def summary(curve: CoverageCurve) -> dict[str, Any]:
+def fewest_of(curve: CoverageCurve) -> Curve:
     """The fewest views for round shares of what can be measured, for report.json."""
-    return {
-        "fewest": [
-            {"of_coverable": share, "views": curve.fewest(share)[0], "at_least": curve.fewest(share)[1]}
-            for share in ASKED
-        ]
-    }
+    fewest = {share: curve.fewest(share) for share in ASKED}
+    return Curve(fewest=[Fewest(of_coverable=share, views=n, at_least=least) for share, (n, least) in fewest.items()])
 
 
 def write(folder: RunFolder, drawing: Drawing, curve: CoverageCurve, plan_views: int, plan_area: float) -> None:
@@ -71,7 +66,7 @@ def write(folder: RunFolder, drawing: Drawing, curve: CoverageCurve, plan_views:
                     curve.n_views, curve.covered_area, curve.upper_area, curve.views, strict=True
                 )
             ],
-            **summary(curve),
+            **fewest_of(curve).as_json(),
         },
     )
     percent = 100 / max(curve.coverable_area, 1e-300)

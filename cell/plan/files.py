@@ -4,16 +4,27 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
+from pydantic import JsonValue
 
 from cell.errors import FileError
 from cell.part.workpiece import Workpiece
-from cell.plan import report
+from cell.plan.report import markdown
 from cell.plan.view_plan import ConnectedPlan
 from cell.robot import model as robot
 from cell.run.folder import RunFolder
+from cell.run.plan_json import PlanFile, PlanView, Sweep
+from cell.run.report_json import Report
+from cell.run.scene_json import (
+    ResolvedHousing,
+    ResolvedPart,
+    ResolvedPlan,
+    ResolvedScene,
+    ScannerKeys,
+    StandingFixture,
+)
 from cell.scene.resolve import Settings
 from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.clearance import MotionClearance
@@ -73,46 +84,44 @@ def write_cell(
     part: Workpiece,
     planning_faces: int,
     world: World,
-    scanner_parameters: Mapping[str, object],
+    scanner_parameters: Mapping[str, JsonValue],
 ) -> None:
     """`scene.resolved.json` and the MuJoCo model that is checked."""
     limits = world.limits
-    plan = scene.plan.model_dump(mode="json") | {
-        "faces": settings.faces,
-        "planning_faces": planning_faces,
-        "standoffs_mm": [_mm(standoff) for standoff in settings.standoffs],
-        "sphere_radius_mm": _mm(settings.sphere_radius),
-    }
-    folder.write_json(
-        "scene.resolved.json",
-        {
-            "units": "transforms are 4x4 in metres; other lengths in mm, angles in deg, as their names say",
-            "part": {"name": part.name, "units": scene.part.units, "sha256": part.sha256},
-            "T_base_object": world.T_base_object.tolist(),
-            "T_object_centre": world.T_object_centre.tolist(),
-            "T_flange_scanner": world.T_flange_scanner.tolist(),
-            "scanner": dict(scanner_parameters),
-            "planning_resolution_deg": scene.scanner.planning_resolution_deg,
-            "housing": {
-                "shape": "box",
-                "size_mm": list(scene.housing.size_mm),
-                "T_flange_housing": world.T_flange_housing.tolist(),
-                "bracket_diameter_mm": scene.housing.bracket_diameter_mm,
-            },
-            "fixtures": _fixtures(scene, world),
-            "home_deg": list(scene.robot.home_deg),
-            "joint_limits_deg": np.degrees(np.stack([limits.lower, limits.upper], axis=1)).round(9).tolist(),
-            "joint_velocity_limits_deg_s": np.degrees(limits.velocity).round(9).tolist(),
-            "joint_acceleration_limits_deg_s2": np.degrees(limits.acceleration).round(9).tolist(),
-            "joint_jerk_limits_deg_s3": [
-                round(float(jerk), 9) if np.isfinite(jerk) else None for jerk in np.degrees(limits.jerk)
-            ],
-            "speed_scaling": scene.robot.speed_scaling,
-            "acceleration_scaling": scene.robot.acceleration_scaling,
-            "clearance_mm": scene.clearance_mm,
-            "plan": plan,
-        },
+    resolved = ResolvedScene(
+        part=ResolvedPart(name=part.name, units=scene.part.units, sha256=part.sha256),
+        T_base_object=world.T_base_object,
+        T_object_centre=world.T_object_centre,
+        T_flange_scanner=world.T_flange_scanner,
+        scanner=ScannerKeys(**scanner_parameters),
+        planning_resolution_deg=scene.scanner.planning_resolution_deg,
+        housing=ResolvedHousing(
+            size_mm=scene.housing.size_mm,
+            T_flange_housing=world.T_flange_housing,
+            bracket_diameter_mm=scene.housing.bracket_diameter_mm,
+        ),
+        fixtures=[*(_fixture(fixture, world) for fixture in scene.fixtures), *_built_in(scene, world)],
+        home_deg=scene.robot.home_deg,
+        joint_limits_deg=np.degrees(np.stack([limits.lower, limits.upper], axis=1)).round(9).tolist(),
+        joint_velocity_limits_deg_s=np.degrees(limits.velocity).round(9).tolist(),
+        joint_acceleration_limits_deg_s2=np.degrees(limits.acceleration).round(9).tolist(),
+        joint_jerk_limits_deg_s3=[
+            round(float(jerk), 9) if np.isfinite(jerk) else None for jerk in np.degrees(limits.jerk)
+        ],
+        speed_scaling=scene.robot.speed_scaling,
+        acceleration_scaling=scene.robot.acceleration_scaling,
+        clearance_mm=scene.clearance_mm,
+        plan=ResolvedPlan.model_validate(
+            dict(scene.plan)
+            | {
+                "faces": settings.faces,
+                "planning_faces": planning_faces,
+                "standoffs_mm": [_mm(standoff) for standoff in settings.standoffs],
+                "sphere_radius_mm": _mm(settings.sphere_radius),
+            }
+        ),
     )
+    folder.write_json("scene.resolved.json", resolved.as_json())
     for name in write_mjcf(world, folder.path):
         folder.adopt(name)
     for name, mesh in world.fixture_meshes.items():
@@ -173,58 +182,46 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour, measured: Motion
     )
 
 
-REQUESTED = ("most_coverage", "overlap", "promise", "multiplicity", "cost")
-"""Keys of plan.json that are there only where something was asked for beyond the fewest views."""
-
-
-def write_plan(folder: RunFolder, summary: Mapping[str, Any], chosen: ConnectedPlan, candidates: Viewpoints) -> None:
+def write_plan(folder: RunFolder, report: Report, chosen: ConnectedPlan, candidates: Viewpoints) -> None:
     """`plan.json`: the views in visiting order, with what is known about the selection."""
     views = [
-        {
-            "id": int(candidate),
-            "roll_deg": float(np.degrees(candidates.roll[candidate]).round(9)),
-            "T_object_scanner": chosen.T_object_scanner[stop].tolist(),
-            "T_base_scanner": chosen.T_base_scanner[stop].tolist(),
-            "T_base_flange": chosen.T_base_flange[stop].tolist(),
-            "q_deg": degrees(chosen.tour.q[stop]),
-            **({"sweep": _sweep(chosen, stop)} if chosen.sweeps else {}),
-        }
-        for stop, candidate in enumerate(chosen.candidate)
+        PlanView(
+            id=candidate,
+            roll_deg=np.degrees(candidates.roll[candidate]).round(9),
+            T_object_scanner=chosen.T_object_scanner[stop],
+            T_base_scanner=chosen.T_base_scanner[stop],
+            T_base_flange=chosen.T_base_flange[stop],
+            q_deg=degrees(chosen.tour.q[stop]),
+            sweep=_sweep(chosen, stop) if chosen.sweeps else None,
+        )
+        for stop, candidate in enumerate(chosen.candidate.tolist())
     ]
-    kept = ("coverage", "solver", "status", "lower_bound", "gap", "verdicts", "dropped", "clearance")
-    folder.write_json(
-        "plan.json",
-        {
-            "units": "transforms are 4x4 in metres, angles in deg; coverage and gap are fractions",
-            **{key: summary[key] for key in kept},
-            **{key: summary[key] for key in REQUESTED if key in summary},
-            "views": views,
-        },
+    said = {key: value for key, value in report if key in PlanFile.model_fields}
+    folder.write_json("plan.json", PlanFile(**said | {"views": views}).as_json())
+
+
+def _sweep(chosen: ConnectedPlan, stop: int) -> Sweep:
+    """What is driven at a view of a line sensor."""
+    path = chosen.sweeps[stop]
+    steady = float(path.profile.cruise)
+    return Sweep(
+        T_object_scanner=list(chosen.T_object_poses[stop]),
+        q_deg=[degrees(q) for q in path.measured_q],
+        from_q_deg=degrees(path.q[0]),
+        to_q_deg=degrees(path.q[-1]),
+        backwards=path.pose[path.pose >= 0][0] > 0,
+        length_mm=_mm(path.line.length),
+        angle_deg=round(float(np.degrees(path.line.angle)), 9),
+        speed_mm_s=round(_mm(path.line.length / steady), 6) if steady > 0 else 0.0,
+        speed_deg_s=round(float(np.degrees(path.line.angle / steady)), 6) if steady > 0 else 0.0,
+        duration_s=path.duration,
     )
 
 
-def _sweep(chosen: ConnectedPlan, stop: int) -> dict[str, Any]:
-    """What is driven at a view of a line sensor: poses in the column's order, and the line through them."""
-    path = chosen.sweeps[stop]
-    steady = float(path.profile.cruise)
-    return {
-        "T_object_scanner": chosen.T_object_poses[stop].tolist(),
-        "q_deg": [degrees(q) for q in path.measured_q],
-        "from_q_deg": degrees(path.q[0]),
-        "to_q_deg": degrees(path.q[-1]),
-        "backwards": bool(path.pose[path.pose >= 0][0] > 0),
-        "length_mm": _mm(path.line.length),
-        "angle_deg": round(float(np.degrees(path.line.angle)), 9),
-        "speed_mm_s": round(_mm(path.line.length / steady), 6) if steady > 0 else 0.0,
-        "speed_deg_s": round(float(np.degrees(path.line.angle / steady)), 6) if steady > 0 else 0.0,
-        "duration_s": path.duration,
-    }
-
-
-def write_report(folder: RunFolder, summary: Mapping[str, Any]) -> None:
+def write_report(folder: RunFolder, report: Report) -> None:
     """`report.json` and `report.md`."""
-    folder.write_json("report.json", summary)
-    folder.write_text("report.md", report.markdown(summary))
+    folder.write_json("report.json", report.as_json())
+    folder.write_text("report.md", markdown(report))
 
 
 def degrees(q: Floats) -> list[float]:
@@ -232,52 +229,47 @@ def degrees(q: Floats) -> list[float]:
     return [float(round(value * 1e4) / 1e4) for value in np.degrees(q)]
 
 
-def _fixtures(scene: Scene, world: World) -> list[dict[str, Any]]:
-    """Everything fixed that stands in the cell: the scene's fixtures, and post, pedestal and floor in the same form."""
-    listed = [_fixture(fixture, world) for fixture in scene.fixtures]
+def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
+    """Post, pedestal and floor, in the form of the scene's fixtures."""
     floor_mm = -scene.robot.pedestal_height_mm
 
-    def built_in(name: str, shape: str, size_mm: list[float], middle_mm: list[float]) -> dict[str, Any]:
+    def standing(
+        name: str, shape: Literal["box", "cylinder", "plane"], size_mm: list[float], middle_mm: list[float]
+    ) -> StandingFixture:
         T = np.eye(4)
         T[:3, 3] = np.array(middle_mm) / 1000
-        return {
-            "name": name,
-            "shape": shape,
-            "size_mm": size_mm,
-            "pose": T.tolist(),
-            "attached_to": "base",
-            "occludes": True,
-            "built_in": True,
-        }
+        return StandingFixture(
+            name=name, shape=shape, size_mm=size_mm, pose=T, attached_to="base", occludes=True, built_in=True
+        )
 
+    listed = []
     if scene.post.enabled:
         x, y, top = (_mm(value) for value in world.post_top(world.T_base_object))
         height = top - floor_mm
-        listed.append(built_in("post", "cylinder", [scene.post.diameter_mm, height], [x, y, floor_mm + height / 2]))
+        listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], [x, y, floor_mm + height / 2]))
     if scene.robot.pedestal_height_mm > 0:
         size = [*scene.robot.pedestal_size_mm, scene.robot.pedestal_height_mm]
-        listed.append(built_in("pedestal", "box", size, [0.0, 0.0, floor_mm / 2]))
-    listed.append(built_in("floor", "plane", [], [0.0, 0.0, floor_mm]))
+        listed.append(standing("pedestal", "box", size, [0.0, 0.0, floor_mm / 2]))
+    listed.append(standing("floor", "plane", [], [0.0, 0.0, floor_mm]))
     return listed
 
 
-def _fixture(fixture: Fixture, world: World) -> dict[str, Any]:
-    entry: dict[str, Any] = {
-        "name": fixture.name,
-        "shape": fixture.shape,
-        "pose": fixture.T.tolist(),
-        "attached_to": fixture.attached_to,
-        "occludes": fixture.occludes,
-        "built_in": False,
-    }
+def _fixture(fixture: Fixture, world: World) -> StandingFixture:
     if isinstance(fixture, BoxFixture | CylinderFixture):
-        entry["size_mm"] = list(fixture.size_mm)
-    else:
-        mesh = world.fixture_meshes[fixture.name]
-        entry["size_mm"] = [_mm(side) for side in np.ptp(mesh.vertices, axis=0)]
-        entry["file"] = fixture_file(fixture.name)
-        entry["pose"] = np.eye(4).tolist()  # the file holds the triangles where the scene's pose has put them
-    return entry
+        size_mm, pose, file = list(fixture.size_mm), fixture.T, None
+    else:  # its file holds the triangles where the scene's pose has put them
+        sides = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
+        size_mm, pose, file = [_mm(side) for side in sides], np.eye(4), fixture_file(fixture.name)
+    return StandingFixture(
+        name=fixture.name,
+        shape=fixture.shape,
+        size_mm=size_mm,
+        pose=pose,
+        attached_to=fixture.attached_to,
+        occludes=fixture.occludes,
+        built_in=False,
+        file=file,
+    )
 
 
 def fixture_file(name: str) -> str:

@@ -5,12 +5,13 @@ next one starts.
 """
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+
+from pydantic import JsonValue
 
 from cell import scanners
 from cell.errors import FileError
@@ -21,13 +22,14 @@ from cell.plan import curve as curves
 from cell.plan import files as plan_files
 from cell.plan import picture_process, promise, steps
 from cell.plan import request as requests
-from cell.plan.clearances import clearance_summary
 from cell.plan.drawing import draw_motion, draw_views
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
-from cell.plan.summary import plan_summary
+from cell.plan.summary import plan_report
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.folder import SCHEMA, RunFolder
+from cell.run.plan_json import Promise
+from cell.run.report_json import Curve, Report
 from cell.scene import doubts
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
@@ -47,11 +49,16 @@ class PlanOutcome:
 
     folder: Path
     exit_code: int
-    summary: dict[str, Any]
+    summary: Report
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, JsonValue]:
         """The object that `--json` prints: report.json, and where and how the run ended."""
-        return {"schema": SCHEMA, "exit_code": self.exit_code, "run_folder": str(self.folder), **self.summary}
+        ended: dict[str, JsonValue] = {
+            "schema": SCHEMA,
+            "exit_code": self.exit_code,
+            "run_folder": str(self.folder),
+        }
+        return ended | self.summary.as_json()
 
 
 def plan(
@@ -91,12 +98,12 @@ def plan(
             plan_files.write_scene(folder, scene_path)
             scanner = scanners.make(scene.scanner.type, settings.scanner)
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
-            summary, exit_code = _steps(run, Job(scene, part, settings, scanner))
-        return PlanOutcome(folder.finish(exit_code), exit_code, summary)
+            report, exit_code = _steps(run, Job(scene, part, settings, scanner))
+        return PlanOutcome(folder.finish(exit_code), exit_code, report)
 
 
-def _steps(run: Run, job: Job) -> tuple[dict[str, Any], int]:
-    """Steps 2 to 9 and the report; returns the summary and the exit code."""
+def _steps(run: Run, job: Job) -> tuple[Report, int]:
+    """Steps 2 to 9 and the report; returns that and the exit code."""
     surface, candidates = steps.sample_surface(run, job)
     cell = steps.compile_cell(run, job, surface)
     reached = steps.reach_candidates(run, job, cell, candidates)
@@ -106,65 +113,50 @@ def _steps(run: Run, job: Job) -> tuple[dict[str, Any], int]:
     draw_views(run.drawing, run.folder, job.part, surface.planning, problem, chosen)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
-    answers = _further(run, problem, chosen)
+    promised, curve = _further(run, problem, chosen)
     with run.step("report"):
-        summary = plan_summary(
-            job.scene,
-            job.settings,
-            job.part,
-            surface.planning,
-            problem.candidates,
-            problem.reached,
-            problem.M,
-            chosen,
-            motion,
-            chosen.visible.fraction,
-            prediction.coverable_with(chosen.visible),
-        )
-        summary |= answers
-        summary["clearance"] = clearance_summary(clearance, motion, cell.world.collision)
-        plan_files.write_plan(run.folder, summary, chosen, problem.candidates)
-        plan_files.write_report(run.folder, summary)
+        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, promised, curve)
+        plan_files.write_plan(run.folder, report, chosen, problem.candidates)
+        plan_files.write_report(run.folder, report)
         run.drawing.finish(run.folder)
-    return summary, 3 if _below(run.narrator, summary) else 0
+    return report, 3 if _below(run.narrator, report) else 0
 
 
-def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> dict[str, Any]:
-    """What the summary says beyond a plain plan: overlaps in visiting order, the promise simulated, the curve."""
+def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[Promise | None, Curve | None]:
+    """What is worked out beyond a plain plan: the promise simulated, the curve."""
     selected, wishes = chosen.selected, problem.request.plan
     if selected.note:
         run.narrator.note(selected.note)
-    answers = requests.summary(selected, chosen.tour.order, chosen.cover.total_area)
-    if problem.request.layer is not None:
+    promised, fewest = None, None
+    if robust := requests.robust_of(selected, chosen.cover.total_area):
         with run.step("simulate executions") as progress:
             rng = run.rng(steps.EXECUTIONS)
-            kept = promise.simulate(wishes, chosen.T_object_poses, problem.prediction, rng, progress)
-        answers["promise"] |= asdict(kept)
+            promised = promise.simulate(wishes, robust, chosen.T_object_poses, problem.prediction, rng, progress)
     if wishes.curve:
         with run.step("coverage over views"):
             curve = curves.curve_of(problem.request, selected, chosen.matrix, problem.reached, run.rng(steps.CURVE))
             curves.write(run.folder, run.drawing, curve, len(chosen.cover.views), chosen.cover.covered_area)
-        answers["curve"] = curves.summary(curve)
-    return answers
+        fewest = curves.fewest_of(curve)
+    return promised, fewest
 
 
-def _below(narrator: Narrator, summary: Mapping[str, Any]) -> bool:
+def _below(narrator: Narrator, report: Report) -> bool:
     """Whether the plan stays below a coverage that was asked for; says which, and what would help.
 
     A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers.
     """
-    coverage, settings = summary["coverage"], summary["settings"]
-    share, asked = coverage["visible_of_coverable"], settings["coverage"]
-    missed: bool = asked < 1 and share < asked
+    coverage, settings = report.coverage, report.settings
+    share, asked = coverage.visible_of_coverable, settings.coverage
+    missed = asked < 1 and share < asked
     if missed:
         narrator.note(
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
             "for, although it covers every sample of the matrix; more --samples or --faces bring it closer"
         )
-    if coverage["visible"] < settings["required_visible"]:
+    if coverage.visible < settings.required_visible:
         narrator.note(
-            f"the plan measures {100 * coverage['visible']:.2f} % of the surface, less than the "
-            f"{100 * settings['required_visible']:g} % required; move the part, or allow more standoffs and rolls"
+            f"the plan measures {100 * coverage.visible:.2f} % of the surface, less than the "
+            f"{100 * settings.required_visible:g} % required; move the part, or allow more standoffs and rolls"
         )
         return True
     return missed

@@ -6,11 +6,11 @@ view and measures anew. docs/coverage_requests.md says what the figures mean.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cell.rays.prediction import Prediction
+from cell.run.plan_json import Promise, RobustSelection
 from cell.scene.plan_settings import PlanSettings
 from planner.measurability.matrix import Measurability, measured
 from planner.measurability.pose_ensemble import (
@@ -67,42 +67,19 @@ def layer(
     return probability_layer(M, candidates, scanner, casters, errors, columns=reached.reachable, progress=progress)
 
 
-@dataclass(frozen=True, slots=True)
-class Kept:
-    """What simulated executions say about a promise; shares of the surface's area, from held-out samples.
-
-    Attributes:
-        executions: how many.
-        samples: how many samples.
-        promised: share that the plan measures with probability 1 - alpha or more, by an ensemble as in planning.
-        achieved: share that was measured in a share of 1 - alpha of the executions or more.
-        kept: share of the promised area that was.
-        frequency: how often promised area was measured, on average.
-        coverage_mean: share that one execution measures, on average.
-        coverage_worst: the same of the worst execution.
-    """
-
-    executions: int
-    samples: int
-    promised: float
-    achieved: float
-    kept: float
-    frequency: float
-    coverage_mean: float
-    coverage_worst: float
-
-
 def simulate(
     plan: PlanSettings,
+    robust: RobustSelection,
     T_object_poses: Floats,
     prediction: Prediction,
     rng: np.random.Generator,
     progress: Progress,
-) -> Kept:
+) -> Promise:
     """Execute the plan's views with errors, and compare with what is promised of the same samples.
 
     Args:
         plan: the scene's table.
+        robust: what the selection was to hold.
         T_object_poses: (n, K, 4, 4) views of the plan [m].
         prediction: held-out samples, scanner and casters.
         rng: draws samples, ensemble and executions.
@@ -131,7 +108,8 @@ def simulate(
     frequency = times / EXECUTIONS
     met = frequency >= 1.0 - plan.alpha
     whole = float(area[promised].sum())
-    return Kept(
+    return Promise(
+        **dict(robust),
         executions=EXECUTIONS,
         samples=len(samples),
         promised=whole,

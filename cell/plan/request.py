@@ -5,17 +5,18 @@
     overlap      the fewest views whose scans hang together
     promise      the fewest views that measure a sample with probability 1 - alpha although poses are off
 
-`planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.request`).
+`planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.plan_settings`).
 """
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import JsonValue
 
 from cell.errors import SceneError
 from cell.rays.prediction import Prediction
+from cell.run import plan_json
 from cell.scene.plan_settings import PlanSettings
 from planner import cover
 from planner.cover import Cover
@@ -190,7 +191,7 @@ def seconds_of_views(plan: PlanSettings, reached: Reach, limits: JointLimits) ->
     return costs
 
 
-def settings(plan: PlanSettings) -> dict[str, Any]:
+def settings(plan: PlanSettings) -> dict[str, JsonValue]:
     """The wishes that differ from their defaults, as report.json lists them."""
     keys = ("max_views", "multiplicity", "pinned", "banned", "cost", "overlap_mm2", "overlap_share", "overlap_in_order")
     asked = {key: getattr(plan, key) for key in keys if getattr(plan, key) != PlanSettings.model_fields[key].default}
@@ -201,8 +202,26 @@ def settings(plan: PlanSettings) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asked.items()}
 
 
-def summary(selected: Selected, order: NDArray[np.int64], total_area: float) -> dict[str, Any]:
-    """What report.json and plan.json say of a request beyond a plain one; nothing for a plain one.
+def most_coverage_of(selected: Selected, total_area: float) -> plan_json.MostCoverage | None:
+    """What plan.json and report.json say of the most coverage with a number of views; None where it was not asked for.
+
+    Args:
+        selected: the answer.
+        total_area: of the surface [m^2].
+    """
+    answer = selected.answer
+    if not isinstance(answer, MostCoverage):
+        return None
+    return plan_json.MostCoverage(
+        max_views=answer.max_views,
+        covered=answer.cover.covered_area / total_area,
+        upper_bound=answer.upper_area / total_area,
+        gap_points=answer.gap_points,
+    )
+
+
+def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) -> plan_json.Overlap | None:
+    """What they say of overlap; None where it was not asked for.
 
     Args:
         selected: the answer.
@@ -210,57 +229,53 @@ def summary(selected: Selected, order: NDArray[np.int64], total_area: float) -> 
         total_area: of the surface [m^2].
     """
     answer = selected.answer
-    if isinstance(answer, MostCoverage):
-        return {
-            "most_coverage": {
-                "max_views": answer.max_views,
-                "covered": answer.cover.covered_area / total_area,
-                "upper_bound": answer.upper_area / total_area,
-                "gap_points": answer.gap_points,
-            }
-        }
-    if isinstance(answer, OverlapCover):
-        return {
-            "overlap": {
-                "connected": answer.status is OverlapStatus.CONNECTED,
-                "extra_views": answer.extra_views,
-                "views_without": answer.unconnected_views,
-                "without_earlier": in_order(answer, order),
-                "parts": [
-                    {"views": int((answer.part == k).sum()), "covered": float(area) / total_area}
-                    for k, area in enumerate(answer.part_area)
-                ],
-            }
-        }
-    if isinstance(answer, RobustCover):
-        return {
-            "promise": {
-                "alpha": answer.alpha,
-                "members": answer.members,
-                "views_needed": views_for_promise(answer.alpha, answer.members),
-                "robust_on_features": answer.robust_area / total_area,
-                "robust_coverable_on_features": answer.robust_coverable_area / total_area,
-            }
-        }
-    cover = selected.cover
-    if cover.multiplicity > 1 or cover.price is not None:
-        return {
-            **({} if cover.multiplicity == 1 else {"multiplicity": _several(cover)}),
-            **({} if cover.price is None else {"cost": {"seconds": cover.cost, "bound_seconds": cover.cost_bound}}),
-        }
-    return {}
+    if not isinstance(answer, OverlapCover):
+        return None
+    return plan_json.Overlap(
+        connected=answer.status is OverlapStatus.CONNECTED,
+        extra_views=answer.extra_views,
+        views_without=answer.unconnected_views,
+        # The first of all overlaps none before it and does not count.
+        without_earlier=sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order))),
+        parts=[
+            plan_json.OverlapPart(views=(answer.part == k).sum(), covered=area / total_area)
+            for k, area in enumerate(answer.part_area)
+        ],
+    )
 
 
-def in_order(answer: OverlapCover, order: NDArray[np.int64]) -> int:
-    """Views that, in visiting order, overlap none of those before them; the first does not count.
+def robust_of(selected: Selected, total_area: float) -> plan_json.RobustSelection | None:
+    """What they say of the selection under pose errors; None where poses count as exact.
 
     Args:
-        answer: the selection.
-        order: (n,) its views in visiting order.
+        selected: the answer.
+        total_area: of the surface [m^2].
     """
-    return sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order)))
+    answer = selected.answer
+    if not isinstance(answer, RobustCover):
+        return None
+    return plan_json.RobustSelection(
+        alpha=answer.alpha,
+        members=answer.members,
+        views_needed=views_for_promise(answer.alpha, answer.members),
+        robust_on_features=answer.robust_area / total_area,
+        robust_coverable_on_features=answer.robust_coverable_area / total_area,
+    )
 
 
-def _several(cover: Cover) -> dict[str, Any]:
-    """How often samples are measured: the number asked for, and what fewer candidates than that can measure."""
-    return {"views_per_sample": cover.multiplicity, "samples_with_fewer_candidates": len(cover.short_rows)}
+def multiplicity_of(selected: Selected) -> plan_json.Multiplicity | None:
+    """What they say of samples measured several times; None where once is enough."""
+    cover = selected.cover
+    if cover.multiplicity == 1:
+        return None
+    return plan_json.Multiplicity(
+        views_per_sample=cover.multiplicity, samples_with_fewer_candidates=len(cover.short_rows)
+    )
+
+
+def cost_of(selected: Selected) -> plan_json.Cost | None:
+    """What they say of seconds; None where the number of views counts."""
+    cover = selected.cover
+    if cover.price is None:
+        return None
+    return plan_json.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)

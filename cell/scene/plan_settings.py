@@ -32,8 +32,8 @@ _POSE_SD = Option(
 )
 
 
-class PlanSettings(Table):
-    """How to plan; None takes the part's default."""
+class PlanKeys(Table):
+    """The keys of the table; None takes the part's default."""
 
     preset: Annotated[
         Literal["fast", "balanced", "accurate"],
@@ -121,6 +121,10 @@ class PlanSettings(Table):
     ] = 0.05
     ensemble: Annotated[int, Field(ge=1, le=10_000)] = 32
     curve: Annotated[bool, Option("Also coverage over the number of views, bounded.", _WISHES)] = False
+
+
+class PlanSettings(PlanKeys):
+    """How to plan: the keys, and that they go together."""
 
     @field_validator("fill")
     @classmethod

@@ -1,0 +1,142 @@
+"""report.json of a plan: what its page, its table and `--json` say. It holds no clock value."""
+
+from pydantic import Field, JsonValue, SerializerFunctionWrapHandler, model_serializer
+
+from cell.run.json_table import JointAngles, JsonTable, OpenTable, Triple, optional
+from cell.run.plan_json import (
+    Clearance,
+    Cost,
+    Coverage,
+    Dropped,
+    MostCoverage,
+    Multiplicity,
+    Overlap,
+    Promise,
+    Verdicts,
+)
+
+
+class ReportPart(JsonTable):
+    """The part as it was measured out."""
+
+    name: str = Field(description="of the built-in part or of the file")
+    faces: int = Field(description="of reference.ply")
+    planning_faces: int = Field(description="of planning.ply")
+    extents_mm: Triple = Field(description="of its bounding box along the axes of the object frame")
+    area_mm2: float = Field(description="of its surface")
+    findings: tuple[str, ...] = Field(description="what the mesh check found, a sentence each")
+
+
+class ReportSettings(OpenTable):
+    """What was asked for; the keys of the scanner's type stand beside these (docs/scanners.md)."""
+
+    placement_mm: Triple = Field(description="of the part's centre in base")
+    placement_abc_deg: Triple = Field(description="how it is turned, KUKA A B C")
+    scanner: str = Field(description="type of the scanner")
+    sensor: str | None = optional("real sensor by name")
+    sweep_poses: int | None = optional("poses of each view, of a scanner that sweeps")
+    sweep_in_motion: bool | None = optional("whether the motion drives the sweeps")
+    sweep_s: tuple[float, float] | None = optional("of the fastest and of the slowest sweep")
+    standoffs_mm: tuple[float, ...] = Field(description="from the surface to the laser source")
+    rolls_deg: tuple[float, ...] = Field(description="about the viewing axis")
+    candidates: str = Field(description="how viewpoints were made")
+    fill: str = Field(description="how the matrix was filled")
+    coverage: float = Field(description="asked for, as a fraction of what can be measured")
+    required_visible: float = Field(description="visible coverage below which `cell plan` ends with exit code 3")
+    seed: int = Field(description="of every random choice")
+    max_views: int | None = optional("views allowed")
+    multiplicity: int | None = optional("views for each sample")
+    pinned: tuple[int, ...] | None = optional("candidates that had to be in the plan")
+    banned: tuple[int, ...] | None = optional("candidates that must not be")
+    cost: str | None = optional("what was made small in place of the number of views")
+    overlap_mm2: float | None = optional("two views are joined where they share this area")
+    overlap_share: float | None = optional("two views are joined where they share this fraction of the smaller one")
+    overlap_in_order: bool | None = optional("whether each view has to overlap an earlier one")
+    scan_s: float | None = optional("taken for a scan, with cost 'time'")
+    settle_s: float | None = optional("taken for settling, with cost 'time'")
+    pose_sd_mm: float | None = optional("standard deviation of executed poses along each axis of the scanner")
+    pose_sd_deg: float | None = optional("standard deviation of executed poses about each axis of the scanner")
+    alpha: float | None = optional("probability with which a promised sample may be missed")
+    ensemble: int | None = optional("drawn pose errors")
+
+    @model_serializer(mode="wrap")
+    def _scanners_keys_behind_its_name(self, serialize: SerializerFunctionWrapHandler) -> dict[str, JsonValue]:
+        content: dict[str, JsonValue] = serialize(self)
+        first = ("placement_mm", "placement_abc_deg", "scanner", "sensor", *self.own)
+        return {key: content[key] for key in first if key in content} | content
+
+
+class Sigma(JsonTable):
+    """With `--max-sigma`: expected standard deviation of the plan's points, over the samples of the matrix."""
+
+    median_mm: float = Field(description="of the samples that the views measure, each from its best view")
+    quantile_95_mm: float = Field(description="95 % of them are below")
+    limit_mm: float = Field(description="that was asked for")
+
+
+class ReportView(JsonTable):
+    """A view for a person's table; plan.json has all of it."""
+
+    id: int = Field(description="candidate, row of viewpoints.npz")
+    adds: float = Field(description="what it measures that the views chosen before it do not, fraction of the surface")
+    source_in_base_mm: Triple = Field(description="place of the laser source")
+    q_deg: JointAngles = Field(description="set-points A1 to A6, multiples of 1e-4")
+    roll_deg: float = Field(description="about the viewing axis")
+    clearance_on_the_way_mm: float | None = Field(description="on the segment that leads to it")
+
+
+class ReportMotion(JsonTable):
+    """The motion, from home to home."""
+
+    duration_s: float = Field(description="of the motion")
+    jerk_free_bound_s: float = Field(
+        default=0.0, description="time-optimal for the same stops without a limit of jerk; 0: an older run, not known"
+    )
+    baseline_duration_s: float = Field(description="of the same views in task-space order (Christofides)")
+    lower_bound_s: float = Field(description="no order and joint solutions of these views take less")
+    via_points: int = Field(description="of the motion, home at both ends among them")
+    detours: int = Field(description="segments that are not straight in joint space")
+    speed_fraction: float = Field(description="of the axis speeds")
+    minimum_clearance_mm: float | None = Field(description="the smallest on the way")
+    between: str = Field(description="what is that near")
+
+
+class Fewest(JsonTable):
+    """How many views a share of what can be measured takes."""
+
+    of_coverable: float = Field(description="share of what can be measured, fraction")
+    views: int | None = Field(description="that suffice; null where none were found")
+    at_least: int | None = Field(description="no fewer do; null where no number is known")
+
+
+class Curve(JsonTable):
+    """With `--curve`: the fewest views for round shares; curve.json has all of the curve."""
+
+    fewest: tuple[Fewest, ...] = Field(description="from little to much")
+
+
+class Report(JsonTable):
+    """The file."""
+
+    part: ReportPart
+    settings: ReportSettings
+    n_views: int = Field(description="views of the plan")
+    n_features: int = Field(description="samples of the matrix")
+    coverage: Coverage
+    sigma: Sigma | None = optional()
+    solver: str = Field(description="that chose the views")
+    status: str = Field(description="what is proven of the selection, in words")
+    lower_bound: int = Field(description="no plan of these candidates and samples needs fewer views")
+    gap: float = Field(description="between the number of views and its bound, as a fraction of the former")
+    verdicts: Verdicts
+    blockers: dict[str, int] = Field(description="with what candidates collide, and how many with each")
+    dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")
+    views: tuple[ReportView, ...] = Field(description="in visiting order")
+    motion: ReportMotion
+    most_coverage: MostCoverage | None = optional()
+    overlap: Overlap | None = optional()
+    promise: Promise | None = optional()
+    multiplicity: Multiplicity | None = optional()
+    cost: Cost | None = optional()
+    curve: Curve | None = optional()
+    clearance: Clearance | None = optional("of the motion; older runs have none")

@@ -1,0 +1,82 @@
+"""scene.resolved.json: all that a plan used, what the scene left open settled, and all that stood in the cell."""
+
+from typing import Literal
+
+from pydantic import ConfigDict, Field
+
+from cell.run.json_table import JsonTable, OpenTable, Transform, Triple, optional
+from cell.scene.plan_settings import PlanKeys
+
+
+class ResolvedPart(JsonTable):
+    """The part as it was given."""
+
+    name: str = Field(description="of the built-in part or of the file")
+    units: str | None = Field(description="of the file; null for a built-in part")
+    sha256: str = Field(description="of the file")
+
+
+class ScannerKeys(OpenTable):
+    """The scanner: calling the class of its type with the other keys makes it again (docs/scanners.md)."""
+
+    type: str = Field(description="name of the plug-in")
+
+
+class ResolvedHousing(JsonTable):
+    """The scanner's body and the bracket between it and the flange."""
+
+    shape: Literal["box"] = "box"
+    size_mm: Triple = Field(description="along x, y, z of its own frame")
+    T_flange_housing: Transform = Field(description="its middle")
+    bracket_diameter_mm: float = Field(description="of the round bracket")
+
+
+class StandingFixture(JsonTable):
+    """Something fixed that stands in the cell: of the scene, or post, pedestal and floor."""
+
+    name: str = Field(description="of its own")
+    shape: Literal["box", "cylinder", "mesh", "plane"] = Field(description="what it is; a plane is endless")
+    size_mm: tuple[float, ...] = Field(description="box and mesh x, y, z; cylinder diameter and height; plane nothing")
+    pose: Transform = Field(description="of its middle in the frame it is attached to; of a mesh that of its file")
+    attached_to: Literal["base", "object"] = Field(description="frame that it moves with")
+    occludes: bool = Field(description="whether it stands in the way of rays")
+    built_in: bool = Field(description="whether it is post, pedestal or floor")
+    file: str | None = optional("the triangles of a mesh, mm, in the frame that it is attached to")
+
+
+class ResolvedPlan(PlanKeys):
+    """The scene's `[plan]`, its keys settled. Older runs lack some; they were planned with what is the default now."""
+
+    model_config = ConfigDict(extra="ignore", defer_build=True)
+
+    collision: Literal["hull", "decomposed", "exact"] = Field(
+        default="hull", description="what the part was to the collision check; older runs do not say it: its hull"
+    )
+    planning_faces: int | None = Field(default=None, description="of planning.ply, what came out for `faces`")
+    sphere_radius_mm: float | None = Field(default=None, description="of the view sphere")
+
+
+class ResolvedScene(JsonTable):
+    """The file."""
+
+    units: str = "transforms are 4x4 in metres; other lengths in mm, angles in deg, as their names say"
+    part: ResolvedPart
+    T_base_object: Transform = Field(description="the part's file in base")
+    T_object_centre: Transform = Field(description="the middle of its bounding box in the object frame")
+    T_flange_scanner: Transform = Field(description="the scanner frame in the flange frame")
+    scanner: ScannerKeys
+    planning_resolution_deg: float = Field(description="between rays that fill the matrix, with `fill` 'rays'")
+    housing: ResolvedHousing
+    fixtures: tuple[StandingFixture, ...] = Field(description="all that stands in the cell")
+    # The built-in home is whole numbers, and the file keeps what the scene has.
+    home_deg: tuple[int | float, ...] = Field(description="joint angles at which the motion begins and ends")
+    joint_limits_deg: tuple[tuple[float, float], ...] = Field(description="lower and upper of each axis")
+    joint_velocity_limits_deg_s: tuple[float, ...] = Field(description="of each axis at full speed")
+    joint_acceleration_limits_deg_s2: tuple[float, ...] = Field(description="of each axis")
+    joint_jerk_limits_deg_s3: tuple[float | None, ...] | None = Field(
+        default=None, description="of each axis, null: not limited; older runs have none, and no limit"
+    )
+    speed_scaling: float = Field(description="fraction of the speeds that the motion was timed with")
+    acceleration_scaling: float = Field(description="fraction of the accelerations and jerks")
+    clearance_mm: float = Field(description="that everything keeps from everything else")
+    plan: ResolvedPlan
