@@ -6,7 +6,7 @@ The command line's narrator is `cell.commands.terminal`; whoever calls from Pyth
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from planner.ports import Progress
 
@@ -14,6 +14,7 @@ log = logging.getLogger(__name__)
 log.addHandler(logging.NullHandler())  # without a run.log, Python would print each warning on stderr
 
 
+@runtime_checkable
 class Narrator(Protocol):
     """What the work tells while it goes on."""
 

@@ -42,22 +42,15 @@ def plan(
     ] = False,
 ) -> None:
     """Plan the views that measure a part: which, whether the robot reaches them, in which order, along which motion."""
+    from cell import api
     from cell.commands.terminal import Terminal
-    from cell.plan import report
-    from cell.plan.pipeline import plan as run_plan
+    from cell.plan.report import table
 
     terminal = Terminal(quiet_stdout=as_json)
-    outcome = run_plan(
-        scene_of(scene, part, spell=flag, **wishes),
-        scene_path=scene,
-        out=out,
-        argv=sys.argv[1:],
-        use_cache=not no_cache,
-        narrator=terminal,
-    )
+    checked = scene_of(scene, part, spell=flag, **wishes)
+    run = api.plan(checked, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:])
     if as_json:
-        sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(run.as_json(), indent=2, allow_nan=False) + "\n")
     else:
-        rows = [*report.table(outcome.summary), ("run folder", str(outcome.folder))]
-        terminal.pairs(f"View plan of {outcome.summary.part.name}", rows)
-    raise typer.Exit(outcome.exit_code)
+        terminal.pairs(f"View plan of {run.report.part.name}", [*table(run.report), ("run folder", str(run.folder))])
+    raise typer.Exit(run.exit_code)

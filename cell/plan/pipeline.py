@@ -7,11 +7,9 @@ next one starts.
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-
-from pydantic import JsonValue
 
 from cell import scanners
 from cell.errors import FileError
@@ -27,7 +25,7 @@ from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
 from cell.plan.summary import plan_report
 from cell.plan.view_plan import ConnectedPlan
-from cell.run.folder import SCHEMA, RunFolder
+from cell.run.folder import RunFolder
 from cell.run.plan_json import Promise
 from cell.run.report_json import Curve, Report
 from cell.scene import doubts
@@ -35,30 +33,6 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanOutcome:
-    """What a finished `cell plan` leaves.
-
-    Attributes:
-        folder: the run folder.
-        exit_code: 0, or 3 where the plan stays below the required coverage.
-        summary: the content of report.json.
-    """
-
-    folder: Path
-    exit_code: int
-    summary: Report
-
-    def as_json(self) -> dict[str, JsonValue]:
-        """The object that `--json` prints: report.json, and where and how the run ended."""
-        ended: dict[str, JsonValue] = {
-            "schema": SCHEMA,
-            "exit_code": self.exit_code,
-            "run_folder": str(self.folder),
-        }
-        return ended | self.summary.as_json()
 
 
 def plan(
@@ -70,7 +44,7 @@ def plan(
     argv: Sequence[str],
     use_cache: bool,
     narrator: Narrator,
-) -> PlanOutcome:
+) -> Path:
     """Plan and write the run folder.
 
     Args:
@@ -81,6 +55,9 @@ def plan(
         argv: for the manifest.
         use_cache: whether matrices may be taken from and left in the cache.
         narrator: is told what goes on.
+
+    Returns:
+        The run folder.
 
     Raises:
         CellError: with one sentence and the exit code; the run folder keeps what was finished, its status and stage.
@@ -98,12 +75,12 @@ def plan(
             plan_files.write_scene(folder, scene_path)
             scanner = scanners.make(scene.scanner.type, settings.scanner)
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
-            report, exit_code = _steps(run, Job(scene, part, settings, scanner))
-        return PlanOutcome(folder.finish(exit_code), exit_code, report)
+            exit_code = _steps(run, Job(scene, part, settings, scanner))
+        return folder.finish(exit_code)
 
 
-def _steps(run: Run, job: Job) -> tuple[Report, int]:
-    """Steps 2 to 9 and the report; returns that and the exit code."""
+def _steps(run: Run, job: Job) -> int:
+    """Steps 2 to 9 and the report; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface, candidates = steps.sample_surface(run, job)
     cell = steps.compile_cell(run, job, surface)
     reached = steps.reach_candidates(run, job, cell, candidates)
@@ -119,7 +96,7 @@ def _steps(run: Run, job: Job) -> tuple[Report, int]:
         plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)
         run.drawing.finish(run.folder)
-    return report, 3 if _below(run.narrator, report) else 0
+    return 3 if _below(run.narrator, report) else 0
 
 
 def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[Promise | None, Curve | None]:

@@ -1,0 +1,165 @@
+"""The front door for Python; the command line goes through it.
+
+    from cell.api import open_run, plan, scan
+
+    run = plan("part.stl", units="mm", place=(1200, 500, 0), coverage=0.99)
+    run.T_base_scanner, run.q, run.coverage.visible, run.bound, run.folder
+    execution = scan(run)
+    execution.mesh, execution.deviation
+    run = open_run("sim_runs/20261121T030106Z-1f0c2a9b")
+
+What the command line offers as `--max-views 8` is the keyword `max_views=8` here. Arrays are in metres and radians;
+a name that ends in a unit (`_mm`, `_deg`) is in that unit. Nothing is printed: notes are logged under `cell.narrator`.
+Errors are `cell.errors.CellError`, one sentence each. Importing this module imports nothing heavy; that is why the
+functions import what they need themselves.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from cell.narrator import Narrator
+    from cell.part.workpiece import Workpiece
+    from cell.run.executed import ExecutedRun
+    from cell.run.planned import PlannedRun
+    from cell.scan.options import ScanOptions
+    from cell.scan.safety import Ask
+    from cell.scene.scene import Scene
+
+Progress = Callable[[str, int, int], None]
+"""Told `(stage, done, total)` while work goes on; what it raises ends the work. A stage begins with (0, 0)."""
+
+__all__ = ["Progress", "open_run", "plan", "scan"]
+
+
+def plan(
+    part: "str | Path | trimesh.Trimesh | Scene | None" = None,
+    *,
+    scene: "str | Path | None" = None,
+    out: "str | Path | None" = None,
+    use_cache: bool = True,
+    progress: "Progress | Narrator | None" = None,
+    argv: Sequence[str] = (),
+    **wishes: object,
+) -> "PlannedRun":
+    """Plan the views that measure a part, and write a run folder.
+
+    Args:
+        part: mesh file or built-in part by name; a mesh in memory (`units` says in what its numbers are); or a whole
+            checked scene. None takes the scene's part.
+        scene: scene file (TOML); None is the built-in scene.
+        out: run folder to make; None makes one below sim_runs/.
+        use_cache: whether measurability matrices are taken from and left in the user's cache.
+        progress: told how far the work is; None works in silence.
+        argv: kept in the manifest beside the options.
+        **wishes: options of `cell plan` by name, as Python values: `place=(1200, 500, 0)`, `standoff=300`,
+            `coverage=0.99`, `max_views=8`, `pin=[3, 17]`.
+
+    Returns:
+        The finished plan. `exit_code` is 3 where it stays below a coverage that was asked for.
+
+    Raises:
+        CellError: in one sentence; the run folder keeps what was finished.
+    """
+    from cell.plan import pipeline
+    from cell.run.planned import open_run as opened
+
+    checked, workpiece = _scene(part, scene, wishes)
+    folder = pipeline.plan(
+        checked,
+        part=workpiece,
+        scene_path=None if scene is None else Path(scene),
+        out=None if out is None else Path(out),
+        argv=argv,
+        use_cache=use_cache,
+        narrator=_narrator(progress),
+    )
+    return opened(folder)
+
+
+def scan(
+    run: "PlannedRun | str | Path",
+    options: "ScanOptions | None" = None,
+    *,
+    progress: "Progress | Narrator | None" = None,
+    argv: Sequence[str] = (),
+    ask: "Ask | None" = None,
+    **wishes: object,
+) -> "ExecutedRun":
+    """Execute a plan on a controller, scan at every view, merge, make the surface and measure its deviation.
+
+    Args:
+        run: a finished plan, or its folder.
+        options: as one value; None makes it of the wishes.
+        progress: told how far the work is; None works in silence.
+        argv: kept in the manifest beside the options.
+        ask: puts a question to a person, for real controllers; None where nobody is there: `confirm_motion=True` is
+            then the word that an arm may move.
+        **wishes: options of `cell scan` by name: `driver="modbus://192.168.1.10"`, `resolution=0.5`, `seed=7`.
+
+    Returns:
+        The execution. `exit_code` is 3 where it stays below the coverage that the plan requires.
+
+    Raises:
+        CellError: in one sentence; the execution's folder keeps the scans that were taken.
+    """
+    from cell.run.executed import open_execution
+    from cell.scan import scan as execution
+    from cell.scan.options import ScanOptions
+    from cell.scene.option import read
+
+    wanted = read(ScanOptions, wishes) if options is None else options
+    outcome = execution.scan(_folder(run), wanted, argv=argv, narrator=_narrator(progress), ask=ask)
+    return open_execution(outcome.folder)
+
+
+def open_run(folder: "str | Path") -> "PlannedRun":
+    """A run folder of `cell plan`, as `plan` returned it.
+
+    Raises:
+        FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
+    """
+    from cell.run.planned import open_run as opened
+
+    return opened(Path(folder))
+
+
+def _scene(
+    part: "str | Path | trimesh.Trimesh | Scene | None", path: "str | Path | None", wishes: dict[str, object]
+) -> "tuple[Scene, Workpiece | None]":
+    """The checked scene, and the part where it is no file's."""
+    from cell.errors import UsageError
+    from cell.scene.options import BUILT_IN, scene_of
+    from cell.scene.scene import Scene
+
+    if isinstance(part, Scene):
+        if wishes:
+            raise UsageError(
+                f"{', '.join(wishes)} beside a whole Scene: a Scene says all of it; set them there, or give a scene "
+                "file in its place"
+            )
+        return part, None
+    file = None if path is None else Path(path)
+    if part is None or isinstance(part, str | Path):
+        return scene_of(file, part, **wishes), None
+    from cell.part import workpiece
+
+    units = wishes.pop("units", None)
+    name = Path(str(part.metadata.get("file_name") or "mesh")).stem
+    loaded = workpiece.from_arrays(
+        "mesh" if name in BUILT_IN else name, part.vertices, part.faces, None if units is None else str(units)
+    )
+    return scene_of(file, **wishes), loaded
+
+
+def _folder(run: "PlannedRun | str | Path") -> Path:
+    return Path(run) if isinstance(run, str | Path) else run.folder
+
+
+def _narrator(progress: "Progress | Narrator | None") -> "Narrator":
+    from cell.narrator import Narrator, Quiet
+
+    return progress if isinstance(progress, Narrator) else Quiet(progress)

@@ -1,0 +1,109 @@
+"""An execution as one value: what `cell.api.scan` returns. Object frame, metres where no name says otherwise."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cell.run import ply
+from cell.run.json_table import JsonTable, parsed
+from cell.run.record import RunRecord, artefact, read_manifest, understood
+from planner.ports import Floats
+from planner.surface.mesh import TriangleMesh
+from planner.values import readonly
+
+
+class AchievedCoverage(JsonTable):
+    """What the executed views measured, beside what was predicted; fractions of the surface's area."""
+
+    visible: float = Field(description="measured by at least one executed pose")
+    predicted: float = Field(description="what the plan predicted of the views that were executed")
+    sampled: float = Field(description="with a scan point near by")
+    sampled_radius_mm: float = Field(description="how near")
+
+
+class Deviation(JsonTable):
+    """Distance of the measured surface from the part, positive outside."""
+
+    rms_mm: float = Field(description="root mean square over the measured area")
+    mean_mm: float = Field(description="mean over the measured area")
+    quantile_95_mm: float = Field(description="95 % of the measured area is not farther off")
+    largest_mm: float = Field(description="largest distance")
+
+
+class ExecutionReport(JsonTable):
+    """What the Python API gives of an execution's report.json."""
+
+    complete: bool = Field(description="whether every view that was asked for has a scan")
+    n_views: int = Field(description="scans")
+    n_points: int = Field(description="points of all scans")
+    coverage: AchievedCoverage
+    deviation: Deviation | None = Field(description="of the surface from the part; null where there is none")
+
+
+@dataclass(frozen=True, eq=False)  # no slots: what is read later is kept
+class ExecutedRun:
+    """An execution with its report.
+
+    Attributes:
+        record: its folder below the run's.
+        report: of its report.json.
+    """
+
+    record: RunRecord
+    report: ExecutionReport
+
+    @property
+    def folder(self) -> Path:
+        """executions/<id> of the run folder."""
+        return self.record.folder
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 3 where a whole execution stays below the coverage that the plan requires."""
+        return int(self.record.manifest["exit_code"])
+
+    @property
+    def coverage(self) -> AchievedCoverage:
+        """What was measured."""
+        return self.report.coverage
+
+    @property
+    def deviation(self) -> Deviation | None:
+        """Distance of the measured surface from the part; None where there is no surface."""
+        return self.report.deviation
+
+    @cached_property
+    def mesh(self) -> TriangleMesh | None:
+        """The surface made from the points; None where there is none."""
+        return _mesh(self._ply("mesh.ply")) if self.record.has("mesh.ply") else None
+
+    @cached_property
+    def points(self) -> Floats:
+        """(N, 3) points of the merged cloud."""
+        return readonly("points", _places(self._ply("cloud.ply")["vertex"]), (None, 3))
+
+    def _ply(self, name: str) -> dict[str, NDArray[np.void]]:
+        with understood(self.folder / name):
+            return ply.elements(artefact(self.record, name))
+
+
+def open_execution(folder: Path) -> ExecutedRun:
+    """An execution's folder.
+
+    Raises:
+        FileError: if it is missing or damaged.
+    """
+    record = RunRecord(folder, read_manifest(folder / "manifest.json"))
+    return ExecutedRun(record, parsed(ExecutionReport, artefact(record, "report.json"), folder / "report.json"))
+
+
+def _places(vertices: NDArray[np.void]) -> Floats:
+    return np.stack([vertices[axis] for axis in "xyz"], axis=1) / 1000.0
+
+
+def _mesh(read: dict[str, NDArray[np.void]]) -> TriangleMesh:
+    return TriangleMesh(_places(read["vertex"]), read["face"]["vertex_indices"])

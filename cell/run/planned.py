@@ -1,0 +1,107 @@
+"""A finished plan as one value: what `cell.api.plan` returns, and what `cell.api.open_run` makes of its folder."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from pydantic import JsonValue
+
+from cell.errors import FileError
+from cell.run import reader
+from cell.run.folder import SCHEMA
+from cell.run.json_table import parsed
+from cell.run.plan_json import Coverage, PlanFile
+from cell.run.record import RunRecord, artefact
+from cell.run.record import open_run as open_record
+from cell.run.report_json import Report
+from planner.ports import Floats
+from planner.surface.mesh import TriangleMesh
+from planner.timing.motion import Motion
+from planner.values import Ints, readonly
+
+
+@dataclass(frozen=True, eq=False)  # no slots: what is read later is kept
+class PlannedRun:
+    """A finished plan; views in visiting order, arrays in metres and radians.
+
+    Attributes:
+        record: the run folder.
+        plan: plan.json.
+        report: report.json.
+    """
+
+    record: RunRecord
+    plan: PlanFile
+    report: Report
+
+    @property
+    def folder(self) -> Path:
+        """The run folder."""
+        return self.record.folder
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 3 where the plan stays below a coverage that was asked for."""
+        return int(self.record.manifest["exit_code"])
+
+    @property
+    def coverage(self) -> Coverage:
+        """What the views measure; `visible` and `coverable` are fractions of the surface."""
+        return self.plan.coverage
+
+    @property
+    def bound(self) -> int:
+        """No plan of these candidates and samples needs fewer views."""
+        return self.plan.lower_bound
+
+    @cached_property
+    def candidate(self) -> Ints:
+        """(n,) candidate of each view, row of viewpoints.npz."""
+        return readonly("id", [view.id for view in self.plan.views], (None,), np.int64)
+
+    @cached_property
+    def q(self) -> Floats:
+        """(n, 6) joint set-points of the views [rad], KUKA signs."""
+        return readonly("q", [view.q for view in self.plan.views], (None, 6))
+
+    @cached_property
+    def T_base_scanner(self) -> Floats:
+        """(n, 4, 4) scanner in the base frame [m]; of a sweep its middle pose."""
+        return readonly("T_base_scanner", [view.T_base_scanner for view in self.plan.views], (None, 4, 4))
+
+    @cached_property
+    def T_object_scanner(self) -> Floats:
+        """(n, 4, 4) scanner in the part's own frame [m]; of a sweep its middle pose."""
+        return readonly("T_object_scanner", [view.T_object_scanner for view in self.plan.views], (None, 4, 4))
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The timed motion from home to home."""
+        return reader.motion(self.record)
+
+    @cached_property
+    def reference(self) -> TriangleMesh:
+        """The part [m], in the axes of its file."""
+        return reader.mesh(self.record, "reference.ply")
+
+    def as_json(self) -> dict[str, JsonValue]:
+        """The object that `cell plan --json` prints: report.json, and where and how the run ended."""
+        ended: dict[str, JsonValue] = {"schema": SCHEMA, "exit_code": self.exit_code, "run_folder": str(self.folder)}
+        return ended | self.report.as_json()
+
+
+def open_run(folder: Path) -> PlannedRun:
+    """A run folder of `cell plan`.
+
+    Raises:
+        FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
+    """
+    record = open_record(folder)
+    if not record.finished:
+        raise FileError(f"{folder} has no finished plan: the run {record.ended}; plan again")
+    return PlannedRun(
+        record,
+        parsed(PlanFile, artefact(record, "plan.json"), folder / "plan.json"),
+        parsed(Report, artefact(record, "report.json"), folder / "report.json"),
+    )

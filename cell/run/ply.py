@@ -1,0 +1,36 @@
+"""The binary PLY files of a run folder read back: exactly the numbers that were written, nothing merged."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uchar": "u1"}
+
+
+def elements(content: bytes) -> dict[str, NDArray[np.void]]:
+    """Its elements as structured arrays, by name; triangles are `vertex_indices` of a face.
+
+    Args:
+        content: of a little-endian binary PLY whose faces are triangles.
+
+    Raises:
+        ValueError: if it is none, or header and length differ.
+    """
+    header, found, body = content.partition(b"end_header\n")
+    kinds: dict[str, list[tuple[str, str] | tuple[str, str, int]]] = {}
+    counts: dict[str, int] = {}
+    for line in header.decode("ascii").splitlines():
+        match line.split():
+            case ["element", name, count]:
+                kinds[name], counts[name] = [], int(count)
+            case ["property", "list", _, kind, name]:
+                kinds[list(kinds)[-1]] += [("corners", "u1"), (name, _TYPES[kind], 3)]
+            case ["property", kind, name]:
+                kinds[list(kinds)[-1]].append((name, _TYPES[kind]))
+    arrays, at = {}, 0
+    for name, fields in kinds.items():
+        kind = np.dtype(fields)
+        arrays[name] = np.frombuffer(body[at : at + counts[name] * kind.itemsize], dtype=kind)
+        at += counts[name] * kind.itemsize
+    if not found or at != len(body):
+        raise ValueError("its header and its length differ")
+    return arrays
