@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from cell.errors import FileError, UsageError
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
+from cell.run.cell import kinematics_of
 from cell.run.record import RunRecord, arrays, artefact, open_run, understood
-from cell.scan.scene import kinematics_of
 from planner.path.sweeps.line import rotation_vectors
 from planner.ports import Floats, JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps

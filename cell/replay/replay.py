@@ -21,8 +21,8 @@ from cell.replay.offscreen import require_backend
 from cell.replay.show import Show
 from cell.replay.timeline import Timeline
 from cell.run import reader as run_reader
+from cell.run.executions import read_execution
 from cell.run.record import RunRecord, open_run, understood
-from cell.scan.execution_reader import read_execution
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,13 @@ import numpy as np
 
 from cell.reconstruction.deviation import Deviation
 from cell.reconstruction.reconstruct import REACH, Reconstruction
+from cell.run.cell import RunCell
 from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason
 from cell.scan.pose_error import difference
-from cell.scan.scene import ScanScene
 
 
 def execution_summary(
-    scene: ScanScene,
+    cell: RunCell,
     options: Mapping[str, Any],
     seed: int,
     plan: Mapping[str, Any],
@@ -30,7 +30,7 @@ def execution_summary(
     """Everything that the report says, as JSON types; fractions of area, mm and deg as the names say.
 
     Args:
-        scene: part and scanner.
+        cell: part and scanner.
         options: of the execution, from its manifest.
         seed: of noise and pose error.
         plan: content of plan.json.
@@ -49,7 +49,7 @@ def execution_summary(
     coverable = float(plan["coverage"]["coverable"])
     registration = merged.registration
     return {
-        "part": {"name": scene.part_name, "faces": len(scene.reference.faces)},
+        "part": {"name": cell.part_name, "faces": len(cell.reference.faces)},
         "complete": not missing and not left_out,
         "missing_views": missing,
         "left_out": list(left_out),
@@ -57,9 +57,9 @@ def execution_summary(
             **{name: options.get(name) for name in ("driver", "view", "range_noise_mm", "pose_error_mm")},
             **{name: options.get(name) for name in ("pose_error_deg", "register", "close_holes")},
             "noise": options.get("noise", "none"),
-            "scanner": scene.scanner_parameters["type"],
-            "resolution_deg": list(scene.scanner_parameters.get("resolution_deg", [])),
-            "rays_per_scan": scene.scanner.grid_shape[0] * scene.scanner.grid_shape[1],
+            "scanner": cell.scanner_parameters["type"],
+            "resolution_deg": list(cell.scanner_parameters.get("resolution_deg", [])),
+            "rays_per_scan": cell.scanner.grid_shape[0] * cell.scanner.grid_shape[1],
             "seed": seed,
         },
         "n_views": len(scans),
@@ -95,7 +95,7 @@ def execution_summary(
             "closed_faces": int(model.closed.sum()),
             "spacing_mm": _mm(model.spacing),
             "reach_mm": _mm(REACH * model.spacing),
-            "diagonal_mm": _mm(scene.reference.diagonal),
+            "diagonal_mm": _mm(cell.reference.diagonal),
             "grid_mm": _mm(model.grid),
             "outliers": model.outliers,
             "holes": model.holes,

@@ -20,9 +20,9 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import occluder_triangles
 from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
+from cell.run.cell import read_cell
 from cell.run.record import RunRecord, open_run, understood
 from cell.run.world import world_of
-from cell.scan import scene as scan_scene
 from cell.why import files as why_files
 from cell.why.answer import Answer, Group, Patch
 from cell.why.changes import Changes, one_caster
@@ -77,7 +77,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
     """The whole on one screen."""
     with narrator.stage("read the run"):
         resolved = run_reader.resolved_scene(run)
-        scene = scan_scene.load(run)
+        scene = read_cell(run)
         candidates = _as_executed(run)
         fails, blockers = _failing(run, len(candidates))
         world = world_of(run, resolved, scene.reference)

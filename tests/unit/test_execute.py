@@ -14,15 +14,15 @@ import pytest
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.kinematics import Kr16Kinematics
+from cell.run.cell import RunCell
+from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
 from cell.run.record import RunRecord
 from cell.scan import driver as scan_driver
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_reader import read_scan
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
-from cell.scan.scene import ScanScene
 from cell.scanners.laser_area import LaserArea
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
@@ -52,7 +52,7 @@ def _tour(counts=(1, 2, 1), home_points=2, seed=0) -> Motion:
     return retime(via, np.repeat(np.arange(len(legs) + 1), [1, *legs]), view, LIMITS)
 
 
-def _scene() -> ScanScene:
+def _scene() -> RunCell:
     """A ball of 60 mm about the middle of the scanner's range at home, and an occluder far away."""
     import trimesh
 
@@ -63,7 +63,7 @@ def _scene() -> ScanScene:
     mesh = TriangleMesh(ball.vertices, ball.faces)
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     scanner = LaserArea(resolution_deg=(3.0, 3.0))
-    return ScanScene(
+    return RunCell(
         "ball", mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), EmbreeRayCaster(away.vertices, away.faces),
         scanner, scanner.parameters(), kinematics, T_base_object, np.eye(4), 0.5, 0.0,
     )  # fmt: skip

@@ -11,8 +11,8 @@ import trimesh
 
 from cell.errors import FileError
 from cell.run import reader as run_reader
+from cell.run.executions import execution_ids, read_execution
 from cell.run.record import open_run
-from cell.scan.execution_reader import execution_ids, read_execution
 
 Blob = Callable[[int], trimesh.Trimesh]
 

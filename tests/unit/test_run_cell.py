@@ -12,10 +12,9 @@ from cell.errors import FileError, UsageError
 from cell.part import workpiece
 from cell.plan import files as plan_files
 from cell.rays.occluders import occluder_triangles
+from cell.run.cell import _occluders, read_cell
 from cell.run.folder import RunFolder
 from cell.run.record import RunRecord, open_run
-from cell.scan import scene as scan_scene
-from cell.scan.scene import _occluders
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
@@ -98,7 +97,7 @@ def test_what_occludes_is_what_occluded_the_plan(written: tuple[RunRecord, World
 def test_scanner_and_poses_are_the_plans(written: tuple[RunRecord, World]) -> None:
     """Same law, and the pose at a configuration is forward kinematics through mount and placement."""
     run, world = written
-    scene = scan_scene.load(run)
+    scene = read_cell(run)
     assert scene.scanner.parameters() == dict(scene.scanner_parameters)
     import mujoco
 
@@ -116,9 +115,9 @@ def test_scanner_and_poses_are_the_plans(written: tuple[RunRecord, World]) -> No
 def test_the_resolution_can_be_another(written: tuple[RunRecord, World]) -> None:
     """The grid follows; a resolution that leaves no ray is refused by the option's name."""
     run, _ = written
-    assert scan_scene.load(run, 3.0).scanner.grid_shape == (20, 20)
+    assert read_cell(run, 3.0).scanner.grid_shape == (20, 20)
     with pytest.raises(UsageError, match="--resolution 150"):
-        scan_scene.load(run, 150.0)
+        read_cell(run, 150.0)
 
 
 def test_a_changed_cell_is_refused(written: tuple[RunRecord, World], tmp_path: Path) -> None:
@@ -130,4 +129,4 @@ def test_a_changed_cell_is_refused(written: tuple[RunRecord, World], tmp_path: P
     text = (copy / "cell.xml").read_text()
     (copy / "cell.xml").write_text(text.replace("scan_cell", "scam_cell"))
     with pytest.raises(FileError, match="changed or damaged"):
-        scan_scene.load(open_run(copy))
+        read_cell(open_run(copy))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScanScene:
+class RunCell:
     """Part, surroundings and scanner of a run.
 
     Attributes:
@@ -71,7 +71,7 @@ class ScanScene:
         return T
 
 
-def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
+def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
     """Read the scene of a run.
 
     Args:
@@ -102,7 +102,7 @@ def load(run: RunRecord, resolution_deg: float | None = None) -> ScanScene:
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
     if max_sigma_mm is not None:
         scanner = Limited(scanner, float(max_sigma_mm) / 1000)  # what the plan does not count, the scan does not take
-    return ScanScene(
+    return RunCell(
         part_name=name,
         reference=reference,
         planning=run_reader.mesh(run, "planning.ply"),
