@@ -18,7 +18,7 @@ from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.registration import Registration, register
 from cell.run.cell import RunCell
 from cell.run.executions import RecordedExecution, RecordedScan
-from cell.run.reader import RecordedView
+from cell.run.reader import RecordedPlan, RecordedView
 from cell.run.record import file_bytes, understood
 from planner.measurability import coverage
 from planner.measurability import matrix as measurability
@@ -211,8 +211,7 @@ class Achieved:
 
 def achieved(
     scans: Sequence[ExecutedScan],
-    planned: Sequence[RecordedView],
-    planned_visible: float,
+    plan: RecordedPlan,
     cloud: PointCloud,
     cell: RunCell,
     plan_seed: int,
@@ -221,17 +220,16 @@ def achieved(
 
     Args:
         scans: of one execution.
-        planned: the plan's views in visiting order.
-        planned_visible: what the plan predicted for all of them, fraction.
+        plan: its views, and what was predicted for all of them.
         cloud: merged scans.
         cell: part, surroundings and scanner.
         plan_seed: seed of the plan, from which its held-out samples were drawn.
     """
     samples = held_out(cell.reference, cell.planning, plan_seed)
     measured = _measured([scan.T_true_poses for scan in scans], samples, cell)
-    predicted = planned_visible
-    if sorted(scan.stop for scan in scans) != list(range(1, len(planned) + 1)):
-        poses = [planned[scan.stop - 1].T_object_poses for scan in scans]
+    predicted = plan.visible
+    if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
+        poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
         predicted = _share(_measured(poses, samples, cell), samples)
     radius = coverage.sampling_radius(cell.reference)
     faces = len(cell.planning.faces)

@@ -8,6 +8,7 @@ import numpy as np
 from cell.reconstruction.deviation import Deviation
 from cell.reconstruction.reconstruct import REACH, Reconstruction
 from cell.run.cell import RunCell
+from cell.run.reader import RecordedPlan
 from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason
 from cell.scan.pose_error import difference
 
@@ -16,7 +17,7 @@ def execution_summary(
     cell: RunCell,
     options: Mapping[str, Any],
     seed: int,
-    plan: Mapping[str, Any],
+    plan: RecordedPlan,
     scans: Sequence[ExecutedScan],
     expected: Sequence[int],
     left_out: Sequence[str],
@@ -33,7 +34,7 @@ def execution_summary(
         cell: part and scanner.
         options: of the execution, from its manifest.
         seed: of noise and pose error.
-        plan: content of plan.json.
+        plan: what was predicted.
         scans: that could be read.
         expected: stops that were to be scanned.
         left_out: a sentence for each file that could not be used.
@@ -46,10 +47,9 @@ def execution_summary(
     """
     there = {scan.stop for scan in scans}
     missing = [stop for stop in expected if stop not in there]
-    coverable = float(plan["coverage"]["coverable"])
     registration = merged.registration
     return {
-        "part": {"name": cell.part_name, "faces": len(cell.reference.faces)},
+        "part": {"name": cell.scene.part_name, "faces": len(cell.reference.faces)},
         "complete": not missing and not left_out,
         "missing_views": missing,
         "left_out": list(left_out),
@@ -63,14 +63,14 @@ def execution_summary(
             "seed": seed,
         },
         "n_views": len(scans),
-        "n_views_planned": len(plan["views"]),
+        "n_views_planned": len(plan.views),
         "n_points": len(merged.cloud),
         "coverage": {
             "visible": achieved.visible,
             "predicted": achieved.predicted,
-            "predicted_all_views": plan["coverage"]["visible"],
-            "coverable": coverable,
-            "visible_of_coverable": achieved.visible / coverable if coverable > 0 else 0.0,
+            "predicted_all_views": plan.visible,
+            "coverable": plan.coverable,
+            "visible_of_coverable": achieved.visible / plan.coverable if plan.coverable > 0 else 0.0,
             "sampled": achieved.sampled,
             "sampled_radius_mm": _mm(achieved.radius),
         },

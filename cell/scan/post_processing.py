@@ -20,11 +20,13 @@ from cell.run import process
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
 from cell.run.executions import RecordedExecution, read_execution
+from cell.run.reader import RecordedPlan
+from cell.run.record import open_finished
 from cell.scan import execute, execution_report
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
+from cell.scan.execution_results import Achieved, ExecutedScan, achieved, merged, scan_name, usable
 from cell.scan.execution_summary import execution_summary
-from cell.scan.work import ScanOutcome, Work, finished_plan
+from cell.scan.work import ScanOutcome, Work
 from planner.timing.motion import Motion
 
 _DEVIATION = 12
@@ -42,7 +44,7 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     Raises:
         CellError: with one sentence and the exit code.
     """
-    run = finished_plan(run_folder)
+    run = open_finished(run_folder)
     recorded = read_execution(run, execution)
     ended = str(recorded.manifest.get("status", "running"))
     if ended == "running" and process.lives(recorded.manifest):
@@ -79,8 +81,8 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
     seed, options = int(folder.manifest.get("seed", run.manifest["seed"])), folder.manifest.get("options", {})
 
     with work.step("merge"):
-        views = run_reader.views(run)
-        scans, left_out = usable(recorded, views)
+        plan = run_reader.plan(run)
+        scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
         nearest = NearestSurface(cell.reference)
         cloud = merged(scans, nearest, registered=bool(options.get("register")))
@@ -96,8 +98,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
             folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed))
 
     with work.step("measure"):
-        plan = run_reader.plan_json(run)
-        reached = achieved(scans, views, plan["coverage"]["visible"], cloud.cloud, cell, int(run.manifest["seed"]))
+        reached = achieved(scans, plan, cloud.cloud, cell, int(run.manifest["seed"]))
         off = None
         if model.mesh is not None:
             off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
@@ -123,7 +124,9 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
     return summary
 
 
-def _draw(folder: ExecutionFolder, cell: RunCell, plan: Any, scans: Sequence[ExecutedScan], reached: Any) -> None:
+def _draw(
+    folder: ExecutionFolder, cell: RunCell, plan: RecordedPlan, scans: Sequence[ExecutedScan], reached: Achieved
+) -> None:
     """Part and views, and the cover curve; nothing to draw without a scan."""
     if not scans:
         folder.remove("views.png")
@@ -142,10 +145,9 @@ def _draw(folder: ExecutionFolder, cell: RunCell, plan: Any, scans: Sequence[Exe
         fov_rad=np.radians(drawn_opening_deg(cell.scanner_parameters)),
         numbers=[scan.stop for scan in scans],
     )
-    coverable = float(plan["coverage"]["coverable"])
     pictures.cover_curve(
-        folder.path / "cover.png", marginal_area=reached.largest_first, coverable=coverable, total=1.0,
-        lower_bound=int(plan["lower_bound"]),
+        folder.path / "cover.png", marginal_area=reached.largest_first, coverable=plan.coverable, total=1.0,
+        lower_bound=plan.lower_bound,
     )  # fmt: skip
     folder.adopt("views.png")
     folder.adopt("cover.png")
@@ -160,4 +162,4 @@ def _adopt(folder: ExecutionFolder, scans: Sequence[ExecutedScan]) -> None:
 def exit_code_of(summary: dict[str, Any], cell: RunCell) -> int:
     """3 where a whole execution stays below the coverage that the plan requires, else 0."""
     whole = summary["settings"]["view"] is None
-    return 3 if whole and summary["coverage"]["visible"] < cell.required_visible else 0
+    return 3 if whole and summary["coverage"]["visible"] < cell.scene.required_visible else 0

@@ -15,7 +15,7 @@ from cell.run import process
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
 from cell.run.executions import RecordedExecution, read_execution
-from cell.run.record import RunRecord, understood
+from cell.run.record import RunRecord, open_finished, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, safety
 from cell.scan.execute import Legs
@@ -25,7 +25,7 @@ from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
-from cell.scan.work import ScanOutcome, Work, finished_plan
+from cell.scan.work import ScanOutcome, Work
 from drivers.clock import Clock
 from drivers.contract import Driver
 from drivers.errors import DriverError
@@ -52,17 +52,12 @@ def scan(
     Raises:
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
     """
-    run = finished_plan(run_folder)
-    motion = run_reader.motion(run)
-    if any("sweep" in view for view in run_reader.plan_json(run)["views"]) and not (motion.pose > 0).any():
-        raise UsageError(
-            f"the views of {run_folder} are sweeps, and its motion holds only their first poses, as earlier versions "
-            "planned them; plan again"
-        )
+    run = open_finished(run_folder)
+    motion = run_reader.driven_motion(run)
     legs = execute.legs_of(motion, options.view)
     cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else int(run.manifest["seed"])
-    driver, clock = scan_driver.prepare(options, motion, cell.speed, factory.of_run(run))
+    driver, clock = scan_driver.prepare(options, motion, cell.scene.speed, factory.of_run(run))
     kept = options.kept() | {"scanner": dict(cell.scanner_parameters)}
     with ExitStack() as connected:
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
@@ -99,7 +94,7 @@ def resume(
     Raises:
         CellError: with one sentence and the exit code; the execution keeps what it has.
     """
-    run = finished_plan(run_folder)
+    run = open_finished(run_folder)
     recorded = read_execution(run, execution)
     scans, left_out = usable(recorded, run_reader.views(run))
     begun = resumable(run, recorded)
@@ -112,7 +107,7 @@ def resume(
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
-    driver, clock = scan_driver.prepare(settled, motion, cell.speed, factory.of_run(run))
+    driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed, factory.of_run(run))
     with ExitStack() as connected:
         with _drivers_errors_as_ours():
             connected.enter_context(driver)
@@ -162,7 +157,7 @@ def _told(rest: Rest, done: int) -> Iterator[str]:
 
 def _allowed_speed(driver: Driver, options: ScanOptions, cell: RunCell, ask: safety.Ask | None) -> float:
     """The speed to drive at, once a person has agreed to it where steel moves."""
-    speed = safety.speed_fraction(options.speed_percent, cell.speed, hardware=driver.capabilities.hardware)
+    speed = safety.speed_fraction(options.speed_percent, cell.scene.speed, hardware=driver.capabilities.hardware)
     safety.require_confirmed(driver, speed, confirmed=options.confirm_motion, ask=ask)
     return speed
 

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,8 +65,9 @@ def _scene() -> RunCell:
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     scanner = LaserArea(resolution_deg=(3.0, 3.0))
     return RunCell(
-        "ball", mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), EmbreeRayCaster(away.vertices, away.faces),
-        scanner, scanner.parameters(), kinematics, T_base_object, np.eye(4), 0.5, 0.0,
+        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
+        mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
+        scanner, scanner.parameters(), kinematics,
     )  # fmt: skip
 
 
@@ -192,7 +194,7 @@ def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> No
     assert (from_rad(scan.q_reported) - from_rad(scan.q_commanded) == 7).all()
     T = scan.stored["T_object_scanner"]
     T_base_scanner = scene.kinematics.forward(np.asarray(scan.q_reported)[None])[0]
-    np.testing.assert_allclose(scene.T_base_object @ T, T_base_scanner, atol=1e-12)
+    np.testing.assert_allclose(scene.scene.T_base_object @ T, T_base_scanner, atol=1e-12)
     assert (scan.stored["T_object_scanner_true"] == T).all()
 
 
@@ -274,7 +276,6 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
     motion, clock = _tour(), SimulatedClock()
     with open_driver("sim://", Context(clock=clock, limits=kr16())) as driver:
         scene = _scene()
-        object.__setattr__(scene, "speed", 1.0)
         seconds = execute.run(
             execute.legs_of(motion), driver, scene, Disturbance(), folder, seed=0, speed=1.0, clock=clock
         )  # fmt: skip

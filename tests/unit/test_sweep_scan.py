@@ -3,6 +3,7 @@
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -54,8 +55,9 @@ def scene() -> RunCell:
     mesh = TriangleMesh(ball.vertices, ball.faces)
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     return RunCell(
-        "ball", mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), EmbreeRayCaster(away.vertices, away.faces),
-        SCANNER, SCANNER.parameters(), KINEMATICS, T_base_object, np.eye(4), 1.0, 0.0,
+        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
+        mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
+        SCANNER, SCANNER.parameters(), KINEMATICS,
     )  # fmt: skip
 
 
