@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from cell.errors import FileError, UsageError
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
-from cell.run.record import RunRecord, arrays, artefact, open_run, understood
-from cell.scan.scene import kinematics_of
+from cell.run.cell import read_scene
+from cell.run.record import artefact, open_finished, understood
 from planner.path.sweeps.line import rotation_vectors
 from planner.ports import Floats, JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
@@ -152,37 +152,26 @@ def load(run_folder: Path, name: str | None) -> Program:
         UsageError: if the name is none in KRL.
         FileError: if the run is not finished, has no motion, or a file of it is missing, changed or damaged.
     """
-    run = open_run(run_folder)
-    if not run.finished:
-        raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
+    run = open_finished(run_folder)
     if name is not None:
         check_name(name)
     digest = hashlib.sha256(artefact(run, "plan.json")).hexdigest()
-    motion = run_reader.motion(run)
+    motion = run_reader.driven_motion(run)
     if len(motion.via_q) < 2 or not (motion.view >= 0).any():
         raise FileError(
             f"{run_folder} holds no motion: its motion.npz visits no view, so there is nothing to export; plan again"
         )
-    if any("sweep" in view for view in run_reader.plan_json(run)["views"]) and not (motion.pose > 0).any():
-        raise FileError(
-            f"the views of {run_folder} are sweeps, and its motion holds only their first poses, as earlier versions "
-            "planned them; plan again"
-        )
-    resolved = run_reader.resolved_scene(run)
-    with understood(run.folder / "scene.resolved.json"):
-        part = str(resolved["part"]["name"])
-        speed, acceleration = float(resolved["speed_scaling"]), float(resolved["acceleration_scaling"])
-    clearance, between = _nearest(run)
+    scene = read_scene(run)
+    clearance, between = run_reader.nearest(run)
     folder = run_folder.resolve().name
     told = Told(
         name=name if name is not None else _name_of(folder, digest),
-        part=part, run=folder, plan_sha256=digest, speed=speed, acceleration=acceleration, clearance=clearance,
-        between=between,
+        part=scene.part_name, run=folder, plan_sha256=digest, speed=scene.speed, acceleration=scene.acceleration,
+        clearance=clearance, between=between,
     )  # fmt: skip
-    T_flange_tcp = run_reader.transform(run, resolved, "T_flange_scanner")
-    return of_motion(
-        motion, kinematics_of(run), T_flange_tcp, run_reader.transform(run, resolved, "T_base_object"), told
-    )
+    with understood(run.folder / "cell.xml"):
+        kinematics = Kr16Kinematics.from_model(run_reader.cell_model(run))
+    return of_motion(motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
 
 
 def of_motion(
@@ -289,14 +278,3 @@ def _name_of(folder: str, digest: str) -> str:
     except UsageError:
         return f"scan_{digest[:8]}"
     return folder
-
-
-def _nearest(run: RunRecord) -> tuple[float, str]:
-    """Smallest clearance along the motion [m] and between what."""
-    stored: dict[str, Any] = arrays(run, "motion.npz")
-    with understood(run.folder / "motion.npz"):
-        clearance = np.asarray(stored["minimum_clearance"], dtype=np.float64)
-        if not np.isfinite(clearance).any():
-            return float("nan"), ""
-        leg = int(np.nanargmin(clearance))
-        return float(clearance[leg]), str(stored["between"][leg])

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from cell.errors import FileError
-from cell.run.record import RunRecord, artefact
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord
 from drivers.plant import Plant, PlantFactory
 from planner.ports import Floats
 
@@ -32,18 +32,10 @@ def of_run(
     """
 
     def mujoco(start: Floats) -> Plant:
-        import mujoco
-
         from cell.plant import tool
         from cell.plant.mujoco_plant import MujocoPlant
 
-        text = artefact(run, "cell.xml").decode("utf-8", errors="replace")
-        try:
-            model = mujoco.MjModel.from_xml_string(text)
-        except ValueError as error:
-            reason = " ".join(str(error).split())[:160]
-            raise FileError(f"{run.folder / 'cell.xml'} is damaged: {reason}; plan again") from error
-        return MujocoPlant(start, tool.of_model(model), settings, observer)
+        return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), settings, observer)
 
     return {"mujoco": mujoco}
 

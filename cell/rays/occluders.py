@@ -6,9 +6,9 @@ the convex hull that collides. Arm and scanner move and are left out; `arm_trian
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.model import LINKS
 from cell.world.world import World
+from planner.ports import Floats
+from planner.surface.mesh import TriangleMesh
 from planner.values import Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
-
-Floats = NDArray[np.float64]
 
 _SIDES = 48  # of a prism around a cylinder: its corners stand off by 0.2 % of the radius
 _FLOOR_HALF = 10.0  # m
@@ -42,64 +42,80 @@ class Occluder(Value):
 
     Attributes:
         name: what a reader calls it.
-        vertices: (V, 3) [m], in the frame that the caller asked for.
+        vertices: (V, 3) [m], object frame where nothing else is said.
         faces: (F, 3) int32, outward.
-        attached_to: what it stands still with: "base" or "object".
     """
 
     name: str
     vertices: Annotated[Floats, "V 3"]
     faces: Annotated[NDArray[np.int32], "F 3"]
-    attached_to: Literal["base", "object"]
 
 
-def occluder_triangles(
-    world: World, T_base_object: ArrayLike | None = None, *, frame: Literal["base", "object"] = "object"
-) -> list[Occluder]:
-    """Post, pedestal, floor and the fixtures that occlude.
+def occluder_triangles(world: World, T_base_object: ArrayLike | None = None) -> tuple[Occluder, ...]:
+    """Post, pedestal, floor and the fixtures that occlude, object frame.
 
     Args:
         world: the compiled scene.
         T_base_object: (4, 4) placement [m]; None is the scene's.
-        frame: in which the vertices are given.
     """
     T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
-    scene, model, floor = world.scene, world.model, world.floor
-    found: list[Occluder] = []
-    top = world.post_top(T)
-    if scene.post.enabled and top[2] > floor:
+    glass = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
+    return standing_triangles(world.data(T), T, world.fixture_meshes, glass)
+
+
+def standing_triangles(
+    data: mujoco.MjData, T_base_object: Floats, meshes: Mapping[str, TriangleMesh], glass: Collection[str]
+) -> tuple[Occluder, ...]:
+    """The same of a compiled model, whoever compiled it: everything that is neither robot nor part.
+
+    Args:
+        data: a state of the model with part and post at the placement, kinematics up to date.
+        T_base_object: (4, 4) the placement [m].
+        meshes: true triangles of the mesh fixtures by name [m], in the frame of the body that their hulls are on.
+        glass: names of the fixtures that hide nothing.
+    """
+    import mujoco
+
+    model = data.model
+    pieces: list[tuple[str, Floats, NDArray[np.int32]]] = []
+    floor = float(model.geom("floor").pos[2])
+    top = data.body("post").xpos
+    if model.body("post").geomnum[0] and top[2] > floor:
         # No longer than to the floor, unlike its collision shape.
-        vertices, faces = prism(scene.post.diameter_mm / 2000.0, float(top[2] - floor))
-        middle = np.array([top[0], top[1], (top[2] + floor) / 2])
-        found.append(Occluder("post", vertices + middle, faces, "base"))
-    hidden = {fixture.name for fixture in scene.fixtures if not fixture.occludes}
-    attached = {fixture.name: fixture.attached_to for fixture in scene.fixtures}
-    data = world.data(T)
-    for geom, name in enumerate(world.entities):
-        if name in (*LINKS, "housing", "bracket", "part", "post", "floor") or name in hidden:
+        vertices, faces = prism(float(model.geom("post").size[0]), float(top[2] - floor))
+        pieces.append(("post", vertices + np.array([top[0], top[1], (top[2] + floor) / 2]), faces))
+    part = model.body("object").id
+    for geom in np.flatnonzero((model.geom_bodyid == 0) | (model.geom_bodyid == part)):
+        name = model.geom(geom).name
+        if name == "floor" or name in glass:
             continue
-        if name in world.fixture_meshes:
-            mesh = world.fixture_meshes[name]
-            vertices = np.array(mesh.vertices)
-            if attached[name] == "object":
-                vertices = vertices @ T[:3, :3].T + T[:3, 3]
-            found.append(Occluder(name, vertices, mesh.faces, attached[name]))
+        if name in meshes:
+            vertices, faces = meshes[name].vertices, meshes[name].faces
+            if model.geom_bodyid[geom] == part:
+                vertices = vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3]
+        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            continue  # the part
         else:
-            found.append(Occluder(name, *_shape(model, data, geom), attached.get(name, "base")))
-    found.append(Occluder("floor", *floor_square(floor), "base"))
-    if frame == "base":
-        return found
-    to_object = np.linalg.inv(T)
-    return [
-        Occluder(o.name, o.vertices @ to_object[:3, :3].T + to_object[:3, 3], o.faces, o.attached_to) for o in found
-    ]
+            vertices, faces = _shape(model, data, int(geom))
+        pieces.append((name, vertices, faces))
+    pieces.append(("floor", *floor_square(floor)))
+    to_object = np.linalg.inv(T_base_object)
+    return tuple(Occluder(name, v @ to_object[:3, :3].T + to_object[:3, 3], faces) for name, v, faces in pieces)
 
 
-def caster_of(pieces: Sequence[Occluder]) -> EmbreeRayCaster:
-    """One ray caster over several pieces, at least one."""
+def caster_of(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = None) -> EmbreeRayCaster:
+    """One ray caster over several pieces, at least one.
+
+    Args:
+        pieces: in one frame.
+        T: (4, 4) from their frame to that of the rays [m]; None leaves them where they are.
+    """
     first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
-    return EmbreeRayCaster(np.concatenate([piece.vertices for piece in pieces]), np.concatenate(faces))
+    faces = np.concatenate([piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)])
+    vertices = np.concatenate([piece.vertices for piece in pieces])
+    if T is not None:
+        vertices = vertices @ T[:3, :3].T + T[:3, 3]
+    return EmbreeRayCaster(vertices, faces.astype(np.int32))
 
 
 def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
@@ -119,9 +135,7 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     mujoco.mj_kinematics(world.model, data)
     names = (*LINKS, "bracket") if ends is None else (*LINKS, "bracket", "housing")
     pieces = [
-        Occluder(name, *_shape(world.model, data, geom), "base")
-        for geom, name in enumerate(world.entities)
-        if name in names
+        Occluder(name, *_shape(world.model, data, geom)) for geom, name in enumerate(world.entities) if name in names
     ]
     if ends is None:
         return pieces

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import Occluder, arm_triangles
+from cell.rays.occluders import arm_triangles, caster_of
 from cell.rays.prediction import Prediction
 from cell.world.world import World
 from planner.measurability.matrix import Measurability, measured
@@ -125,7 +125,8 @@ class OwnArm:
     def _hidden_by(self, view: int, q: Floats, rows: Indices) -> tuple[str, ...]:
         """Names of the arm's shapes that hide any of the samples."""
         pieces = arm_triangles(self._world, q, _ends(self._scanner))
-        hiding = [p.name for p in pieces if not self._past(view, _caster([p], self._world), rows).all()]
+        to_object = np.linalg.inv(self._world.T_base_object)
+        hiding = [p.name for p in pieces if not self._past(view, caster_of([p], to_object), rows).all()]
         return tuple(dict.fromkeys(hiding))  # a link may have several shapes
 
     def _free(self, view: int, q: Floats, rows: Indices) -> NDArray[np.bool_]:
@@ -161,7 +162,7 @@ def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scann
         corners = (piece.vertices @ to_scanner[:3, :3].T + to_scanner[:3, 3])[piece.faces]
         if ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1).any():
             near.append(piece)
-    return _caster(near, world) if near else None
+    return caster_of(near, np.linalg.inv(world.T_base_object)) if near else None
 
 
 def visible_with_arm(prediction: Prediction, T_object_scanner: Floats, arms: Sequence[RayCaster | None]) -> float:
@@ -183,11 +184,3 @@ def _without(M: Measurability, view: int, rows: Indices) -> Measurability:
 
 def _ends(scanner: Scanner) -> Floats:
     return np.stack([scanner.source, scanner.sensor])
-
-
-def _caster(pieces: Sequence[Occluder], world: World) -> EmbreeRayCaster:
-    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
-    to_object = np.linalg.inv(world.T_base_object)
-    vertices = np.concatenate([piece.vertices for piece in pieces])
-    return EmbreeRayCaster(vertices @ to_object[:3, :3].T + to_object[:3, 3], np.concatenate(faces).astype(np.int32))

@@ -8,9 +8,9 @@ frame = base frame, metres.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +18,9 @@ from cell import scanners
 from cell.errors import FileError
 from cell.replay.look import add_mesh, light, paint, part_pieces, show_surface
 from cell.robot import model as robot
-from cell.run.record import RunRecord, artefact, understood
+from cell.run import reader as run_reader
+from cell.run.cell import RecordedScene
+from cell.run.record import RunRecord, understood
 from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
@@ -80,8 +82,8 @@ class Theatre:
 
 def dress(
     run: RunRecord,
-    scene: Mapping[str, Any],
-    reference: TriangleMesh | None,
+    scene: RecordedScene,
+    reference: TriangleMesh,
     clouds: Sequence[Floats] = (),
     size: tuple[int, int] = (960, 720),
 ) -> Theatre:
@@ -89,58 +91,43 @@ def dress(
 
     Args:
         run: a run folder that holds cell.xml.
-        scene: its resolved scene.
-        reference: the part, object frame [m]; None shows the checked hull.
+        scene: its scene.
+        reference: the part, object frame [m].
         clouds: points of each scan, (P, 3) object frame [m].
         size: (width, height) of the largest picture [pixels].
 
     Raises:
         FileError: if cell.xml is missing, changed, or is no model of this robot.
     """
-    import mujoco
-
-    path = run.folder / "cell.xml"
-    text = artefact(run, "cell.xml").decode("utf-8", errors="replace")
-    try:
-        spec = mujoco.MjSpec.from_string(text)
-    except ValueError as error:
-        raise FileError(f"{path} is damaged: {' '.join(str(error).split())[:160]}; plan again") from error
+    spec = run_reader.cell_spec(run)
     missing = [name for name in ("object", "housing", "link_6") if spec.body(name) is None]
     if missing or spec.geom("part") is None:
-        raise FileError(f"{path} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again")
+        raise FileError(
+            f"{run.folder / 'cell.xml'} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again"
+        )
+    centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
     with understood(run.folder / "scene.resolved.json"):
-        T_flange_scanner = readonly("T_flange_scanner", scene["T_flange_scanner"], (4, 4))
-        T_base_object = readonly("T_base_object", scene["T_base_object"], (4, 4))
-        centre = (T_base_object @ readonly("T_object_centre", scene["T_object_centre"], (4, 4)))[:3, 3]
-        clearance = float(scene["clearance_mm"]) / 1000.0
-        exact = scene.get("plan", {}).get("collision") == "exact"
-        scanner = scene["scanner"]
-        opening = np.radians(scanners.drawn_opening_deg(scanner))
-        corners = frustum(*opening, *(np.array(scanner.get("range_mm", _DRAWN_RANGE_MM)) / 1000.0))
-
+        opening = np.radians(scanners.drawn_opening_deg(scene.scanner))
+        corners = frustum(*opening, *(np.array(scene.scanner.get("range_mm", _DRAWN_RANGE_MM)) / 1000.0))
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
     entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)
     light(spec, centre, size)
-    shown = reference if reference is not None else _hull(spec)
-    radius = shown.diagonal / 2
-    if reference is not None:
-        show_surface(spec, reference)
+    radius = reference.diagonal / 2
+    show_surface(spec, reference)
     add_mesh(spec, "frustum", corners)
     add_mesh(spec, "glyph", _pyramid(GLYPH_SHARE * corners.vertices[4:]))
     for number, points in enumerate(clouds):
         if len(points):
             add_mesh(spec, f"cloud_{number}", _specks(points, 0.010 * radius))
-    try:
+    with run_reader.compiles(run):
         model = spec.compile()
-    except ValueError as error:
-        raise FileError(f"{path} cannot be shown: {' '.join(str(error).split())[:160]}; plan again") from error
     mesh_of = {model.mesh(number).name: number for number in range(model.nmesh)}
     return Theatre(
         model=model,
         home=robot.home(model),
-        T_flange_scanner=T_flange_scanner,
-        T_base_object=T_base_object,
+        T_flange_scanner=scene.T_flange_scanner,
+        T_base_object=scene.T_base_object,
         centre=centre,
         part_radius=radius,
         frustum_mesh=mesh_of["frustum"],
@@ -148,8 +135,8 @@ def dress(
         frustum_corners=corners.vertices,
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
-        clearance=clearance,
-        part_tree=_tree(reference) if reference is not None and exact else None,
+        clearance=scene.clearance,
+        part_tree=_tree(reference) if scene.collision == "exact" else None,
     )
 
 
@@ -184,17 +171,6 @@ def _tree(part: TriangleMesh) -> TriangleTree:
     from cell.world.triangle_tree import TriangleTree  # its kernels load numba
 
     return TriangleTree(part)
-
-
-def _hull(spec: mujoco.MjSpec) -> TriangleMesh:
-    """The part as it was checked: its hull, or all of its pieces."""
-    vertices, faces, count = [], [], 0
-    for piece in part_pieces(spec):
-        mesh = spec.mesh(piece.meshname)
-        vertices.append(np.asarray(mesh.uservert, dtype=np.float64).reshape(-1, 3) + piece.pos)
-        faces.append(np.asarray(mesh.userface, dtype=np.int32).reshape(-1, 3) + count)
-        count += len(vertices[-1])
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
 
 
 def _specks(points: Floats, size: float) -> TriangleMesh:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.replay import marks
-from cell.replay.closest import Closest, add_closest
+from cell.replay.closest import add_closest, shown_at
 from cell.replay.model import Theatre
 from cell.replay.timeline import Timeline
 from cell.robot import model as robot
+from cell.run.reader import Tightest
 from planner.ports import Floats
 from planner.values import readonly
 
@@ -42,7 +43,7 @@ class Show:
         timeline: Timeline,
         T_base_candidate: Floats | None = None,
         reachable: np.ndarray[tuple[int], np.dtype[np.bool_]] | None = None,
-        closest: Closest | None = None,
+        closest: Tightest | None = None,
     ) -> None:
         """Work out the poses.
 
@@ -107,7 +108,7 @@ class Show:
         elif self.timeline.stops:
             marks.add_glyph(scene, self.theatre, self._scanner_now())
         marks.add_touches(scene, touching)
-        if self.closest is not None and self.closest.shown_at(t):
+        if self.closest is not None and shown_at(self.closest, t):
             add_closest(scene, self.closest)
 
     def draw_tour(self, scene: mujoco.MjvScene, t: float) -> None:
@@ -144,7 +145,7 @@ class Show:
         else:
             where = "home" if t >= self.timeline.duration else "to home"
         text = f"{where}   {self.timeline.moved(t):.1f} s"
-        tight = [f"tightest: {self.closest.sentence}"] if self.closest is not None and self.closest.shown_at(t) else []
+        tight = [f"tightest: {self.closest.sentence}"] if self.closest is not None and shown_at(self.closest, t) else []
         return "   ".join([text, *tight, *(touch.sentence for touch in touching)])
 
     def camera(self, aspect: float, times: Sequence[float] | None = None) -> mujoco.MjvCamera:

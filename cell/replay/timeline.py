@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.scan.execution_reader import RecordedExecution, RecordedScan
+from cell.run.executions import RecordedExecution, RecordedScan
 from planner.ports import Floats
 from planner.timing.motion import Motion
 from planner.values import readonly

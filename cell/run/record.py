@@ -89,6 +89,18 @@ def open_run(folder: Path) -> RunRecord:
     return RunRecord(folder, manifest)
 
 
+def open_finished(folder: Path) -> RunRecord:
+    """Open the run folder of a finished plan.
+
+    Raises:
+        FileError: if there is none, or the plan did not finish.
+    """
+    run = open_run(folder)
+    if not run.finished:
+        raise FileError(f"{folder} has no finished plan: the run {run.ended}; plan again")
+    return run
+
+
 def arrays(run: RunRecord, name: str) -> dict[str, NDArray[Any]]:
     """The arrays of an .npz artefact.
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.errors import DriverFailureError, FileError, UsageError
+from cell.run.cell import RunCell
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.pose_error import Disturbance
-from cell.scan.scene import ScanScene
 from cell.scan.sweep_scan import scan_of
 from drivers.clock import Clock
 from drivers.commands import Move, Result
@@ -122,7 +122,7 @@ def legs_of(motion: Motion, stop: int | None = None) -> Legs:
 def run(
     legs: Legs,
     driver: Driver,
-    scene: ScanScene,
+    cell: RunCell,
     disturbance: Disturbance,
     folder: ExecutionFolder,
     *,
@@ -136,7 +136,7 @@ def run(
     Args:
         legs: what to drive.
         driver: connected.
-        scene: part, surroundings and scanner.
+        cell: part, surroundings and scanner.
         disturbance: noise and pose error.
         folder: where scans and events go.
         seed: of the disturbance.
@@ -179,7 +179,7 @@ def run(
                 after = legs.legs[number].stop if number < len(legs.legs) else 0
                 if after != leg.stop:
                     name = f"{leg.stop:04d}.npz"
-                    points = scan_and_write(looks, scene, disturbance, folder, name, seed)
+                    points = scan_and_write(looks, cell, disturbance, folder, name, seed)
                     looks = []
                     say("scan", stop=leg.stop, view=leg.view, file=f"scans/{name}", points=points)
             if progress:
@@ -197,7 +197,7 @@ def run(
 
 def scan_and_write(
     looks: Sequence[tuple[Leg, Floats]],
-    scene: ScanScene,
+    cell: RunCell,
     disturbance: Disturbance,
     folder: ExecutionFolder,
     name: str,
@@ -208,7 +208,7 @@ def scan_and_write(
     Args:
         looks: the view's leg, or those of all poses of its sweep in driving order, and the (6,) joint angles that the
             controller reported at the end of each [rad].
-        scene: part, surroundings and scanner.
+        cell: part, surroundings and scanner.
         disturbance: noise and pose error.
         folder: where the scan goes.
         name: its file.
@@ -218,9 +218,9 @@ def scan_and_write(
     middle = int(order[len(looks) // 2])
     reported = np.stack([q for _, q in looks])
     commanded = np.stack([to_rad(each.set_points[-1]) for each, _ in looks])
-    T_reported = np.stack([scene.scanner_pose(q) for q in reported])
+    T_reported = np.stack([cell.scanner_pose(q) for q in reported])
     T_true, points, scans = scan_of(
-        T_reported, scene, disturbance, [seed, POSE, leg.stop], np.random.default_rng([seed, NOISE, leg.stop])
+        T_reported, cell, disturbance, [seed, POSE, leg.stop], np.random.default_rng([seed, NOISE, leg.stop])
     )
     rays = len(scans[0].codes)
     rows, columns = scans[0].grid_shape

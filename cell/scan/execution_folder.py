@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run import process
+from cell.run.executions import FOLDER
 from cell.run.folder import SCHEMA, RunFolder, json_text, versions
 from cell.run.record import RunRecord
-from cell.scan.execution_reader import FOLDER
 
 EVENTS = "events.jsonl"
 MOTION = "motion.npz"

@@ -16,10 +16,10 @@ from cell.rays.prediction import held_out
 from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
 from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.registration import Registration, register
-from cell.run.reader import RecordedView
+from cell.run.cell import RunCell
+from cell.run.executions import RecordedExecution, RecordedScan
+from cell.run.reader import RecordedPlan, RecordedView
 from cell.run.record import file_bytes, understood
-from cell.scan.execution_reader import RecordedExecution, RecordedScan
-from cell.scan.scene import ScanScene
 from planner.measurability import coverage
 from planner.measurability import matrix as measurability
 from planner.ports import Floats, Rejection
@@ -211,30 +211,28 @@ class Achieved:
 
 def achieved(
     scans: Sequence[ExecutedScan],
-    planned: Sequence[RecordedView],
-    planned_visible: float,
+    plan: RecordedPlan,
     cloud: PointCloud,
-    scene: ScanScene,
+    cell: RunCell,
     plan_seed: int,
 ) -> Achieved:
     """Measure coverage on the samples on which the plan predicted it.
 
     Args:
         scans: of one execution.
-        planned: the plan's views in visiting order.
-        planned_visible: what the plan predicted for all of them, fraction.
+        plan: its views, and what was predicted for all of them.
         cloud: merged scans.
-        scene: part, surroundings and scanner.
+        cell: part, surroundings and scanner.
         plan_seed: seed of the plan, from which its held-out samples were drawn.
     """
-    samples = held_out(scene.reference, scene.planning, plan_seed)
-    measured = _measured([scan.T_true_poses for scan in scans], samples, scene)
-    predicted = planned_visible
-    if sorted(scan.stop for scan in scans) != list(range(1, len(planned) + 1)):
-        poses = [planned[scan.stop - 1].T_object_poses for scan in scans]
-        predicted = _share(_measured(poses, samples, scene), samples)
-    radius = coverage.sampling_radius(scene.reference)
-    faces = len(scene.planning.faces)
+    samples = held_out(cell.reference, cell.planning, plan_seed)
+    measured = _measured([scan.T_true_poses for scan in scans], samples, cell)
+    predicted = plan.visible
+    if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
+        poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
+        predicted = _share(_measured(poses, samples, cell), samples)
+    radius = coverage.sampling_radius(cell.reference)
+    faces = len(cell.planning.faces)
     n_samples = np.bincount(samples.planning_face, minlength=faces)
     total = np.bincount(samples.planning_face, weights=measured.sum(axis=1), minlength=faces)
     order = _largest_first(measured)
@@ -249,12 +247,12 @@ def achieved(
     )
 
 
-def _measured(poses: Sequence[Floats], samples: SurfaceSamples, scene: ScanScene) -> NDArray[np.bool_]:
+def _measured(poses: Sequence[Floats], samples: SurfaceSamples, cell: RunCell) -> NDArray[np.bool_]:
     """(S, n) which sample is measured by which view, each with (K, 4, 4) poses."""
     if not poses:
         return np.zeros((len(samples), 0), dtype=np.bool_)
-    casters = (scene.part_caster, scene.occluder_caster)
-    return measurability.measured(np.stack(poses), samples, scene.scanner, casters, each=True)
+    casters = (cell.part_caster, cell.occluder_caster)
+    return measurability.measured(np.stack(poses), samples, cell.scanner, casters, each=True)
 
 
 def _share(measured: NDArray[np.bool_], samples: SurfaceSamples) -> float:

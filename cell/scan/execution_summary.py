@@ -7,16 +7,17 @@ import numpy as np
 
 from cell.reconstruction.deviation import Deviation
 from cell.reconstruction.reconstruct import REACH, Reconstruction
+from cell.run.cell import RunCell
+from cell.run.reader import RecordedPlan
 from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason
 from cell.scan.pose_error import difference
-from cell.scan.scene import ScanScene
 
 
 def execution_summary(
-    scene: ScanScene,
+    cell: RunCell,
     options: Mapping[str, Any],
     seed: int,
-    plan: Mapping[str, Any],
+    plan: RecordedPlan,
     scans: Sequence[ExecutedScan],
     expected: Sequence[int],
     left_out: Sequence[str],
@@ -30,10 +31,10 @@ def execution_summary(
     """Everything that the report says, as JSON types; fractions of area, mm and deg as the names say.
 
     Args:
-        scene: part and scanner.
+        cell: part and scanner.
         options: of the execution, from its manifest.
         seed: of noise and pose error.
-        plan: content of plan.json.
+        plan: what was predicted.
         scans: that could be read.
         expected: stops that were to be scanned.
         left_out: a sentence for each file that could not be used.
@@ -46,10 +47,9 @@ def execution_summary(
     """
     there = {scan.stop for scan in scans}
     missing = [stop for stop in expected if stop not in there]
-    coverable = float(plan["coverage"]["coverable"])
     registration = merged.registration
     return {
-        "part": {"name": scene.part_name, "faces": len(scene.reference.faces)},
+        "part": {"name": cell.scene.part_name, "faces": len(cell.reference.faces)},
         "complete": not missing and not left_out,
         "missing_views": missing,
         "left_out": list(left_out),
@@ -57,20 +57,20 @@ def execution_summary(
             **{name: options.get(name) for name in ("driver", "view", "range_noise_mm", "pose_error_mm")},
             **{name: options.get(name) for name in ("pose_error_deg", "register", "close_holes")},
             "noise": options.get("noise", "none"),
-            "scanner": scene.scanner_parameters["type"],
-            "resolution_deg": list(scene.scanner_parameters.get("resolution_deg", [])),
-            "rays_per_scan": scene.scanner.grid_shape[0] * scene.scanner.grid_shape[1],
+            "scanner": cell.scanner_parameters["type"],
+            "resolution_deg": list(cell.scanner_parameters.get("resolution_deg", [])),
+            "rays_per_scan": cell.scanner.grid_shape[0] * cell.scanner.grid_shape[1],
             "seed": seed,
         },
         "n_views": len(scans),
-        "n_views_planned": len(plan["views"]),
+        "n_views_planned": len(plan.views),
         "n_points": len(merged.cloud),
         "coverage": {
             "visible": achieved.visible,
             "predicted": achieved.predicted,
-            "predicted_all_views": plan["coverage"]["visible"],
-            "coverable": coverable,
-            "visible_of_coverable": achieved.visible / coverable if coverable > 0 else 0.0,
+            "predicted_all_views": plan.visible,
+            "coverable": plan.coverable,
+            "visible_of_coverable": achieved.visible / plan.coverable if plan.coverable > 0 else 0.0,
             "sampled": achieved.sampled,
             "sampled_radius_mm": _mm(achieved.radius),
         },
@@ -95,7 +95,7 @@ def execution_summary(
             "closed_faces": int(model.closed.sum()),
             "spacing_mm": _mm(model.spacing),
             "reach_mm": _mm(REACH * model.spacing),
-            "diagonal_mm": _mm(scene.reference.diagonal),
+            "diagonal_mm": _mm(cell.reference.diagonal),
             "grid_mm": _mm(model.grid),
             "outliers": model.outliers,
             "holes": model.holes,

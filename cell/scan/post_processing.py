@@ -18,14 +18,15 @@ from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import reconstruct
 from cell.run import process
 from cell.run import reader as run_reader
+from cell.run.cell import RunCell, read_cell
+from cell.run.executions import RecordedExecution, read_execution
+from cell.run.reader import RecordedPlan
+from cell.run.record import open_finished
 from cell.scan import execute, execution_report
-from cell.scan import scene as scan_scene
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_reader import RecordedExecution, read_execution
-from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
+from cell.scan.execution_results import Achieved, ExecutedScan, achieved, merged, scan_name, usable
 from cell.scan.execution_summary import execution_summary
-from cell.scan.scene import ScanScene
-from cell.scan.work import ScanOutcome, Work, finished_plan
+from cell.scan.work import ScanOutcome, Work
 from planner.timing.motion import Motion
 
 _DEVIATION = 12
@@ -43,7 +44,7 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     Raises:
         CellError: with one sentence and the exit code.
     """
-    run = finished_plan(run_folder)
+    run = open_finished(run_folder)
     recorded = read_execution(run, execution)
     ended = str(recorded.manifest.get("status", "running"))
     if ended == "running" and process.lives(recorded.manifest):
@@ -57,10 +58,10 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
         )
     folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
     options = folder.manifest.get("options", {})
-    scene = scan_scene.load(run, options.get("resolution_deg"))
+    cell = read_cell(run, options.get("resolution_deg"))
     # The status tells how the execution ended, not how its report did.
     status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.get("exit_code")
-    summary = results(Work(run, folder, narrator), scene, run_reader.motion(run), recorded)
+    summary = results(Work(run, folder, narrator), cell, run_reader.motion(run), recorded)
     for sentence in summary["left_out"]:
         narrator.note(sentence)
     if summary["missing_views"]:
@@ -70,20 +71,20 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
             "the report says what is there; cell scan --resume takes the others"
         )
         return ScanOutcome(folder.finish(exit_code, status), FileError.exit_code, summary)
-    code = exit_code_of(summary, scene)
+    code = exit_code_of(summary, cell)
     return ScanOutcome(folder.finish(code if ended == "finished" else exit_code, status), code, summary)
 
 
-def results(work: Work, scene: ScanScene, motion: Motion, recorded: RecordedExecution) -> dict[str, Any]:
+def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecution) -> dict[str, Any]:
     """Merge, reconstruct, measure and report what the execution has on disk; returns the summary."""
     run, folder = work.run, work.folder
     seed, options = int(folder.manifest.get("seed", run.manifest["seed"])), folder.manifest.get("options", {})
 
     with work.step("merge"):
-        views = run_reader.views(run)
-        scans, left_out = usable(recorded, views)
+        plan = run_reader.plan(run)
+        scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
-        nearest = NearestSurface(scene.reference)
+        nearest = NearestSurface(cell.reference)
         cloud = merged(scans, nearest, registered=bool(options.get("register")))
         folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop))
 
@@ -97,8 +98,7 @@ def results(work: Work, scene: ScanScene, motion: Motion, recorded: RecordedExec
             folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed))
 
     with work.step("measure"):
-        plan = run_reader.plan_json(run)
-        reached = achieved(scans, views, plan["coverage"]["visible"], cloud.cloud, scene, int(run.manifest["seed"]))
+        reached = achieved(scans, plan, cloud.cloud, cell, int(run.manifest["seed"]))
         off = None
         if model.mesh is not None:
             off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
@@ -108,12 +108,12 @@ def results(work: Work, scene: ScanScene, motion: Motion, recorded: RecordedExec
         # Of a resumed execution only the time of the last part is known.
         timed = bool(folder.manifest.get("simulated_time")) and not folder.manifest.get("resumed")
         summary = execution_summary(
-            scene, options, seed, plan, scans, [leg.stop for leg in legs.legs if leg.stop], left_out, cloud, reached,
+            cell, options, seed, plan, scans, [leg.stop for leg in legs.legs if leg.stop], left_out, cloud, reached,
             model, off, legs.planned_seconds, folder.manifest.get("moving_s") if timed else None,
         )  # fmt: skip
         folder.write_json("report.json", summary)
         folder.write_text("report.md", execution_report.markdown(summary))
-        _draw(folder, scene, plan, scans, reached)
+        _draw(folder, cell, plan, scans, reached)
         if model.mesh is None or off is None:
             folder.remove("deviation.png")
         else:
@@ -124,7 +124,9 @@ def results(work: Work, scene: ScanScene, motion: Motion, recorded: RecordedExec
     return summary
 
 
-def _draw(folder: ExecutionFolder, scene: ScanScene, plan: Any, scans: Sequence[ExecutedScan], reached: Any) -> None:
+def _draw(
+    folder: ExecutionFolder, cell: RunCell, plan: RecordedPlan, scans: Sequence[ExecutedScan], reached: Achieved
+) -> None:
     """Part and views, and the cover curve; nothing to draw without a scan."""
     if not scans:
         folder.remove("views.png")
@@ -136,17 +138,16 @@ def _draw(folder: ExecutionFolder, scene: ScanScene, plan: Any, scans: Sequence[
     poses = np.stack([scan.T_true for scan in scans])
     pictures.part_and_views(
         folder.path / "views.png",
-        vertices=scene.planning.vertices,
-        faces=scene.planning.faces,
+        vertices=cell.planning.vertices,
+        faces=cell.planning.faces,
         views_per_face=reached.views_per_face,
         T_object_scanner=poses,
-        fov_rad=np.radians(drawn_opening_deg(scene.scanner_parameters)),
+        fov_rad=np.radians(drawn_opening_deg(cell.scanner_parameters)),
         numbers=[scan.stop for scan in scans],
     )
-    coverable = float(plan["coverage"]["coverable"])
     pictures.cover_curve(
-        folder.path / "cover.png", marginal_area=reached.largest_first, coverable=coverable, total=1.0,
-        lower_bound=int(plan["lower_bound"]),
+        folder.path / "cover.png", marginal_area=reached.largest_first, coverable=plan.coverable, total=1.0,
+        lower_bound=plan.lower_bound,
     )  # fmt: skip
     folder.adopt("views.png")
     folder.adopt("cover.png")
@@ -158,7 +159,7 @@ def _adopt(folder: ExecutionFolder, scans: Sequence[ExecutedScan]) -> None:
         folder.adopt(f"scans/{scan_name(scan.stop)}")
 
 
-def exit_code_of(summary: dict[str, Any], scene: ScanScene) -> int:
+def exit_code_of(summary: dict[str, Any], cell: RunCell) -> int:
     """3 where a whole execution stays below the coverage that the plan requires, else 0."""
     whole = summary["settings"]["view"] is None
-    return 3 if whole and summary["coverage"]["visible"] < scene.required_visible else 0
+    return 3 if whole and summary["coverage"]["visible"] < cell.scene.required_visible else 0

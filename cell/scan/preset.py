@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from cell.errors import UsageError
-from cell.run import reader as run_reader
-from cell.run.record import RunRecord, understood
+from cell.run.cell import read_scene
+from cell.run.record import RunRecord
 from cell.scene.presets import DEFAULT, PRESETS, RAY_GRID
 from cell.scene.scene import Scanner
 
@@ -26,11 +26,9 @@ def resolution_deg(run: RunRecord, preset: str) -> float | None:
     """
     if preset not in PRESETS:
         raise UsageError(f"--preset is '{preset}'; valid are: {', '.join(PRESETS)}")
-    resolved = run_reader.resolved_scene(run)
-    with understood(run.folder / "scene.resolved.json"):
-        scanner = resolved["scanner"]
-        planned, own = str(resolved["plan"].get("preset", DEFAULT)), scanner["type"] == RAY_GRID
-        own = own and list(scanner["resolution_deg"]) == _angles(planned)
+    scene = read_scene(run)
+    planned = scene.preset or DEFAULT
+    own = scene.scanner["type"] == RAY_GRID and list(scene.scanner["resolution_deg"]) == _angles(planned)
     angle = float(_angles(preset)[0])
     return angle if own and angle != _angles(planned)[0] else None
 

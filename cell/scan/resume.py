@@ -12,8 +12,8 @@ import numpy as np
 
 from cell.errors import DriverFailureError
 from cell.run import reader as run_reader
+from cell.run.cell import world_of
 from cell.run.record import RunRecord
-from cell.run.world import world_of
 from cell.scan.execute import Leg, Legs, stands_at
 from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import RobotState
@@ -83,7 +83,7 @@ def _way(leg: Leg, state: RobotState, run: RunRecord, motion: Motion, seed: int)
             f"the arm stands at {text(state.axes)}, outside the joint range of the plan, where no way is checked; "
             "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
         )
-    world = world_of(run, run_reader.resolved_scene(run), run_reader.mesh(run, "reference.ply"))
+    world = world_of(run, run_reader.mesh(run, "reference.ply"))
     checker = MujocoCollisionChecker(world)
     goal = f"view {leg.stop}" if leg.stop else "home"
     found = path.connect(here, leg.via[-1], checker, motion.limits, np.random.default_rng([seed, leg.stop]))

@@ -13,20 +13,19 @@ from cell.narrator import Narrator
 from cell.plant import factory
 from cell.run import process
 from cell.run import reader as run_reader
-from cell.run.record import RunRecord, understood
+from cell.run.cell import RunCell, read_cell
+from cell.run.executions import RecordedExecution, read_execution
+from cell.run.record import RunRecord, open_finished, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, safety
-from cell.scan import scene as scan_scene
 from cell.scan.execute import Legs
 from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
-from cell.scan.execution_reader import RecordedExecution, read_execution
 from cell.scan.execution_results import usable
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
-from cell.scan.scene import ScanScene
-from cell.scan.work import ScanOutcome, Work, finished_plan
+from cell.scan.work import ScanOutcome, Work
 from drivers.clock import Clock
 from drivers.contract import Driver
 from drivers.errors import DriverError
@@ -53,28 +52,23 @@ def scan(
     Raises:
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
     """
-    run = finished_plan(run_folder)
-    motion = run_reader.motion(run)
-    if any("sweep" in view for view in run_reader.plan_json(run)["views"]) and not (motion.pose > 0).any():
-        raise UsageError(
-            f"the views of {run_folder} are sweeps, and its motion holds only their first poses, as earlier versions "
-            "planned them; plan again"
-        )
+    run = open_finished(run_folder)
+    motion = run_reader.driven_motion(run)
     legs = execute.legs_of(motion, options.view)
-    scene = scan_scene.load(run, options.resolution_deg)
+    cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else int(run.manifest["seed"])
-    driver, clock = scan_driver.prepare(options, motion, scene.speed, factory.of_run(run))
-    kept = options.kept() | {"scanner": dict(scene.scanner_parameters)}
+    driver, clock = scan_driver.prepare(options, motion, cell.scene.speed, factory.of_run(run))
+    kept = options.kept() | {"scanner": dict(cell.scanner_parameters)}
     with ExitStack() as connected:
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
-            speed = _allowed_speed(driver, options, scene, ask)
+            speed = _allowed_speed(driver, options, cell, ask)
             safety.ready(driver, reset=options.reset, stop_first=False)
             execute.require_drivable(legs, driver, speed)
         folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
         if options.view is not None:
             _write_motion(folder, legs.motion(motion))
-        return _executed(connected, Work(run, folder, narrator), legs, driver, clock, scene, motion, options, speed)
+        return _executed(connected, Work(run, folder, narrator), legs, driver, clock, cell, motion, options, speed)
 
 
 def resume(
@@ -100,36 +94,34 @@ def resume(
     Raises:
         CellError: with one sentence and the exit code; the execution keeps what it has.
     """
-    run = finished_plan(run_folder)
+    run = open_finished(run_folder)
     recorded = read_execution(run, execution)
     scans, left_out = usable(recorded, run_reader.views(run))
     begun = resumable(run, recorded)
     settled = begun.resumed(options or ScanOptions())
     motion = run_reader.motion(run)
-    scene = scan_scene.load(run, begun.resolution_deg)
+    cell = read_cell(run, begun.resolution_deg)
     seed = int(recorded.manifest["seed"])
     legs, done = execute.legs_of(motion, begun.view), {scan.stop for scan in scans}
     if recorded.manifest.get("status") == "finished" and done >= {leg.stop for leg in legs.legs if leg.stop}:
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
-    driver, clock = scan_driver.prepare(settled, motion, scene.speed, factory.of_run(run))
+    driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed, factory.of_run(run))
     with ExitStack() as connected:
         with _drivers_errors_as_ours():
             connected.enter_context(driver)
             if ask is None:  # nobody will agree later: leave the arm alone
-                _allowed_speed(driver, settled, scene, ask)
+                _allowed_speed(driver, settled, cell, ask)
             state = safety.ready(driver, reset=settled.reset, stop_first=True)
             rest = rest_of(legs, done, state, run, motion, seed)
             for sentence in _told(rest, len(done)):
                 narrator.note(sentence)
-            speed = _allowed_speed(driver, settled, scene, ask)  # whoever agrees has read which way the arm goes
+            speed = _allowed_speed(driver, settled, cell, ask)  # whoever agrees has read which way the arm goes
             execute.require_drivable(rest.legs, driver, speed)
         folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
         folder.resume(list(argv), settled.driver)
-        return _executed(
-            connected, Work(run, folder, narrator), rest.legs, driver, clock, scene, motion, settled, speed
-        )
+        return _executed(connected, Work(run, folder, narrator), rest.legs, driver, clock, cell, motion, settled, speed)
 
 
 def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
@@ -163,9 +155,9 @@ def _told(rest: Rest, done: int) -> Iterator[str]:
         )
 
 
-def _allowed_speed(driver: Driver, options: ScanOptions, scene: ScanScene, ask: safety.Ask | None) -> float:
+def _allowed_speed(driver: Driver, options: ScanOptions, cell: RunCell, ask: safety.Ask | None) -> float:
     """The speed to drive at, once a person has agreed to it where steel moves."""
-    speed = safety.speed_fraction(options.speed_percent, scene.speed, hardware=driver.capabilities.hardware)
+    speed = safety.speed_fraction(options.speed_percent, cell.scene.speed, hardware=driver.capabilities.hardware)
     safety.require_confirmed(driver, speed, confirmed=options.confirm_motion, ask=ask)
     return speed
 
@@ -176,7 +168,7 @@ def _executed(
     legs: Legs,
     driver: Driver,
     clock: Clock,
-    scene: ScanScene,
+    cell: RunCell,
     motion: Motion,
     options: ScanOptions,
     speed: float,
@@ -188,12 +180,12 @@ def _executed(
     with work.step(EXECUTING) as progress, driver:
         folder.note(controller=driver.capabilities.controller, speed_fraction=round(speed, 6))
         seconds = execute.run(
-            legs, driver, scene, Disturbance.of(options), folder, seed=int(folder.manifest["seed"]), speed=speed,
+            legs, driver, cell, Disturbance.of(options), folder, seed=int(folder.manifest["seed"]), speed=speed,
             clock=clock, progress=progress,
         )  # fmt: skip
         folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
-    summary = results(work, scene, motion, read_execution(work.run, folder.path.name))
-    code = exit_code_of(summary, scene)
+    summary = results(work, cell, motion, read_execution(work.run, folder.path.name))
+    code = exit_code_of(summary, cell)
     return ScanOutcome(folder.finish(code), code, summary)
 
 

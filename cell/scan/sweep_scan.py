@@ -15,8 +15,8 @@ import numpy as np
 
 from cell.rays import virtual_scan
 from cell.rays.virtual_scan import Scan
+from cell.run.cell import RunCell
 from cell.scan.pose_error import Disturbance
-from cell.scan.scene import ScanScene
 from planner.path.sweeps.line import rotation_vectors, rotations
 from planner.ports import Floats
 
@@ -56,7 +56,7 @@ def line_poses(T: Floats, each: int) -> Floats:
 
 
 def scan_of(
-    T_reported: Floats, scene: ScanScene, disturbance: Disturbance, pose_seed: Sequence[int], noise: np.random.Generator
+    T_reported: Floats, cell: RunCell, disturbance: Disturbance, pose_seed: Sequence[int], noise: np.random.Generator
 ) -> tuple[Floats, Floats, list[Scan]]:
     """Scan from one pose, or along a sweep.
 
@@ -64,7 +64,7 @@ def scan_of(
 
     Args:
         T_reported: (K, 4, 4) poses that the controller reports, in driving order [m].
-        scene: part, surroundings and scanner.
+        cell: part, surroundings and scanner.
         disturbance: noise and pose error.
         pose_seed: of the pose error.
         noise: randomness of the points.
@@ -80,8 +80,8 @@ def scan_of(
     points, scans = [np.empty((0, 3))], []
     for T in lines:
         T_true = true_of(T)
-        seen = virtual_scan.scan(scene.scanner, T_true, scene.part_caster, scene.reference, scene.occluder_caster)
-        sigma = seen.sigma(scene.scanner, scene.reference) if disturbance.by_model else None
-        points.append(disturbance.as_reported(seen.points, T_true, T, scene.scanner.source, noise, sigma))
+        seen = virtual_scan.scan(cell.scanner, T_true, cell.part_caster, cell.reference, cell.occluder_caster)
+        sigma = seen.sigma(cell.scanner, cell.reference) if disturbance.by_model else None
+        points.append(disturbance.as_reported(seen.points, T_true, T, cell.scanner.source, noise, sigma))
         scans.append(seen)
     return np.stack([true_of(T) for T in T_reported]), np.concatenate(points), scans

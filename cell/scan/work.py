@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cell.errors import FileError
 from cell.narrator import Narrator
-from cell.run.record import RunRecord, open_run
+from cell.run.record import RunRecord
 from cell.scan.execution_folder import ExecutionFolder
 from planner.ports import Progress
 
@@ -42,15 +41,3 @@ class Work:
         """Name the step to the person and to the manifest."""
         with self.narrator.stage(name) as progress, self.folder.stage(name):
             yield progress
-
-
-def finished_plan(run_folder: Path) -> RunRecord:
-    """The run of a plan that can be executed.
-
-    Raises:
-        FileError: if there is none, or it did not finish.
-    """
-    run = open_run(run_folder)
-    if not run.finished:
-        raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
-    return run

@@ -14,10 +14,10 @@ import numpy as np
 
 from cell import scanners
 from cell.errors import SceneError
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import Occluder, occluder_triangles
+from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
+from cell.run.cell import RunCell
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from planner.measurability.quality import Limited
@@ -45,35 +45,23 @@ class Changes:
     """What the changes start from.
 
     Attributes:
-        world: the cell that was checked.
-        world_without: compiles the cell without one fixture.
-        removable: names of what may be taken out.
+        world: the cell that was checked, compiled anew.
+        world_without: compiles it without one fixture.
+        cell: the same cell as it is measured in.
         candidates: the plan's candidates; those of the plan's views at the poses that will be executed.
         usable: (n,) candidates that are reachable and to which a path leads.
-        scanner: the plan's law, with its limit on sigma where it has one.
-        parameters: what defines the scanner.
-        max_sigma: limit on sigma [m], or None.
-        targeted: whether the plan's candidates were aimed at what stayed open already.
-        part_caster: casts on the part.
-        occluder_caster: casts on everything else.
     """
 
     world: World
     world_without: Callable[[str], World]
-    removable: tuple[str, ...]
+    cell: RunCell
     candidates: Viewpoints
     usable: Indices
-    scanner: Scanner
-    parameters: Mapping[str, Any]
-    max_sigma: float | None
-    targeted: bool
-    part_caster: RayCaster
-    occluder_caster: RayCaster
 
     @property
     def casters(self) -> tuple[RayCaster, RayCaster]:
         """The part's and everything else's, as they were."""
-        return self.part_caster, self.occluder_caster
+        return self.cell.part_caster, self.cell.occluder_caster
 
     def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
         """Every change except further views, in ladders.
@@ -86,21 +74,21 @@ class Changes:
         """
         yield from self._of_the_plan(aims)
         yield [self._turned(axis, angle) for axis, angle in ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))]
-        for name in self.removable:
+        for name in self.cell.scene.removable:
             yield [self._without(name)]
         yield from self._of_the_scanner()
 
     def views(self, targets: Targets, rows: Indices) -> list[WhatIf]:
         """One candidate more, and the few that measure nearly all of the rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
-        pairs = what_if.measures(targets, rows, T, self.scanner, self.casters, each=True).pairs
+        pairs = what_if.measures(targets, rows, T, self.cell.scanner, self.casters, each=True).pairs
         chosen = what_if.few_views(pairs, len(rows))
         found = []
         for count in sorted({1, len(chosen)} if chosen else ()):
             names = ", ".join(str(int(self.usable[view])) for view in chosen[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
             poses = T[np.array(chosen[:count])]
-            found.append(WhatIf(Kind.VIEW, count, sentence, "", poses, self.scanner, self.casters))
+            found.append(WhatIf(Kind.VIEW, count, sentence, "", poses, self.cell.scanner, self.casters))
         return found
 
     def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
@@ -123,7 +111,7 @@ class Changes:
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
         base = _pick(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
         listed = ",".join(f"{standoff:g}" for standoff in standoffs)
-        near, far = self.parameters.get("range_mm", (0.0, np.inf))
+        near, far = self.cell.scanner_parameters.get("range_mm", (0.0, np.inf))
         yield [
             self._reached(
                 Kind.STANDOFF, abs(factor - 1), f"standoff {other:g} mm beside {now:g}" if few
@@ -134,9 +122,9 @@ class Changes:
             for factor in _STANDOFFS if near < (other := _round_mm(factor * now)) < far and other not in standoffs
         ]  # fmt: skip
 
-        limit = float(self.parameters.get("grazing_max_deg", 90.0))
+        limit = float(self.cell.scanner_parameters.get("grazing_max_deg", 90.0))
         sweep = np.linalg.inv(what_if.middle(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
-        setting = "" if self.targeted else "--candidates targeted"
+        setting = "" if self.cell.scene.targeted else "--candidates targeted"
         rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
         yield [
             self._reached(
@@ -162,8 +150,8 @@ class Changes:
         reached = _reach(self.candidates, world, T_base_object)
         return WhatIf(
             Kind.TURN, abs(angle_deg) + 360 * (axis != 2), f"a second set-up with the part {how}", f"--place {place}",
-            self.candidates.T_object_scanner[reached], self.scanner,
-            (self.part_caster, one_caster(occluder_triangles(world, T_base_object))),
+            self.candidates.T_object_scanner[reached], self.cell.scanner,
+            (self.cell.part_caster, caster_of(occluder_triangles(world, T_base_object))),
         )  # fmt: skip
 
     def _without(self, name: str) -> WhatIf:
@@ -171,12 +159,12 @@ class Changes:
         reached = _reach(self.candidates, world)
         what = "without the post (the part held in another way)" if name == "post" else f"without fixture {name}"
         return WhatIf(
-            Kind.FIXTURE, float(name == "post"), what, "", self.candidates.T_object_scanner[reached], self.scanner,
-            (self.part_caster, one_caster(occluder_triangles(world))),
+            Kind.FIXTURE, float(name == "post"), what, "", self.candidates.T_object_scanner[reached], self.cell.scanner,
+            (self.cell.part_caster, caster_of(occluder_triangles(world))),
         )  # fmt: skip
 
     def _of_the_scanner(self) -> Iterator[list[WhatIf]]:
-        limits = self.parameters
+        limits = self.cell.scanner_parameters
         for name, last, of in (
             ("grazing_max_deg", _LAST_GRAZING_DEG, "grazing limit"),
             ("sensor_grazing_max_deg", 90, "sensor's grazing limit"),
@@ -217,8 +205,8 @@ class Changes:
                 self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", {"fan_deg": now + more})
                 for more in _FOV_DEG if now + more < 180
             ]  # fmt: skip
-        if self.max_sigma is not None:
-            now = self.max_sigma * 1000
+        if self.cell.scene.max_sigma is not None:
+            now = self.cell.scene.max_sigma * 1000
             yield [
                 self._law(Kind.SIGMA, factor, f"sigma up to {factor * now:.3g} instead of {now:g} mm", {}, factor)
                 for factor in _SIGMAS
@@ -235,20 +223,20 @@ class Changes:
 
     def _law(self, kind: Kind, change: float, sentence: str, changed: Mapping[str, Any], sigmas: float = 1.0) -> WhatIf:
         """Another law, the same reachable candidates."""
-        parameters = {key: value for key, value in {**self.parameters, **changed}.items() if key != "type"}
-        scanner: Scanner = scanners.load(str(self.parameters["type"]))(**parameters)
-        if self.max_sigma is not None:
-            scanner = Limited(scanner, sigmas * self.max_sigma)  # type: ignore[arg-type]  # it had a limit before
+        parameters = {key: value for key, value in {**self.cell.scanner_parameters, **changed}.items() if key != "type"}
+        scanner: Scanner = scanners.load(str(self.cell.scanner_parameters["type"]))(**parameters)
+        if self.cell.scene.max_sigma is not None:
+            scanner = Limited(scanner, sigmas * self.cell.scene.max_sigma)  # type: ignore[arg-type]  # it had a limit before
         setting = "; ".join(f"scanner.{name} = {_toml(value)}" for name, value in changed.items())
-        if sigmas != 1.0 and self.max_sigma is not None:
-            setting = f"--max-sigma {sigmas * self.max_sigma * 1000:.3g}"
+        if sigmas != 1.0 and self.cell.scene.max_sigma is not None:
+            setting = f"--max-sigma {sigmas * self.cell.scene.max_sigma * 1000:.3g}"
         poses = self.candidates.T_object_scanner[self.usable]
         return WhatIf(kind, change, sentence, setting, poses, scanner, self.casters)
 
     def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:
         """Other candidates, of which those that the arm takes up count."""
         reached = _reach(made, self.world)
-        return WhatIf(kind, change, sentence, setting, made.T_object_scanner[reached], self.scanner, self.casters)
+        return WhatIf(kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.casters)
 
 
 def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Indices) -> list[np.ndarray[Any, Any]]:
@@ -271,13 +259,6 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Indices) -> l
             found[ask[step.measures(targets, rows[ask])]] = True
         masks.append(found.copy())
     return [*masks, final]
-
-
-def one_caster(pieces: Sequence[Occluder]) -> EmbreeRayCaster:
-    """One ray caster over several meshes."""
-    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = [piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)]
-    return EmbreeRayCaster(np.concatenate([piece.vertices for piece in pieces]), np.concatenate(faces))
 
 
 def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None) -> Indices:

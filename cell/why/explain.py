@@ -6,7 +6,7 @@
 touched; files go to `why/` in the run folder. Object frame, metres.
 """
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,23 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError, UsageError
+from cell.errors import UsageError
 from cell.narrator import Narrator
 from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import occluder_triangles
 from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
-from cell.run.record import RunRecord, open_run, understood
-from cell.run.world import world_of
-from cell.scan import scene as scan_scene
+from cell.run.cell import read_cell, world_of
+from cell.run.reader import RecordedPlan, RecordedView
+from cell.run.record import RunRecord, open_finished, understood
 from cell.why import files as why_files
 from cell.why.answer import Answer, Group, Patch
-from cell.why.changes import Changes, one_caster
+from cell.why.changes import Changes
 from cell.why.groups import detail, grouped
 from cell.why.search import search
 from planner.measurability import coverage
-from planner.measurability.quality import Limited
-from planner.ports import Scanner
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
@@ -63,9 +60,7 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
     """
     if samples is not None and samples < 1:
         raise UsageError(f"--samples {samples} is not possible; at least 1 sample is needed")
-    run = open_run(run_folder)
-    if not run.finished:
-        raise FileError(f"{run_folder} has no finished plan: the run {run.ended}; plan again")
+    run = open_finished(run_folder)
     answer = answer_of(run, narrator, coverage.SAMPLES if samples is None else samples)
     with narrator.stage("write"):
         summary = why_files.summary(answer, run)
@@ -76,84 +71,65 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
 def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
     """The whole on one screen."""
     with narrator.stage("read the run"):
-        resolved = run_reader.resolved_scene(run)
-        scene = scan_scene.load(run)
-        candidates = _as_executed(run)
-        fails, blockers = _failing(run, len(candidates))
-        world = world_of(run, resolved, scene.reference)
-        pieces = occluder_triangles(world)
-        scanner, max_sigma = _law(run, resolved, scene.scanner)
-        part_caster, occluder_caster = scene.part_caster, one_caster(pieces)
+        cell, plan = read_cell(run), run_reader.plan(run)
+        candidates = _as_executed(run_reader.candidates(run), plan.views)
+        fails, blockers = _failing(run, plan, len(candidates))
+        world = world_of(run, cell.reference)
+        scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with narrator.stage("what stays open"):
-        samples = held_out(scene.reference, scene.planning, int(run.manifest["seed"]), count)
+        samples = held_out(cell.reference, cell.planning, int(run.manifest["seed"]), count)
         targets = Targets.of(samples.points, samples.normals)
-        views = np.stack([view.T_object_scanner for view in run_reader.views(run)])[:, None]
-        if candidates.T_object_scanner.shape[1] > 1:
-            views = candidates.T_object_scanner[[view.id for view in run_reader.views(run)]]
+        views = candidates.T_object_scanner[[view.id for view in plan.views]]
         covered = coverage.visible(views, samples, scanner, (part_caster, occluder_caster)).covered
         rows = np.flatnonzero(~covered)
     with narrator.stage("reasons") as progress:
         diagnosis = why.diagnose(
             targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
         )
-        casters = {piece.name: EmbreeRayCaster(piece.vertices, piece.faces) for piece in pieces}
+        casters = {piece.name: EmbreeRayCaster(piece.vertices, piece.faces) for piece in cell.occluders}
         what = why.names_in_the_way(targets, rows, diagnosis, candidates, scanner, casters)
         K = candidates.T_object_scanner.shape[1]
         of_robot = (diagnosis.reason >= Reason.OUT_OF_REACH) & (diagnosis.reason < Reason.NOT_SELECTED)
         for i in np.flatnonzero(of_robot):
             what[i] = blockers[diagnosis.pose[i] // K]
     with narrator.stage("changes") as progress:
-        removable = tuple(f["name"] for f in resolved["fixtures"] if not f["built_in"] or f["name"] == "post")
         changes = Changes(
-            world, lambda name: world_of(run, resolved, scene.reference, without=(name,)), removable,
-            candidates, np.flatnonzero(fails == Reason.NOT_SELECTED), scanner, scene.scanner_parameters, max_sigma,
-            resolved["plan"]["candidates"] == "targeted", part_caster, occluder_caster,
+            world, lambda name: world_of(run, cell.reference, without=(name,)), cell, candidates,
+            np.flatnonzero(fails == Reason.NOT_SELECTED),
         )  # fmt: skip
-        open_groups = grouped(samples, rows, diagnosis, what, scene.planning)
+        open_groups = grouped(samples, rows, diagnosis, what, cell.planning)
         found = search(changes, targets, samples, open_groups, progress)
     groups = tuple(
         Group(
             group.reason, group.what,
-            detail(group.reason, diagnosis, np.isin(rows, group.rows), scene.scanner_parameters), group.rows,
+            detail(group.reason, diagnosis, np.isin(rows, group.rows), cell.scanner_parameters), group.rows,
             tuple(Patch(piece, named) for piece, named in zip(group.patches, of_patch, strict=True)), of_group,
         )
         for group, of_group, of_patch in zip(open_groups, found.of_group, found.of_patch, strict=True)
     )  # fmt: skip
     return Answer(
-        samples, covered, diagnosis, rows, groups, found.rest, found.overall, found.tried, scene.planning,
-        scene.part_name,
+        samples, covered, diagnosis, rows, groups, found.rest, found.overall, found.tried, cell.planning,
+        cell.scene.part_name,
     )  # fmt: skip
 
 
-def _as_executed(run: RunRecord) -> Viewpoints:
+def _as_executed(candidates: Viewpoints, views: Sequence[RecordedView]) -> Viewpoints:
     """The candidates, those of the plan's views at the poses of the rounded joint angles, as coverage takes them."""
-    candidates = run_reader.candidates(run)
     T = np.array(candidates.T_object_scanner)
     if T.shape[1] == 1:
-        for view in run_reader.views(run):
+        for view in views:
             T[view.id, 0] = view.T_object_scanner
     return Viewpoints(T, candidates.face, candidates.standoff, candidates.roll)
 
 
-def _failing(run: RunRecord, count: int) -> tuple[NDArray[np.uint8], list[str]]:
+def _failing(run: RunRecord, plan: RecordedPlan, count: int) -> tuple[NDArray[np.uint8], list[str]]:
     """At what each candidate fails even for a point that it would measure, and what is in its way."""
     reached = run_reader.reached(run)
     fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
     blockers = list(reached.blocker)
-    dropped = run_reader.plan_json(run)["dropped"]
     with understood(run.folder / "plan.json"):
         if len(fails) != count:
             raise ValueError(f"reach.npz has {len(fails)} verdicts and viewpoints.npz {count} candidates")
-        for view in dropped:
-            fails[view["id"]], blockers[view["id"]] = Reason.NO_PATH, str(view["reason"])
+        for view, reason in plan.dropped.items():
+            fails[view], blockers[view] = Reason.NO_PATH, reason
     return fails, blockers
-
-
-def _law(run: RunRecord, resolved: Mapping[str, Any], scanner: Scanner) -> tuple[Scanner, float | None]:
-    """The scanner's law with the plan's limit on sigma, and that limit [m]."""
-    with understood(run.folder / "scene.resolved.json"):
-        limit_mm = resolved["plan"].get("max_sigma_mm")
-        if limit_mm is None:
-            return scanner, None
-        limited = scanner if isinstance(scanner, Limited) else Limited(scanner, limit_mm / 1000)  # type: ignore[arg-type]
-        return limited, limit_mm / 1000

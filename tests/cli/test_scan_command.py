@@ -19,10 +19,10 @@ import trimesh
 from cell.commands.terminal import Terminal
 from cell.errors import DriverFailureError, FileError
 from cell.run import process
+from cell.run.executions import execution_ids, read_execution, read_scan
 from cell.run.record import RunRecord, open_run
 from cell.scan import post_processing
 from cell.scan import scan as scan_command
-from cell.scan.execution_reader import execution_ids, read_execution, read_scan
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome
 from planner.ports import Rejection

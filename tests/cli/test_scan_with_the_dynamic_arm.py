@@ -16,6 +16,7 @@ from cell.plant.servo import Settings
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from cell.run import reader as run_reader
+from cell.run.cell import read_scene
 from cell.run.record import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
@@ -46,9 +47,8 @@ def scans(run: Path, execution: str) -> list[dict[str, Any]]:
 def test_every_scan_is_taken_from_the_pose_that_the_controller_reports(scanned: Path) -> None:
     """The reported axes are near the commanded ones but not they; poses and points are of the reported ones."""
     record = open_run(scanned)
-    resolved = dict(run_reader.resolved_scene(record))
-    T_base_object = run_reader.transform(record, resolved, "T_base_object")
-    T_flange_scanner = run_reader.transform(record, resolved, "T_flange_scanner")
+    scene = read_scene(record)
+    T_base_object, T_flange_scanner = scene.T_base_object, scene.T_flange_scanner
     kinematics = Kr16Kinematics.from_model(load())
     ideal = scans(scanned, "0003")
     taken = scans(scanned, "0001")
@@ -87,7 +87,7 @@ def test_the_report_tells_the_time_that_the_arm_took(scanned: Path) -> None:
 def test_replay_shows_the_reported_stops(scanned: Path) -> None:
     """The timeline of the execution rests at the reported axes."""
     from cell.replay.timeline import of_execution
-    from cell.scan.execution_reader import read_execution
+    from cell.run.executions import read_execution
 
     record = open_run(scanned)
     motion = run_reader.motion(record)

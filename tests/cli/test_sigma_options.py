@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cell.run import reader as run_reader
+from cell.run.cell import read_cell
 from cell.run.record import open_run
-from cell.scan import scene as scan_scene
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -52,7 +52,7 @@ def test_the_scan_of_a_limited_plan_takes_nothing_above_the_limit(limited: dict[
     assert report["coverage"]["visible"] == pytest.approx(limited["summary"]["coverage"]["visible"], abs=1e-4)
     assert sum(view["rays"]["too_uncertain"] for view in report["views"]) > 0
     run = open_run(folder)
-    scene = scan_scene.load(run, 2.0)
+    scene = read_cell(run, 2.0)
     for stop, view in enumerate(run_reader.views(run), start=1):
         with np.load(folder / "executions" / "0001" / "scans" / f"{stop:04d}.npz") as scan:
             T, points, face = scan["T_object_scanner_true"], scan["points"], scan["face"]
@@ -77,7 +77,7 @@ def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: 
             scans.append({name: stored[name] for name in ("points", "face", "T_object_scanner_true")})
     clean, first, again = scans
     np.testing.assert_array_equal(first["points"], again["points"])
-    scene = scan_scene.load(open_run(tmp_path / "run"), 1.0)
+    scene = read_cell(open_run(tmp_path / "run"), 1.0)
     T = clean["T_object_scanner_true"]
     local = (clean["points"] - T[:3, 3]) @ T[:3, :3]
     corners = scene.reference.vertices[scene.reference.faces[clean["face"]]]

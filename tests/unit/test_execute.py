@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,15 +15,15 @@ import pytest
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.kinematics import Kr16Kinematics
+from cell.run.cell import RunCell
+from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
 from cell.run.record import RunRecord
 from cell.scan import driver as scan_driver
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_reader import read_scan
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
-from cell.scan.scene import ScanScene
 from cell.scanners.laser_area import LaserArea
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
@@ -52,7 +53,7 @@ def _tour(counts=(1, 2, 1), home_points=2, seed=0) -> Motion:
     return retime(via, np.repeat(np.arange(len(legs) + 1), [1, *legs]), view, LIMITS)
 
 
-def _scene() -> ScanScene:
+def _scene() -> RunCell:
     """A ball of 60 mm about the middle of the scanner's range at home, and an occluder far away."""
     import trimesh
 
@@ -63,9 +64,10 @@ def _scene() -> ScanScene:
     mesh = TriangleMesh(ball.vertices, ball.faces)
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     scanner = LaserArea(resolution_deg=(3.0, 3.0))
-    return ScanScene(
-        "ball", mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), EmbreeRayCaster(away.vertices, away.faces),
-        scanner, scanner.parameters(), kinematics, T_base_object, np.eye(4), 0.5, 0.0,
+    return RunCell(
+        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
+        mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
+        scanner, scanner.parameters(), kinematics,
     )  # fmt: skip
 
 
@@ -192,7 +194,7 @@ def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> No
     assert (from_rad(scan.q_reported) - from_rad(scan.q_commanded) == 7).all()
     T = scan.stored["T_object_scanner"]
     T_base_scanner = scene.kinematics.forward(np.asarray(scan.q_reported)[None])[0]
-    np.testing.assert_allclose(scene.T_base_object @ T, T_base_scanner, atol=1e-12)
+    np.testing.assert_allclose(scene.scene.T_base_object @ T, T_base_scanner, atol=1e-12)
     assert (scan.stored["T_object_scanner_true"] == T).all()
 
 
@@ -274,7 +276,6 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
     motion, clock = _tour(), SimulatedClock()
     with open_driver("sim://", Context(clock=clock, limits=kr16())) as driver:
         scene = _scene()
-        object.__setattr__(scene, "speed", 1.0)
         seconds = execute.run(
             execute.legs_of(motion), driver, scene, Disturbance(), folder, seed=0, speed=1.0, clock=clock
         )  # fmt: skip

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from cell.replay import timeline as replay_timeline
 from cell.replay.frames import frame_times
 from cell.replay.viewer import SPEEDS, Player
-from cell.scan.execution_reader import RecordedExecution, RecordedScan
+from cell.run.executions import RecordedExecution, RecordedScan
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime
 

@@ -11,8 +11,9 @@ import trimesh
 
 from cell.errors import FileError
 from cell.run import reader as run_reader
+from cell.run.cell import read_scene
+from cell.run.executions import execution_ids, read_execution
 from cell.run.record import open_run
-from cell.scan.execution_reader import execution_ids, read_execution
 
 Blob = Callable[[int], trimesh.Trimesh]
 
@@ -35,8 +36,7 @@ def test_the_parts_agree_with_each_other(planned: Path) -> None:
     candidates, reached = run_reader.candidates(run), run_reader.reached(run)
     assert run.finished
     assert [view.id for view in views] == motion.view[motion.view >= 0].tolist()
-    scene = run_reader.resolved_scene(run)
-    T_base_object = run_reader.transform(run, scene, "T_base_object")
+    T_base_object = read_scene(run).T_base_object
     for view, q in zip(views, motion.via_q[motion.view >= 0], strict=True):
         np.testing.assert_allclose(view.q, q, atol=1e-12)
         assert np.isclose(reached.q_of(view.id), view.q, atol=1e-9).all(axis=1).any()
@@ -104,6 +104,8 @@ def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None
         "plan.json": lambda: run_reader.views(run),
         "reach.npz": lambda: run_reader.reached(run),
         "viewpoints.npz": lambda: run_reader.candidates(run),
+        "scene.resolved.json": lambda: read_scene(run),
+        "cell.xml": lambda: run_reader.cell_model(run),
     }
     for name, read in readers.items():
         content = (copy / name).read_bytes()

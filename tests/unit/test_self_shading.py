@@ -125,7 +125,7 @@ def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch
     wall = (block + np.array([0, 0, 0.2])) @ T[:3, :3].T + T[:3, 3]
 
     def fake(_world: World, q: np.ndarray, _ends: object = None) -> list[Occluder]:
-        return [Occluder("link_4", wall if q[3] > 0 else wall + 50.0, faces, "base")]
+        return [Occluder("link_4", wall if q[3] > 0 else wall + 50.0, faces)]
 
     monkeypatch.setattr(self_shading, "arm_triangles", fake)
     solutions = reached.q_of(view)
@@ -154,7 +154,7 @@ def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.Monk
     shaded = {q[0].tobytes()}
     monkeypatch.setattr(
         self_shading, "arm_triangles",
-        lambda _w, at, _e=None: [Occluder("link_5", wall + (0.0 if at.tobytes() in shaded else 50.0), faces, "base")],
+        lambda _w, at, _e=None: [Occluder("link_5", wall + (0.0 if at.tobytes() in shaded else 50.0), faces)],
     )  # fmt: skip
     arm = OwnArm(M, both, twice, world, SCANNER)
     # The second view keeps everything, so nothing that the first measures is lost to the plan.

@@ -3,19 +3,20 @@
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.kinematics import Kr16Kinematics
+from cell.run.cell import RunCell
+from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
 from cell.run.record import RunRecord
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_reader import read_scan
 from cell.scan.pose_error import Disturbance
-from cell.scan.scene import ScanScene
 from cell.scan.sweep_scan import line_poses, lines_between
 from cell.scanners.laser_line import LaserLine
 from drivers.clock import SimulatedClock
@@ -44,7 +45,7 @@ def path() -> SweepPath:
 
 
 @pytest.fixture(scope="module")
-def scene() -> ScanScene:
+def scene() -> RunCell:
     """A ball of 60 mm in the middle of the scanner's range below home."""
     import trimesh
 
@@ -53,9 +54,10 @@ def scene() -> ScanScene:
     ball = trimesh.creation.icosphere(3, 0.06)
     mesh = TriangleMesh(ball.vertices, ball.faces)
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
-    return ScanScene(
-        "ball", mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), EmbreeRayCaster(away.vertices, away.faces),
-        SCANNER, SCANNER.parameters(), KINEMATICS, T_base_object, np.eye(4), 1.0, 0.0,
+    return RunCell(
+        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
+        mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
+        SCANNER, SCANNER.parameters(), KINEMATICS,
     )  # fmt: skip
 
 
@@ -124,7 +126,7 @@ def test_one_view_alone_is_driven_along_checked_paths_only(path: SweepPath, stop
 
 
 def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
-    path: SweepPath, scene: ScanScene, tmp_path: Path
+    path: SweepPath, scene: RunCell, tmp_path: Path
 ) -> None:
     """Poses in the column's order, points on the ball, forwards and backwards the same lines."""
     folder = _folder(tmp_path)
@@ -144,7 +146,7 @@ def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
     np.testing.assert_allclose(ours, theirs, atol=2e-6)
 
 
-def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: ScanScene, tmp_path: Path) -> None:
+def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell, tmp_path: Path) -> None:
     """The driver fails on the way to the third pose of the second view: the first is on disk, the second is not."""
     folder = _folder(tmp_path)
     with pytest.raises(FaultError):
