@@ -14,8 +14,8 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from planner.order.orderings import OrderStatus, Sequence, node_offsets
-from planner.timing.motion import move_time
+from planner.order.moves import Moves
+from planner.order.orderings import OrderStatus, Sequence
 
 _BLOCKED = 1e7
 EVALUATIONS = 10_000
@@ -40,26 +40,17 @@ class _Instance:
 
 
 def frozen(
-    configurations: Any,
-    home: Any,
-    limits: Any,
-    *,
+    moves: Moves,
     T_base_scanner: Any,
     rng: np.random.Generator,
+    *,
     budget: int = EVALUATIONS,
-    bound_work: int = 0,
-    edge_time: Any = None,
+    bound_work: int | None = 0,
     T_base_home: Any = None,
     start: Any = None,
-    times: Any = None,
-    **_: Any,
 ) -> Sequence:
     """Order the views as it was done then; arguments as in `planner.order.orderings.sequence`."""
-    nodes = np.concatenate([home[None], *configurations])
-    cost = move_time(nodes[:, None], nodes, limits) if times is None else times.copy()
-    for (a, b), time in (edge_time or {}).items():
-        cost[a, b] = cost[b, a] = time
-    problem = _Instance(cost, node_offsets(configurations))
+    problem = _Instance(moves.times, moves.offsets)
     baseline = _christofides(problem, T_base_scanner, T_base_home)
     local_work = budget * len(problem.cost) * problem.layered.shape[-1]
     exact_work = int(2 ** min(problem.n_clusters, 60)) * len(problem.cost) ** 2
@@ -76,7 +67,7 @@ def frozen(
     return Sequence(
         order=order,
         choice=choice,
-        q=np.array([configurations[k][i] for k, i in zip(order, choice, strict=True)]).reshape(-1, 6),
+        q=moves.q[chosen],
         duration=found if found < _BLOCKED else float("inf"),
         baseline_duration=baseline_cost if baseline_cost < _BLOCKED else float("inf"),
         lower_bound=0.0,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.order.moves import Moves
 from planner.order.orderings import sequence
 from planner.path.certified_edge import certify
 from planner.path.path import PathStatus, connect
@@ -94,7 +95,7 @@ def _order() -> list[dict[str, Any]]:
                 configurations, poses = views(seed, n, 24)
                 start = perf_counter()
                 rng = np.random.default_rng(seed)
-                found.append(sequence(configurations, HOME, LIMITS, T_base_scanner=poses, rng=rng, budget=budget))
+                found.append(sequence(Moves.straight(configurations, HOME, LIMITS), poses, rng, budget=budget))
                 seconds.append(perf_counter() - start)
             rows.append(
                 {

@@ -22,6 +22,7 @@ from planner import cover
 from planner.cover import DEFAULT_WORK
 from planner.measurability.matrix import Measurability, fill, measured
 from planner.order.generalised_tsp import STEPS
+from planner.order.moves import Moves
 from planner.order.orderings import sequence
 from planner.ports import Floats
 from planner.reach.reach import Reach
@@ -125,9 +126,7 @@ def ordering(bench: Bench, tours: int, repeats: int) -> Turned:
 
     def work() -> Any:
         rng = np.random.default_rng(bench.scene.plan.seed)
-        return sequence(
-            configurations, world.home, limits, T_base_scanner=poses, rng=rng, budget=tours, bound_work=0
-        )  # fmt: skip
+        return sequence(Moves.straight(configurations, world.home, limits), poses, rng, budget=tours, bound_work=0)
 
     found, seconds = timed(work, repeats)
     return Turned(100 * (found.duration / bound - 1), seconds, {"views": len(configurations)})
@@ -211,5 +210,5 @@ def _views_in_reach(bench: Bench) -> tuple[list[Floats], Floats, float]:
     poses = world.T_base_object @ bench.zone.T_object_scanner[found, 0]
     limits = scaled(world.limits, robot.speed_scaling, robot.acceleration_scaling)
     rng = np.random.default_rng(bench.scene.plan.seed)
-    bounded = sequence(configurations, world.home, limits, T_base_scanner=poses, rng=rng, budget=STEPS)
+    bounded = sequence(Moves.straight(configurations, world.home, limits), poses, rng, budget=STEPS)
     return configurations, poses, bounded.lower_bound
