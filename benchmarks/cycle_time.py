@@ -31,8 +31,10 @@ from planner import cover
 from planner.measurability.matrix import Measurability, occlude
 from planner.order import equivalent_views, generalised_tsp
 from planner.order import orderings as order
+from planner.order.moves import Moves
 from planner.order.tour import Tour, plan_motion
 from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget
+from planner.order.visits import Visits
 from planner.reach import reach
 
 BEFORE_S = (
@@ -67,28 +69,19 @@ def _row(number: int) -> dict[str, Any]:
         groups: list[Any], views: Any, ordering: str, budget: MotionBudget = DEFAULT_BUDGET
     ) -> tuple[Tour, float]:
         begin = perf_counter()
-        tour = plan_motion(
-            [np.concatenate([reached.q_of(int(v)) for v in group]) for group in groups],
-            world.home,
-            checker,
-            world.limits,
-            world.T_base_object @ candidates.T_object_scanner[views, 0],
-            np.random.default_rng(number),
-            budget,
-            ordering=ordering,
-            T_base_home=home_pose,
-        )
+        configurations = [np.concatenate([reached.q_of(int(v)) for v in group]) for group in groups]
+        poses = world.T_base_object @ candidates.T_object_scanner[views, 0]
+        visits = Visits(configurations, world.home, poses, home_pose)
+        tour = plan_motion(visits, checker, world.limits, np.random.default_rng(number), budget, ordering=ordering)
         return tour, perf_counter() - begin
 
     alone = [chosen.views[k : k + 1] for k in range(len(chosen.views))]
     order.ORDERINGS |= {"task-space": task_space}
     robotsp, _ = motion(alone, chosen.views, "task-space", _SIMPLE)
     search = order.sequence(
-        [reached.q_of(int(view)) for view in chosen.views],
-        world.home,
-        world.limits,
-        T_base_scanner=world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
-        rng=np.random.default_rng(number),
+        Moves.straight([reached.q_of(int(view)) for view in chosen.views], world.home, world.limits),
+        world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
+        np.random.default_rng(number),
         T_base_home=home_pose,
     )
     begin = perf_counter()
@@ -146,22 +139,19 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
     raise RuntimeError(f"no draw of scene {number} can be used")
 
 
-def task_space(configurations: Any, home: Any, limits: Any, **arguments: Any) -> order.Sequence:
+def task_space(moves: Moves, T_base_scanner: Any, rng: np.random.Generator, **arguments: Any) -> order.Sequence:
     """RoboTSP's ordering, with the signature of `planner.order.orderings.sequence`."""
-    poses, home_pose = arguments["T_base_scanner"], arguments["T_base_home"]
-    positions = np.concatenate((home_pose[None, :3, 3], poses[:, :3, 3]))
+    positions = np.concatenate((arguments["T_base_home"][None, :3, 3], T_base_scanner[:, :3, 3]))
     lengths = np.linalg.norm(positions[:, None] - positions, axis=2)
     problem = generalised_tsp.instance(lengths, np.arange(len(positions) + 1))
-    tour = generalised_tsp.solve(problem, np.arange(1, len(positions)), arguments["rng"], 10_000, 0).tour
-    nodes = np.concatenate([home[None], *configurations])
-    cost = arguments["times"].copy()
-    joint = generalised_tsp.instance(cost, np.concatenate(([0], order.node_offsets(configurations))))
+    tour = generalised_tsp.solve(problem, np.arange(1, len(positions)), rng, 10_000, 0).tour
+    joint = moves.instance()
     duration, chosen = generalised_tsp.best_nodes(joint, tour[1:])
     views = joint.clusters_of(chosen)[1:]
     return order.Sequence(
         order=views - 1,
         choice=chosen[1:] - joint.first[views],
-        q=nodes[chosen[1:]],
+        q=moves.q[chosen[1:]],
         duration=duration,
         baseline_duration=duration,
         lower_bound=0.0,

@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.seeded_scenes import SeededCell, usable
 from benchmarks.triangle_cell import TriangleCell
 from planner.order.tour import plan_motion
+from planner.order.visits import Visits
 from planner.timing.motion import Motion, jerk_free_duration, retime
 
 _STEP = 1e-3  # s
@@ -66,14 +67,9 @@ def judged(number: int) -> dict[str, Any]:
     cell = usable(number, least=_VIEWS)
     rng = np.random.default_rng(number)
     views = rng.choice(cell.reachable, _VIEWS, replace=False)
-    tour = plan_motion(
-        [cell.reach.q_of(int(view)) for view in views],
-        cell.world.home,
-        cell.checker,
-        cell.world.limits,
-        cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0],
-        rng,
-    )
+    poses = cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0]
+    visits = Visits([cell.reach.q_of(int(view)) for view in views], cell.world.home, poses)
+    tour = plan_motion(visits, cell.checker, cell.world.limits, rng)
     motion = retime(tour.via, tour.segment, tour.view, cell.world.limits)
     planned = perf_counter()
     return _judge(cell, motion) | {

@@ -26,6 +26,7 @@ from planner.order import tour
 from planner.order.order_overlap import overlapping
 from planner.order.orderings import Ordering
 from planner.order.tour import Tour, TourStatus
+from planner.order.visits import Visits
 from planner.path.sweeps.path import SweepPath
 from planner.ports import Floats, Progress
 from planner.timing.motion import TimedLine
@@ -210,18 +211,17 @@ def _motion(
 ) -> Tour:
     """The motion through one candidate of each group."""
     world = problem.world
-    return tour.plan_motion(
+    visits = Visits(
         groups.configurations,
         world.home,
-        problem.checker,
-        problem.limits,
-        world.T_base_object @ problem.candidates.T_object_scanner[groups.views, 0],
-        rng,
-        progress=progress,
-        ordering=_ordering(problem.request, selected),
+        T_base_scanner=world.T_base_object @ problem.candidates.T_object_scanner[groups.views, 0],
         T_base_home=problem.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
         passages=views.passages(groups.views),
-        measure=False,  # the pipeline proves the clearance of the motion that is kept
+    )
+    ordering = _ordering(problem.request, selected)
+    # The pipeline proves the clearance of the motion that is kept.
+    return tour.plan_motion(
+        visits, problem.checker, problem.limits, rng, progress=progress, ordering=ordering, measure=False
     )
 
 

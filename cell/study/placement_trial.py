@@ -17,6 +17,7 @@ from planner import cover
 from planner.measurability import coverage
 from planner.measurability.columns import pick_measurability
 from planner.measurability.matrix import occlude
+from planner.order.moves import Moves
 from planner.order.orderings import sequence
 from planner.reach import reach
 from planner.timing.motion import scaled
@@ -65,9 +66,8 @@ def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
     poses = candidates.T_object_scanner[which[found.views]]
     configurations = [reached.q_of(int(which[view])) for view in found.views]
     limits = scaled(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
-    tour = sequence(
-        configurations, world.home, limits, T_base_scanner=T_base_object @ poses[:, 0], rng=rng, bound_work=0
-    )
+    moves = Moves.straight(configurations, world.home, limits)
+    tour = sequence(moves, T_base_object @ poses[:, 0], rng, bound_work=0)
     return {
         **values,
         "views": len(found.views),

@@ -6,8 +6,6 @@ improved by moving single views to places that keep the wish. Every order is jud
 is a heuristic: the lower bound is that of orders without the wish.
 """
 
-from collections.abc import Callable
-from collections.abc import Sequence as Many
 from dataclasses import replace
 from typing import Any
 
@@ -16,8 +14,8 @@ from numpy.typing import NDArray
 
 from planner.order import generalised_tsp as gtsp
 from planner.order import orderings as orders
-from planner.order.orderings import OrderStatus, Sequence
-from planner.ports import Floats, JointLimits
+from planner.order.moves import Moves
+from planner.order.orderings import Ordering, OrderStatus, Sequence
 
 Joined = NDArray[np.bool_]
 """(n, n) which views overlap."""
@@ -50,26 +48,18 @@ def grown(joined: Joined, wanted: NDArray[np.int64], first: int) -> NDArray[np.i
     return np.array(order, dtype=np.int64)
 
 
-def overlapping(joined: Joined) -> Callable[..., Sequence]:
+def overlapping(joined: Joined) -> Ordering:
     """An ordering (one of `ORDERINGS`) of views that overlap; without effect where some of them are missing.
 
     Args:
-        joined: (n, n) which views overlap, in the order of the configurations.
+        joined: (n, n) which views overlap, in the order in which they are numbered.
     """
 
-    def ordering(configurations: Many[Floats], home: Floats, limits: JointLimits, **options: Any) -> Sequence:
-        free = orders.sequence(configurations, home, limits, **options)
-        if len(configurations) != len(joined) or keeps(joined, free.order):
+    def ordering(moves: Moves, *arguments: Any, **options: Any) -> Sequence:
+        free = orders.sequence(moves, *arguments, **options)
+        if len(free.order) != len(joined) or keeps(joined, free.order):
             return free
-        problem = orders.instance(
-            configurations,
-            home,
-            limits,
-            options.get("edge_time"),
-            options.get("leaves"),
-            options.get("stays"),
-            options.get("times"),
-        )
+        problem = moves.instance()
 
         def judged(order: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
             return gtsp.best_nodes(problem, order + 1)
@@ -95,12 +85,11 @@ def overlapping(joined: Joined) -> Callable[..., Sequence]:
                     (cost, tour), best = found, trial
         clusters = problem.clusters_of(tour)[1:]
         choice = tour[1:] - problem.first[clusters]
-        order = clusters - 1
         return replace(
             free,
-            order=order,
+            order=clusters - 1,
             choice=choice,
-            q=np.array([configurations[k][i] for k, i in zip(order, choice, strict=True)]),
+            q=moves.q[tour[1:]],
             duration=cost if cost < gtsp.BLOCKED else float("inf"),
             status=OrderStatus.HEURISTIC if cost < gtsp.BLOCKED else OrderStatus.NO_TOUR,
         )

@@ -15,12 +15,11 @@ other pair can be connected at the worst through home.
 """
 
 from collections.abc import Iterable
-from collections.abc import Sequence as Many
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.order.orderings import leaving, node_offsets
+from planner.order.visits import Visits
 from planner.path.certified_edge import certify_many, quantise_inside
 from planner.path.path import connect, path_time, shorten
 from planner.ports import CollisionChecker, Floats, JointLimits
@@ -36,32 +35,26 @@ class Roadmap:
 
     def __init__(
         self,
-        configurations: Many[Floats],
-        home: Floats,
+        visits: Visits,
         checker: CollisionChecker,
         limits: JointLimits,
         seed: int,
         path_checks: int,
         total_checks: int,
-        leaves: Many[NDArray[np.int64]] | None = None,
     ) -> None:
-        """Number the nodes as `planner.order.orderings.node_offsets` does and drop those that are not free.
+        """Drop the nodes that are not free.
 
         Args:
-            configurations: per view, (n_i, 6) joint solutions [rad]; a view may have none.
-            home: (6,) [rad].
+            visits: joint solutions of views and home: the nodes.
             checker: the collision checker.
             limits: range and speeds.
             seed: seed of all searches; each edge's search depends on it and on the edge alone.
             path_checks: checks that one search may use.
             total_checks: checks after which a search gets no more than a token share.
-            leaves: per view, (n_i,) joint solution at which the arm leaves (`planner.order.orderings.sequence`); None:
-                where it arrived.
         """
         self.checker, self.limits = checker, limits
-        self.q = quantise_inside(np.concatenate([home[None], *(q.reshape(-1, 6) for q in configurations)]), limits)
-        self.offsets = node_offsets(configurations)
-        self.leave = np.arange(len(self.q)) if leaves is None else leaving(configurations, leaves)
+        self.q = quantise_inside(visits.q, limits)
+        self.offsets, self.leave = visits.offsets, visits.leave
         self.active = checker.free(self.q)
         self.checks = len(self.q)
         self.isolated: set[int] = set()

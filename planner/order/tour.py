@@ -7,7 +7,6 @@ A view to which no path is found from any of its joint solutions is dropped and 
 anew without it.
 """
 
-from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated
@@ -19,12 +18,13 @@ from planner.errors import PlannerError
 from planner.order import orderings as ordering_of_views
 from planner.order.roadmap import Roadmap
 from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
+from planner.order.visits import Visits
 from planner.path.certified_edge import clearance_along
 from planner.path.path import path_time
 from planner.path.sweeps.passage import Passage
-from planner.ports import CollisionChecker, Floats, JointLimits, Progress
+from planner.ports import CollisionChecker, JointLimits, Progress
 from planner.timing.motion import check_inside, check_limits
-from planner.values import Value, readonly
+from planner.values import Floats, Ints, Value
 
 
 class TourStatus(IntEnum):
@@ -112,14 +112,14 @@ class Tour(Value):
         rounds: orderings computed.
     """
 
-    order: Annotated[NDArray[np.int64], "n"]
-    choice: Annotated[NDArray[np.int64], "n"]
+    order: Annotated[Ints, "n"]
+    choice: Annotated[Ints, "n"]
     q: Annotated[Floats, "n 6"]
     via: Annotated[Floats, "N 6"]
-    segment: Annotated[NDArray[np.int64], "N"]
-    view: Annotated[NDArray[np.int64], "N"]
-    pose: Annotated[NDArray[np.int64], "N"]
-    entered: Annotated[NDArray[np.int64], "n"]
+    segment: Annotated[Ints, "N"]
+    view: Annotated[Ints, "N"]
+    pose: Annotated[Ints, "N"]
+    entered: Annotated[Ints, "n"]
     clearance: Annotated[Floats, "legs"]
     between: Annotated[tuple[str, ...], "legs"]
     detour: Annotated[NDArray[np.bool_], "legs"]
@@ -134,34 +134,26 @@ class Tour(Value):
 
 
 def plan_motion(
-    configurations: Many[Floats],
-    home: Floats,
+    visits: Visits,
     checker: CollisionChecker,
     limits: JointLimits,
-    T_base_scanner: Floats,
     rng: np.random.Generator,
     budget: MotionBudget = DEFAULT_BUDGET,
     progress: Progress | None = None,
     *,
     ordering: str | ordering_of_views.Ordering = "joint-space",
-    T_base_home: Floats | None = None,
-    passages: Many[Many[Passage]] | None = None,
     measure: bool = True,
 ) -> Tour:
     """Plan the motion that visits every view once, from home and back.
 
     Args:
-        configurations: per view, (n_i, 6) joint solutions [rad], multiples of 1e-4 deg; those not free are left out.
-        home: (6,) joint angles at which the motion begins and ends [rad].
+        visits: the views and home; joint solutions that are not free are left out.
         checker: the collision checker; its clearance must be above 0.
         limits: limits of the axes; scale them (`planner.timing.motion.scaled`) to order for a reduced speed.
-        T_base_scanner: (n, 4, 4) scanner pose of each view [m], base frame; starts the ordering.
         rng: source of all randomness.
         budget: work that may be used.
         progress: told about real edges as they become known.
         ordering: a name of `planner.order.orderings.ORDERINGS`, or a function like them.
-        T_base_home: (4, 4) scanner pose at home [m].
-        passages: per view, one for each of its joint solutions, beginning there; None: the arm stands and measures.
         measure: whether to measure the clearance along the legs.
 
     Returns:
@@ -176,62 +168,33 @@ def plan_motion(
             f"there is no ordering {ordering!r}; it must be one of {', '.join(ordering_of_views.ORDERINGS)}"
         )
     check_limits(limits)
-    home = readonly("home", home, (6,))
-    check_inside("home: number", home[None], limits)
-    solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(configurations)]
-    for k, q in enumerate(solutions):
+    check_inside("home: number", visits.home[None], limits)
+    for k, q in enumerate(visits.configurations):
         check_inside(f"joint solution of view {k}: number", q, limits)
-    poses = readonly("T_base_scanner", T_base_scanner, (len(solutions), 4, 4))
     if not checker.clearance > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
     seed = int(rng.integers(2**63))
-    leaves, stays = _between(solutions, passages)
-    roadmap = Roadmap(solutions, home, checker, limits, seed, budget.path_checks, budget.checks, leaves)
+    roadmap = Roadmap(visits, checker, limits, seed, budget.path_checks, budget.checks)
     if not roadmap.active[0]:
-        return _no_motion(roadmap, len(solutions))
+        return _no_motion(roadmap, len(visits.configurations))
 
     dropped = []
-    for k, q in enumerate(solutions):
+    for k, q in enumerate(visits.configurations):
         if len(q) == 0:
             dropped.append(Dropped(k, DropReason.NO_SOLUTION, ""))
         elif len(roadmap.nodes_of(k)) == 0:
             blocker = next(iter(checker.contacts(q[0])), "")
             dropped.append(Dropped(k, DropReason.IN_COLLISION, blocker))
 
-    search = TourSearch(roadmap, poses, T_base_home, limits, seed, budget, ordering, progress, stays)
+    search = TourSearch(roadmap, visits, limits, seed, budget, ordering, progress)
     nodes = search.run()
     dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
-    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), passages, measure)
+    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), measure)
 
 
-def _between(
-    solutions: Many[Floats], passages: Many[Many[Passage]] | None
-) -> tuple[list[NDArray[np.int64]] | None, Floats | None]:
-    """Where each joint solution is left, per view, and how long the arm is there [s], per node with home first."""
-    if passages is None:
-        return None, None
-    stays = [0.0]
-    for k, (q, own) in enumerate(zip(solutions, passages, strict=True)):
-        if len(own) != len(q):
-            raise PlannerError(f"view {k} has {len(q)} joint solutions and {len(own)} passages; they must be as many")
-        for i, passage in enumerate(own):
-            ends = passage.via[[0, -1]], q[[i, passage.leaves]]
-            if not np.allclose(*ends, rtol=0.0, atol=1e-9):
-                raise PlannerError(f"passage {i} of view {k} does not begin and end at the joint solutions it names")
-            stays.append(passage.duration)
-    leaves = [np.array([passage.leaves for passage in own], dtype=np.int64) for own in passages]
-    return leaves, np.array(stays)
-
-
-def _tour(
-    roadmap: Roadmap,
-    nodes: list[int],
-    search: TourSearch,
-    dropped: tuple[Dropped, ...],
-    passages: Many[Many[Passage]] | None,
-    measure: bool,
-) -> Tour:
+def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[Dropped, ...], measure: bool) -> Tour:
     """Put the legs together and measure their clearance."""
+    passages = search.visits.passages
     views = [search.view_of(node) for node in nodes[1:-1]]
     stands = [
         Passage(roadmap.q[[node]], np.zeros(1, dtype=np.int64), 0.0, 0)

@@ -11,17 +11,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.order import generalised_tsp as gtsp
 from planner.order import orderings as ordering_of_views
+from planner.order.moves import Moves, node_offsets
 from planner.order.roadmap import Edge, Roadmap
+from planner.order.visits import Visits
 from planner.path.path import CHECKS, path_time
-from planner.ports import Floats, JointLimits, Progress
-
-Ints = NDArray[np.int64]
-
-"""Called with the number of real edges and the number of edges of the tour under work."""
+from planner.ports import JointLimits, Progress
+from planner.values import Floats, Ints
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,25 +74,23 @@ class TourSearch:
     def __init__(
         self,
         roadmap: Roadmap,
-        poses: Floats,
-        T_base_home: Floats | None,
+        visits: Visits,
         limits: JointLimits,
         seed: int,
         budget: MotionBudget,
         ordering: str | ordering_of_views.Ordering,
         progress: Progress | None,
-        stays: Floats | None = None,
     ) -> None:
-        self.roadmap, self.poses, self.T_base_home, self.limits = roadmap, poses, T_base_home, limits
+        self.roadmap, self.visits, self.limits = roadmap, visits, limits
         self.seed, self.budget, self.progress = seed, budget, progress
         self.ordering = ordering_of_views.ORDERINGS[ordering] if isinstance(ordering, str) else ordering
-        self.views = [k for k in range(len(poses)) if len(roadmap.nodes_of(k))]
+        self.views = [k for k in range(len(visits.configurations)) if len(roadmap.nodes_of(k))]
         self.unconnected: list[int] = []
         self.baseline, self.lower_bound = 0.0, 0.0
         self.rounds = 0
         self.best: list[int] = []
         self.best_time, self.promised = float("inf"), 0.0
-        self.stays = np.zeros(len(roadmap.q)) if stays is None else stays  # time between arriving and leaving, by node
+        self.stays = visits.stays
 
     def run(self) -> list[int]:
         """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
@@ -218,24 +214,20 @@ class TourSearch:
         """Order the views under the current prices, beginning with the order of an earlier tour."""
         self.drop_unconnected()
         roadmap, nodes = self.roadmap, [self.roadmap.nodes_of(k) for k in self.views]
-        numbers = np.full(len(roadmap.q), -1)
         flat = np.concatenate([np.zeros(1, dtype=np.int64), *nodes])
+        numbers = np.full(len(roadmap.q), -1)
         numbers[flat] = np.arange(len(flat))
+        times, leave = roadmap.times()[np.ix_(flat, flat)], numbers[roadmap.leave[flat]]
         place = {view: k for k, view in enumerate(self.views)}
         start = [place[v] for node in before[1:-1] if (v := self.view_of(node)) in place]
         found = self.ordering(
-            [roadmap.q[n] for n in nodes],
-            roadmap.q[0],
-            self.limits,
-            T_base_scanner=self.poses[self.views],
-            T_base_home=self.T_base_home,
-            rng=np.random.default_rng([self.seed, self.rounds]),
+            Moves(roadmap.q[flat], node_offsets(nodes), times, leave, self.stays[flat]),
+            self.visits.T_base_scanner[self.views],
+            np.random.default_rng([self.seed, self.rounds]),
             budget=steps,
             bound_work=self.budget.bound if self.rounds == 0 else None,
+            T_base_home=self.visits.T_base_home,
             start=np.array(start) if len(start) == len(self.views) and start else None,
-            leaves=None if self.at_rest else [numbers[roadmap.leave[n]] - numbers[n[0]] for n in nodes],
-            stays=None if self.at_rest else [self.stays[n] for n in nodes],
-            times=roadmap.times()[np.ix_(flat, flat)],
         )
         if self.rounds == 0:  # no edge was looked at: times of straight moves, which no path undercuts
             self.baseline, self.lower_bound = found.baseline_duration, found.lower_bound
@@ -248,11 +240,6 @@ class TourSearch:
         lost = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
         self.unconnected += lost
         self.views = [k for k in self.views if k not in lost]
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether every view is left where it is entered, at once."""
-        return bool((self.roadmap.leave == np.arange(len(self.roadmap.q))).all() and not self.stays.any())
 
     def usable(self, node: int) -> bool:
         """Whether a node can still be entered and left."""

@@ -1,11 +1,13 @@
 """Generalised tours whose costs depend on the direction: every solver against all orders, nodes and directions."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from planner.order import generalised_tsp as gtsp
+from planner.order.moves import Moves
 from planner.order.orderings import sequence
 from planner.ports import Floats, JointLimits
 
@@ -69,15 +71,9 @@ def test_sweeps_are_entered_at_one_end_and_left_at_the_other(seed: int) -> None:
     ends = rng.uniform(-1, 1, (4, 2, 6))
     stays = rng.uniform(0.1, 0.5, 4)
     home = np.zeros(6)
-    found = sequence(
-        list(ends),
-        home,
-        LIMITS,
-        T_base_scanner=np.tile(np.eye(4), (4, 1, 1)),
-        rng=rng,
-        leaves=[np.array([1, 0])] * 4,
-        stays=[np.full(2, stay) for stay in stays],
-    )
+    moves = Moves.straight(list(ends), home, LIMITS)
+    moves = replace(moves, leave=[0, 2, 1, 4, 3, 6, 5, 8, 7], stays=np.concatenate([[0.0], np.repeat(stays, 2)]))
+    found = sequence(moves, np.tile(np.eye(4), (4, 1, 1)), rng)
     best = np.inf
     for order in itertools.permutations(range(4)):
         for way in itertools.product((0, 1), repeat=4):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from planner.order.tour import MotionBudget, Tour, TourStatus, plan_motion
+from planner.order.visits import Visits
 from planner.path.certified_edge import STEP
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, move_time, retime
@@ -112,7 +113,7 @@ def cell_with_part(seed: int, n: int) -> tuple[Arm, list[np.ndarray], np.ndarray
 def planned(seed: int) -> tuple[Arm, Tour, Motion]:
     """A tour of eight views and its motion."""
     arm, configurations, poses = cell_with_part(seed, 8)
-    tour = plan_motion(configurations, HOME, arm, LIMITS, poses, np.random.default_rng(seed))
+    tour = plan_motion(Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(seed))
     return arm, tour, retime(tour.via, tour.segment, tour.view, LIMITS)
 
 
@@ -183,11 +184,9 @@ def test_equal_seeds_give_equal_motions() -> None:
     """Same input and seed, same bytes; progress reports end with every edge of the tour real."""
     arm, configurations, poses = cell_with_part(1, 6)
     told: list[tuple[int, int]] = []
+    visits = Visits(configurations, HOME, poses)
     tours = [
-        plan_motion(
-            configurations, HOME, arm, LIMITS, poses, np.random.default_rng(5), progress=lambda *p: told.append(p)
-        )
-        for _ in range(2)
+        plan_motion(visits, arm, LIMITS, np.random.default_rng(5), progress=lambda *p: told.append(p)) for _ in range(2)
     ]
     assert tours[0].via.tobytes() == tours[1].via.tobytes()
     assert tours[0].clearance.tobytes() == tours[1].clearance.tobytes()
@@ -198,7 +197,11 @@ def test_few_rounds_still_end_with_a_certified_tour() -> None:
     """With a single ordering allowed, its edges are made real as they are: complete, certified, not faster."""
     arm, configurations, poses = cell_with_part(2, 8)
     hasty = plan_motion(
-        configurations, HOME, arm, LIMITS, poses, np.random.default_rng(0), MotionBudget(rounds=1, path_checks=4000)
+        Visits(configurations, HOME, poses),
+        arm,
+        LIMITS,
+        np.random.default_rng(0),
+        MotionBudget(rounds=1, path_checks=4000),
     )
     assert hasty.status is TourStatus.COMPLETE
     assert hasty.rounds == 1

@@ -1,12 +1,14 @@
 """Orders and joint solutions against enumeration of every one."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from planner.order import generalised_tsp as gtsp
 from planner.order import tour_bound
+from planner.order.moves import Moves
 from planner.order.orderings import OrderStatus, sequence
 from planner.ports import JointLimits
 from planner.timing.motion import move_time
@@ -57,7 +59,11 @@ def test_small_sequences_are_the_true_optimum(seed: int) -> None:
         )
         if a < b
     }
-    found = sequence(configurations, HOME, LIMITS, T_base_scanner=poses, rng=np.random.default_rng(0), edge_time=prices)
+    moves = Moves.straight(configurations, HOME, LIMITS)
+    times = moves.times.copy()
+    for (a, b), time in prices.items():
+        times[a, b] = times[b, a] = time
+    found = sequence(replace(moves, times=times), poses, np.random.default_rng(0))
     truth = cheapest(configurations, prices)
     assert found.duration == pytest.approx(truth, rel=1e-12)
     assert found.status is (OrderStatus.OPTIMAL if np.isfinite(truth) else OrderStatus.NO_TOUR)

@@ -7,6 +7,7 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.order.tour import DropReason, MotionBudget, Tour, TourStatus, plan_motion
+from planner.order.visits import Visits
 from planner.path.certified_edge import quantise
 from planner.path.path import PathStatus, connect
 from planner.ports import JointLimits
@@ -75,7 +76,7 @@ def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) ->
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     for pose, q in zip(poses, views, strict=True):
         pose[:3, 3] = q[0, :3] if len(q) else 0.0
-    return plan_motion(views, HOME, checker, LIMITS, poses, rng(), **arguments)  # type: ignore[arg-type]
+    return plan_motion(Visits(views, HOME, poses), checker, LIMITS, rng(), **arguments)  # type: ignore[arg-type]
 
 
 def test_both_ends_equal() -> None:
@@ -270,14 +271,13 @@ def test_broken_input_is_refused_in_one_sentence(change: Callable[[dict], None],
     arguments = {
         "configurations": [at(1)[None]],
         "home": HOME,
-        "checker": Boxes(),
-        "limits": LIMITS,
         "T_base_scanner": np.eye(4)[None],
-        "rng": rng(),
+        "ordering": "joint-space",
     }
     change(arguments)
+    ordering = arguments.pop("ordering")
     with pytest.raises(PlannerError, match=message):
-        plan_motion(**arguments)
+        plan_motion(Visits(**arguments), Boxes(), LIMITS, rng(), ordering=ordering)
 
 
 def test_more_work_never_makes_the_motion_longer() -> None:

@@ -4,7 +4,9 @@ Every case is ordered twice: exactly where there are few views, and by the searc
 bring about.
 """
 
+from collections.abc import Mapping
 from collections.abc import Sequence as Many
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from planner.errors import PlannerError
 from planner.order import generalised_tsp as gtsp
 from planner.order import tour_bound
+from planner.order.moves import Moves
 from planner.order.orderings import OrderStatus, Sequence, sequence
 from planner.ports import JointLimits
 from planner.timing.motion import move_time
@@ -28,10 +31,16 @@ def degrees(*angles: float) -> np.ndarray:
     return np.radians(angles)[None]
 
 
-def ordered(views: Many[np.ndarray], **arguments: object) -> Sequence:
-    """Order views; their scanner poses are all the same, so that task space says nothing."""
+def ordered(
+    views: Many[np.ndarray], prices: Mapping[tuple[int, int], float] | None = None, **arguments: int
+) -> Sequence:
+    """Order views, some moves at a price; all scanner poses are the same, so that task space says nothing."""
     poses = np.tile(np.eye(4), (len(views), 1, 1))
-    return sequence(list(views), HOME, LIMITS, T_base_scanner=poses, rng=np.random.default_rng(0), **arguments)  # type: ignore[arg-type]
+    moves = Moves.straight(views, HOME, LIMITS)
+    times = moves.times.copy()
+    for (a, b), time in (prices or {}).items():
+        times[a, b] = times[b, a] = time
+    return sequence(replace(moves, times=times), poses, np.random.default_rng(0), **arguments)
 
 
 def stops(found: Sequence) -> np.ndarray:
@@ -149,7 +158,7 @@ def test_a_view_that_no_move_reaches(n: int) -> None:
     rng = np.random.default_rng(n)
     views = [rng.uniform(-1, 1, (2, 6)) for _ in range(n)]
     forbidden = {(a, b): np.inf for a in (1, 2) for b in range(2 * n + 1)}
-    found = ordered(views, edge_time=forbidden)
+    found = ordered(views, forbidden)
     assert found.status is OrderStatus.NO_TOUR
     assert (found.duration, found.baseline_duration) == (np.inf, np.inf)
     assert sorted(found.order) == list(range(n))
@@ -166,7 +175,7 @@ def test_every_move_but_one_tour_forbidden(n: int) -> None:
     price = {(a, b): np.inf for a in range(n + 1) for b in range(a)}
     for a, b in zip(cycle, np.roll(cycle, -1), strict=True):
         price[max(a, b), min(a, b)] = 1.0
-    found = ordered([np.full((1, 6), 0.01 * k) for k in range(n)], edge_time=price)
+    found = ordered([np.full((1, 6), 0.01 * k) for k in range(n)], price)
     assert found.duration == pytest.approx(n + 1.0)
     assert found.status is OrderStatus.OPTIMAL
 

@@ -11,6 +11,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.order.tour import DropReason, plan_motion
+from planner.order.visits import Visits
 from planner.path.certified_edge import STEP, along, certify, quantise
 from planner.path.path import PathStatus, connect
 
@@ -95,7 +96,10 @@ def test_a_part_that_fills_the_workspace() -> None:
     assert 3000 <= found.checks < 10_000
     ahead = quantise(np.radians([[a, -60.0, 80, 0, 60, 0] for a in (-20.0, -10, 0, 10, 20)]))
     tour = plan_motion(
-        [ahead[:3], ahead[3:]], left, checker, world.limits, np.tile(np.eye(4), (2, 1, 1)), np.random.default_rng(0)
+        Visits([ahead[:3], ahead[3:]], left, np.tile(np.eye(4), (2, 1, 1))),
+        checker,
+        world.limits,
+        np.random.default_rng(0),
     )
     assert [(lost.view, lost.reason) for lost in tour.dropped] == [
         (0, DropReason.IN_COLLISION),

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from planner.order import generalised_tsp as gtsp
-from planner.order import orderings as orders
+from planner.order.moves import Moves
 from planner.order.order_overlap import grown, keeps, overlapping
+from planner.order.orderings import sequence
 from planner.ports import JointLimits
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.0), np.full(6, 2.0))
@@ -27,7 +28,7 @@ def instance(seed, n=6):
 def solved(configurations, joined, seed=0):
     """The ordering's answer."""
     poses = np.broadcast_to(np.eye(4), (len(configurations), 4, 4))
-    return overlapping(joined)(configurations, HOME, LIMITS, T_base_scanner=poses, rng=np.random.default_rng(seed))
+    return overlapping(joined)(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(seed))
 
 
 def test_every_order_keeps_the_wish_and_few_take_longer_than_the_best() -> None:
@@ -38,7 +39,7 @@ def test_every_order_keeps_the_wish_and_few_take_longer_than_the_best() -> None:
         found = solved(configurations, joined)
         assert keeps(joined, found.order)
         assert sorted(found.order.tolist()) == list(range(len(configurations)))
-        problem = orders.instance(configurations, HOME, LIMITS, None, None, None)
+        problem = Moves.straight(configurations, HOME, LIMITS).instance()
         best = min(
             gtsp.best_nodes(problem, np.array(order) + 1)[0]
             for order in permutations(range(len(configurations)))
@@ -59,7 +60,7 @@ def test_an_order_that_keeps_the_wish_by_itself_is_not_touched() -> None:
     configurations, _ = instance(3)
     everything = ~np.eye(len(configurations), dtype=bool)
     poses = np.broadcast_to(np.eye(4), (len(configurations), 4, 4))
-    free = orders.sequence(configurations, HOME, LIMITS, T_base_scanner=poses, rng=np.random.default_rng(0))
+    free = sequence(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0))
     np.testing.assert_array_equal(solved(configurations, everything).order, free.order)
 
 

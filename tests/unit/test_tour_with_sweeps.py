@@ -1,6 +1,7 @@
 """Tours over views that are entered at one end of a sweep and left at the other: whole, timed, in the best order."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
 from planner.order.tour import TourStatus, plan_motion
+from planner.order.visits import Visits
 from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import SweepPath, passages_of
@@ -57,13 +59,16 @@ def _views(count: int) -> tuple[list[tuple[SweepPath, ...]], Floats]:
     return paths, np.stack(poses)
 
 
+def _visits(paths: list[tuple[SweepPath, ...]], poses: Floats) -> Visits:
+    """The sweeps' begins as joint solutions, with the way along them."""
+    begins = [np.stack([path.q[0] for path in view]) for view in paths]
+    return Visits(begins, HOME, poses, passages=[passages_of(view) for view in paths])
+
+
 def test_the_tour_holds_every_sweep_whole_and_takes_the_shortest_way() -> None:
     """Against all orders and directions; timed with its lines it takes the time that the tour says."""
     paths, poses = _views(4)
-    tour = plan_motion(
-        [np.stack([path.q[0] for path in view]) for view in paths], HOME, _FreeSpace(), LIMITS, poses,
-        np.random.default_rng(0), passages=[passages_of(view) for view in paths],
-    )  # fmt: skip
+    tour = plan_motion(_visits(paths, poses), _FreeSpace(), LIMITS, np.random.default_rng(0))
     assert tour.status is TourStatus.COMPLETE
     best = np.inf
     for order in itertools.permutations(range(4)):
@@ -96,10 +101,7 @@ def test_a_sweep_whose_end_cannot_be_left_is_driven_the_other_way_or_dropped() -
     paths, poses = _views(3)
     ends = np.degrees(np.sort([paths[1][0].q[0][0], paths[1][0].q[-1][0]]))
     wall = _FreeSpace((float(ends[0]) - 0.2, float(ends[0]) + 0.2))
-    tour = plan_motion(
-        [np.stack([path.q[0] for path in view]) for view in paths], HOME, wall, LIMITS, poses,
-        np.random.default_rng(0), passages=[passages_of(view) for view in paths],
-    )  # fmt: skip
+    tour = plan_motion(_visits(paths, poses), wall, LIMITS, np.random.default_rng(0))
     assert 1 in [lost.view for lost in tour.dropped]
     assert 1 not in tour.order.tolist()
 
@@ -109,8 +111,8 @@ def test_passages_must_fit_their_joint_solutions() -> None:
     q = np.stack([HOME, HOME + 0.1])
     still = Passage(HOME[None], np.zeros(1, dtype=np.int64), 0.0, 0)
     with pytest.raises(PlannerError, match="they must be as many"):
-        plan_motion([q], HOME, _FreeSpace(), LIMITS, np.eye(4)[None], np.random.default_rng(0), passages=[[still]])
+        Visits([q], HOME, np.eye(4)[None], passages=[[still]])
     with pytest.raises(PlannerError, match="does not begin and end"):
-        plan_motion(
-            [q], HOME, _FreeSpace(), LIMITS, np.eye(4)[None], np.random.default_rng(0), passages=[[still, still]]
-        )
+        Visits([q], HOME, np.eye(4)[None], passages=[[still, still]])
+    with pytest.raises(PlannerError, match="passage 1 of view 0 must leave at a joint solution of it, 0 to 1"):
+        Visits([q], HOME, np.eye(4)[None], passages=[[still, replace(still, leaves=2)]])

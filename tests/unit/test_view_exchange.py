@@ -11,6 +11,7 @@ from cell.plan.views import Groups
 from planner import cover
 from planner.cover import CoverStatus
 from planner.order.tour import Tour, plan_motion
+from planner.order.visits import Visits
 from planner.ports import JointLimits
 
 RANGE = np.full(6, 3.0)
@@ -63,7 +64,7 @@ def groups() -> Groups:
 def motion(found: Groups) -> Tour:
     """The motion over the groups; the stand-ins lie nearest to home."""
     poses = np.tile(np.eye(4), (3, 1, 1))
-    return plan_motion(found.configurations, HOME, Open(), LIMITS, poses, np.random.default_rng(0))
+    return plan_motion(Visits(found.configurations, HOME, poses), Open(), LIMITS, np.random.default_rng(0))
 
 
 def test_the_plan_is_what_the_motion_picked() -> None:

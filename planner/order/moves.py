@@ -1,0 +1,83 @@
+"""What is ordered: the joint solutions of views as nodes, and what the moves between them cost.
+
+Nodes are numbered as `node_offsets` says: 0 is home, then the joint solutions view by view.
+"""
+
+from collections.abc import Sequence, Sized
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.errors import PlannerError
+from planner.order import generalised_tsp as gtsp
+from planner.ports import JointLimits
+from planner.timing.motion import check_inside, move_time
+from planner.values import Floats, Ints, Value, freeze, readonly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moves(Value):
+    """Home and the joint solutions of n views, N nodes together, and the times of the moves between them.
+
+    Attributes:
+        q: (N, 6) joint angles of the nodes [rad].
+        offsets: (n + 1,) first node of each view, and the number of nodes.
+        times: (N, N) time of the move from node to node [s]; inf where it cannot be driven.
+        leave: (N,) node of the same view at which the arm leaves when it arrived at each: a sweep ends where its
+            reverse begins.
+        stays: (N,) time between arriving and leaving [s], part of a tour's duration.
+    """
+
+    q: Annotated[Floats, "N 6"]
+    offsets: Annotated[Ints, "n+1"]
+    times: Annotated[Floats, "N N"]
+    leave: Annotated[Ints, "N"]
+    stays: Annotated[Floats, "N"]
+
+    def __post_init__(self) -> None:
+        freeze(self)
+        empty = np.flatnonzero(np.diff(self.offsets) < 1)
+        if len(empty):
+            raise PlannerError(f"view {empty[0]} has no joint solution; drop it before ordering")
+        arrive, leave = (np.searchsorted(self.offsets, at, side="right") for at in (np.arange(len(self.q)), self.leave))
+        if self.leave[0] != 0 or (arrive != leave).any():
+            raise PlannerError("leave must name a node of the same view for each node, and home for home")
+
+    @classmethod
+    def straight(cls, configurations: Sequence[ArrayLike], home: ArrayLike, limits: JointLimits) -> "Moves":
+        """Straight moves between views at which the arm stands still and that take no time.
+
+        Args:
+            configurations: per view, (n_i, 6) collision-free joint solutions [rad]; at least one each.
+            home: (6,) joint angles at which the tour begins and ends [rad].
+            limits: limits of the axes.
+
+        Raises:
+            PlannerError: if a view has no joint solution, or a joint angle is outside its range.
+        """
+        solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(configurations)]
+        for k, q in enumerate(solutions):
+            check_inside(f"joint solution of view {k}: number", q, limits)
+        start = readonly("home", home, (6,))[None]
+        check_inside("home: number", start, limits)
+        q = np.concatenate([start, *solutions])
+        times = move_time(q[:, None], q, limits)
+        return cls(q, node_offsets(solutions), times, np.arange(len(q)), np.zeros(len(q)))
+
+    def instance(self) -> gtsp.Instance:
+        """The travelling salesman's: one cluster per view; a move costs its time and the stay where it arrives."""
+        return gtsp.instance(self.times[self.leave] + self.stays, np.concatenate(([0], self.offsets)))
+
+
+def node_offsets(configurations: Sequence[Sized]) -> Ints:
+    """Node numbers: solution i of view k is node `offsets[k] + i`, home is node 0.
+
+    Args:
+        configurations: per view, its joint solutions.
+
+    Returns:
+        (n + 1,) first node of each view, and the number of nodes.
+    """
+    return np.cumsum([1, *map(len, configurations)])
