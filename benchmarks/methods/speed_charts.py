@@ -19,7 +19,7 @@ _COLOURS = {"fast": "#ca6f1e", "balanced": "#1e8449", "accurate": "#7d3c98", PAP
 _MARKS = {"fast": "v", "balanced": "*", "accurate": "^", PAPER: "s"}
 _SIZES = {"fast": 9, "balanced": 14, "accurate": 9, PAPER: 8}
 _LINE = "#2471a3"
-_BESIDE = 0.3  # points whose seconds and errors differ by less than this (of e): the second's label goes below
+_BESIDE = 0.4  # points whose seconds and errors differ by less than this (of e): the second's label goes below
 
 
 def presets_at(knob: Knob, value: Value) -> list[str]:
