@@ -144,7 +144,7 @@ def _scene(
         return part, None
     file = None if path is None else Path(path)
     if part is None or isinstance(part, str | Path):
-        return scene_of(file, part, **wishes), None
+        return scene_of(file, wishes, part), None
     from cell.part import workpiece
 
     units = wishes.pop("units", None)
@@ -152,7 +152,7 @@ def _scene(
     loaded = workpiece.from_arrays(
         "mesh" if name in BUILT_IN else name, part.vertices, part.faces, None if units is None else str(units)
     )
-    return scene_of(file, **wishes), loaded
+    return scene_of(file, wishes), loaded
 
 
 def _folder(run: "PlannedRun | str | Path") -> Path:

@@ -31,7 +31,7 @@ def check(
     from cell.commands.terminal import Terminal
     from cell.world.check import check_scene
 
-    result = check_scene(scene_of(scene, part, spell=flag, **wishes))
+    result = check_scene(scene_of(scene, wishes, part, flag))
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:

@@ -36,7 +36,7 @@ def place(
     from cell.study.study import StudyResult, study_folder, write_folder
     from cell.study.workers import open_workers
 
-    checked = scene_of(scene, part, spell=flag, **wishes)
+    checked = scene_of(scene, wishes, part, flag)
     folder = study_folder("place", run.out)
     terminal = Terminal(quiet_stdout=as_json)
     with (

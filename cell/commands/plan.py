@@ -47,7 +47,7 @@ def plan(
     from cell.plan.report import table
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_of(scene, part, spell=flag, **wishes)
+    checked = scene_of(scene, wishes, part, flag)
     run = api.plan(checked, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:])
     if as_json:
         sys.stdout.write(json.dumps(run.as_json(), indent=2, allow_nan=False) + "\n")

@@ -58,9 +58,11 @@ def scan(
     as_json: AsJson = False,
 ) -> None:
     """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
+    from cell import api
     from cell.commands.terminal import Terminal
     from cell.scan import execution_report, post_processing
     from cell.scan import scan as scan_command
+    from cell.scan.work import ScanOutcome
 
     _require_one_question(options.model_fields_set, preset, resume, report)
     if preset is not None and options.resolution_deg is None:
@@ -75,7 +77,8 @@ def scan(
     elif resume is not None:
         outcome = scan_command.resume(run, resume, options, argv=sys.argv[1:], narrator=terminal, ask=ask)
     else:
-        outcome = scan_command.scan(run, options, argv=sys.argv[1:], narrator=terminal, ask=ask)
+        executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=ask)
+        outcome = ScanOutcome(executed.folder, executed.exit_code, executed.as_json())
     if as_json:
         sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
     else:

@@ -105,7 +105,7 @@ def scene_maker(part: str | None, scene: Path | None, wishes: Wishes) -> "SceneW
     Raises:
         UsageError: as `cell plan` does for its options.
     """
-    own = tables(part, spell=flag, **wishes)
+    own = tables(wishes, part, flag)
 
     def scene_with(more: Mapping[str, Mapping[str, Any]]) -> Scene:
         asked = {**own, **more, "plan": {**own.get("plan", {}), **more.get("plan", {})}}

@@ -4,13 +4,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from cell.run import ply
 from cell.run.json_table import JsonTable, parsed
-from cell.run.record import RunRecord, artefact, read_manifest, understood
+from cell.run.record import RunRecord, artefact, read_json, read_manifest, understood
 from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
@@ -76,19 +74,25 @@ class ExecutedRun:
         """Distance of the measured surface from the part; None where there is no surface."""
         return self.report.deviation
 
+    def as_json(self) -> dict[str, JsonValue]:
+        """The object that `cell scan --json` prints: all of report.json but its schema."""
+        content = read_json(self.folder / "report.json")
+        return {key: value for key, value in content.items() if key != "schema"}
+
     @cached_property
     def mesh(self) -> TriangleMesh | None:
         """The surface made from the points; None where there is none."""
-        return _mesh(self._ply("mesh.ply")) if self.record.has("mesh.ply") else None
+        if not self.record.has("mesh.ply"):
+            return None
+        with understood(self.folder / "mesh.ply"):
+            return ply.mesh(artefact(self.record, "mesh.ply"))
 
     @cached_property
     def points(self) -> Floats:
         """(N, 3) points of the merged cloud."""
-        return readonly("points", _places(self._ply("cloud.ply")["vertex"]), (None, 3))
-
-    def _ply(self, name: str) -> dict[str, NDArray[np.void]]:
-        with understood(self.folder / name):
-            return ply.elements(artefact(self.record, name))
+        with understood(self.folder / "cloud.ply"):
+            places = ply.places(ply.elements(artefact(self.record, "cloud.ply"))["vertex"])
+            return readonly("points", places, (None, 3))
 
 
 def open_execution(folder: Path) -> ExecutedRun:
@@ -99,11 +103,3 @@ def open_execution(folder: Path) -> ExecutedRun:
     """
     record = RunRecord(folder, read_manifest(folder / "manifest.json"))
     return ExecutedRun(record, parsed(ExecutionReport, artefact(record, "report.json"), folder / "report.json"))
-
-
-def _places(vertices: NDArray[np.void]) -> Floats:
-    return np.stack([vertices[axis] for axis in "xyz"], axis=1) / 1000.0
-
-
-def _mesh(read: dict[str, NDArray[np.void]]) -> TriangleMesh:
-    return TriangleMesh(_places(read["vertex"]), read["face"]["vertex_indices"])

@@ -3,7 +3,27 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+
 _TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uchar": "u1"}
+
+
+def mesh(content: bytes) -> TriangleMesh:
+    """A mesh [m] of a file in millimetres.
+
+    A coordinate may differ from the one that was used by the last bit of a double.
+
+    Raises:
+        ValueError: if the content is not a whole PLY.
+    """
+    read = elements(content)
+    return TriangleMesh(places(read["vertex"]), read["face"]["vertex_indices"])
+
+
+def places(vertices: NDArray[np.void]) -> Floats:
+    """(N, 3) x, y and z of an element in millimetres [m]."""
+    return np.stack([vertices[axis] for axis in "xyz"], axis=1) / 1000.0
 
 
 def elements(content: bytes) -> dict[str, NDArray[np.void]]:
@@ -28,9 +48,9 @@ def elements(content: bytes) -> dict[str, NDArray[np.void]]:
                 kinds[list(kinds)[-1]].append((name, _TYPES[kind]))
     arrays, at = {}, 0
     for name, fields in kinds.items():
-        kind = np.dtype(fields)
-        arrays[name] = np.frombuffer(body[at : at + counts[name] * kind.itemsize], dtype=kind)
-        at += counts[name] * kind.itemsize
+        row = np.dtype(fields)
+        arrays[name] = np.frombuffer(body[at : at + counts[name] * row.itemsize], dtype=row)
+        at += counts[name] * row.itemsize
     if not found or at != len(body):
         raise ValueError("its header and its length differ")
     return arrays

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
+from cell.run import ply
 from cell.run.record import RunRecord, arrays, artefact, artefact_json, understood
 from planner.ports import Floats, JointLimits
 from planner.reach.reach import Reach
@@ -267,16 +268,5 @@ def mesh(run: RunRecord, name: str) -> TriangleMesh:
     Raises:
         FileError: if it is missing, changed or damaged.
     """
-    content = artefact(run, name)
-    header, separator, body = content.partition(b"end_header\n")
     with understood(run.folder / name):
-        counts = {
-            words[1]: int(words[2])
-            for words in (line.split() for line in header.decode("ascii").splitlines())
-            if words[:1] == ["element"]
-        }
-        split = 24 * counts["vertex"]
-        faces = np.frombuffer(body[split:], dtype=[("n", "u1"), ("v", "<i4", 3)])
-        if not separator or len(faces) != counts["face"]:
-            raise ValueError("its header and its length differ")
-        return TriangleMesh(np.frombuffer(body[:split], "<f8").reshape(-1, 3) / 1000.0, faces["v"])
+        return ply.mesh(artefact(run, name))

@@ -16,13 +16,13 @@ BUILT_IN: tuple[str, ...] = get_args(Part.model_fields["name"].annotation)
 Tables = dict[str, dict[str, object]]
 
 
-def tables(part: str | Path | None = None, *, spell: Spell = keyword, **wishes: object) -> Tables:
-    """Tables of the scene with what is wished: `tables("mug", place=(1200, 500, 0), standoff=300, pin=[1, 2])`.
+def tables(wishes: Mapping[str, object], part: str | Path | None = None, spell: Spell = keyword) -> Tables:
+    """Tables of the scene with what is wished: `{"place": (1200, 500, 0), "standoff": 300, "pin": [1, 2]}`.
 
     Args:
+        wishes: by the names of `offers(Scene)`; texts as on the command line, or values. None is no wish.
         part: a built-in part by name, else a mesh file.
         spell: how the user writes the name of a wish, for the sentences.
-        wishes: by the names of `offers(Scene)`; texts as on the command line, or values. None is no wish.
 
     Raises:
         UsageError: if a wish is unknown or its value has another form, or the part is neither built in nor a file.
@@ -44,7 +44,10 @@ def spelled(asked: Mapping[str, Mapping[str, object]], spell: Spell = keyword) -
 
 
 def scene_of(
-    path: Path | None = None, part: str | Path | None = None, *, spell: Spell = keyword, **wishes: object
+    path: Path | None,
+    wishes: Mapping[str, object],
+    part: str | Path | None = None,
+    spell: Spell = keyword,
 ) -> Scene:
     """A scene file with wishes before it; the built-in scene for None.
 
@@ -53,7 +56,7 @@ def scene_of(
         FileError: as `tables`.
         SceneError: with every problem on a line of its own; one of a wish names it as its user wrote it.
     """
-    asked = tables(part, spell=spell, **wishes)
+    asked = tables(wishes, part, spell)
     return load_scene(path, asked, spelled(asked, spell))
 
 

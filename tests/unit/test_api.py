@@ -1,0 +1,133 @@
+"""The front door for Python gives what the command line gives."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.api import open_run, plan, scan
+from cell.errors import FileError, SceneError, UsageError
+from cell.run.planned import PlannedRun
+from cell.scene.scene import load_scene
+
+_QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3}
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> PlannedRun:
+    """A small plan of a ball in memory."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
+    return plan(ball, units="mm", out=tmp_path_factory.mktemp("api") / "run", **_QUICK)
+
+
+def test_importing_it_imports_nothing_heavy() -> None:
+    """What a call needs is imported by the call: not even NumPy is there before."""
+    heavy = ("numpy", "pydantic", "mujoco", "matplotlib", "rich", "typer", "numba")
+    code = f"import sys, cell.api; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_plan_is_a_value_of_arrays(planned: PlannedRun) -> None:
+    """Shapes agree with the number of views, poses with each other, and the bound is not above the views."""
+    n = len(planned.candidate)
+    assert planned.q.shape == (n, 6)
+    assert planned.T_base_scanner.shape == planned.T_object_scanner.shape == (n, 4, 4)
+    T_base_object = planned.T_base_scanner @ np.linalg.inv(planned.T_object_scanner)
+    assert np.abs(T_base_object - T_base_object[0]).max() < 1e-9
+    assert 1 <= planned.bound <= n
+    assert 0 < planned.coverage.visible <= planned.coverage.coverable
+    assert planned.exit_code == 0
+    assert planned.motion.duration > 0
+    assert not planned.q.flags.writeable
+
+
+def test_a_run_opened_again_is_the_same_value(planned: PlannedRun) -> None:
+    """`open_run` reads back what `plan` returned."""
+    again = open_run(str(planned.folder))
+    assert again.report == planned.report
+    assert np.array_equal(again.q, planned.q)
+    assert np.array_equal(again.reference.faces, planned.reference.faces)
+
+
+def test_a_mesh_in_memory_is_planned_as_its_file(planned: PlannedRun, tmp_path: Path) -> None:
+    """The same part from a file gives the same views, and a checked scene the same as its wishes."""
+    file = tmp_path / "ball.ply"
+    trimesh.creation.icosphere(subdivisions=3, radius=60.0).export(file, vertex_normal=False)
+    of_file = plan(file, units="mm", out=tmp_path / "file", **_QUICK)
+    scene = load_scene(
+        None,
+        {
+            "part": {"path": str(file), "units": "mm"},
+            "placement": {"position_mm": [1100, 400, 100]},
+            "plan": {"standoffs_mm": [200.0], "faces": 40, "samples_per_face": 2, "seed": 3},
+        },
+    )
+    of_scene = plan(scene, out=tmp_path / "scene")
+    assert np.array_equal(of_file.q, of_scene.q)
+    assert of_file.candidate.tolist() == of_scene.candidate.tolist()
+    assert len(of_file.candidate) == len(planned.candidate)
+
+
+def test_an_execution_is_a_value_too(planned: PlannedRun) -> None:
+    """Mesh, points and deviation of a perfect scan: on the ball."""
+    told: list[tuple[str, int, int]] = []
+    execution = scan(planned, resolution=1.0, progress=lambda *words: told.append(words))
+    assert execution.exit_code == 0
+    assert execution.mesh is not None
+    radius = np.linalg.norm(execution.points, axis=1) * 1000
+    assert np.abs(radius - 60).max() < 1.0
+    assert execution.deviation is not None
+    assert execution.deviation.rms_mm < 1.0
+    assert execution.coverage.visible == pytest.approx(execution.coverage.predicted, abs=0.02)
+    assert {stage for stage, _, _ in told} >= {"execute and scan", "merge"}
+
+
+def test_nothing_is_printed(planned: PlannedRun, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Quiet by default, stdout and stderr alike."""
+    plan(planned.folder / "reference.ply", units="mm", out=tmp_path / "run", **_QUICK)
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: plan("mug", stand_off=100), UsageError, "standoff"),
+        (lambda: plan("mug", units="mm"), SceneError, "units"),
+        (lambda: plan("no_such.stl", units="mm"), FileError, "no_such.stl"),
+        (lambda: plan(trimesh.creation.box()), UsageError, "units"),
+        (lambda: plan("mug", coverage=1.5), SceneError, "coverage"),
+        (lambda: plan(load_scene(None), coverage=0.9), UsageError, "coverage"),
+        (lambda: open_run("no/such/run"), FileError, "does not exist"),
+        (lambda: scan("no/such/run"), FileError, "does not exist"),
+    ],
+    ids=[
+        "unknown wish",
+        "units of a built-in",
+        "no file",
+        "no units",
+        "too much",
+        "scene and wish",
+        "no run",
+        "no plan",
+    ],
+)
+def test_what_cannot_be_is_one_sentence(call: object, error: type[Exception], words: str) -> None:
+    """The sentence names the keyword as it was written, and what would be valid."""
+    with pytest.raises(error, match=words):
+        call()  # type: ignore[operator]
+
+
+def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """docs/python.md, its first example as it stands."""
+    page = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(page.split("```python\n")[1].split("```")[0], names)
+    run = names["run"]
+    assert isinstance(run, PlannedRun)
+    assert run.folder == Path("trial")
