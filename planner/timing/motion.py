@@ -20,12 +20,12 @@ from itertools import pairwise
 from typing import Annotated, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
 from planner.timing.s_curve import Profile, fastest, sample
-from planner.values import Value, freeze, readonly
+from planner.values import Floats, Ints, Value, freeze, readonly
 
 MARGIN = 1e-8
 """Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second
@@ -63,18 +63,18 @@ class Motion(Value):
     """
 
     via_q: Annotated[Floats, "N 6"]
-    segment: Annotated[NDArray[np.int64], "N"]
-    view: Annotated[NDArray[np.int64], "N"]
+    segment: Annotated[Ints, "N"]
+    view: Annotated[Ints, "N"]
     via_t: Annotated[Floats, "N"]
     t: Annotated[Floats, "M"]
     q: Annotated[Floats, "M 6"]
     qd: Annotated[Floats, "M 6"]
     qdd: Annotated[Floats, "M 6"]
-    segment_of_sample: Annotated[NDArray[np.int64], "M"]
+    segment_of_sample: Annotated[Ints, "M"]
     duration: float
     limits: JointLimits
-    pose: Annotated[NDArray[np.int64], "N"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    line: Annotated[NDArray[np.int64], "N"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    pose: Annotated[Ints, "N"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    line: Annotated[Ints, "N"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         if not len(self.pose):
@@ -84,7 +84,7 @@ class Motion(Value):
         freeze(self)
 
     @property
-    def stops(self) -> NDArray[np.int64]:
+    def stops(self) -> Ints:
         """(n,) via point of each view in driving order: where it stands, or the middle pose of its sweep."""
         rows = np.flatnonzero(self.view >= 0)
         groups = np.split(rows, np.flatnonzero(np.diff(self.view[rows])) + 1) if len(rows) else []
@@ -232,54 +232,33 @@ def retime(
     widths = np.zeros((3, len(vias) - 1))
     for rows, profile in _profiles(vias[:-1], vias[1:], limits):
         widths[:, *rows] = profile
-    durations = Profile(*widths).duration
-    on_line = np.full(len(vias), -1)
-    for number, begin in enumerate(sorted(lines or {})):
-        times = (lines or {})[begin].times
-        if begin + len(times) > len(vias) or (on_line[begin + 1 : begin + len(times)] >= 0).any():
-            raise PlannerError(
-                f"the line that begins at via point {begin} has {len(times)} via points, and there is no room for them"
-            )
-        on_line[begin + 1 : begin + len(times)] = number
-        durations[begin : begin + len(times) - 1] = np.diff(times)
+    durations, lines = Profile(*widths).duration, lines or {}
+    on_line = _take_lines(lines, durations)
     via_t = np.concatenate(([0.0], np.cumsum(durations)))
-    t, q, qd, qdd, owner = [np.zeros(1)], [vias[:1]], [np.zeros((1, 6))], [np.zeros((1, 6))], [segments[:1]]
+    samples, owner = [(np.zeros(1), vias[:1], np.zeros((1, 6)), np.zeros((1, 6)))], [segments[:1]]
     for k in np.flatnonzero(durations > 0).tolist():
-        if on_line[k + 1] >= 0:
-            if lines is not None and k in lines:
-                own = slice(k, k + len(lines[k].times))
-                times, *sampled = _along(lines[k], vias[own], via_t[own], sample_period)
-                qdd[-1][-1] = sampled[2][0]
-                t.append(times[1:])
-                for kept, values in zip((q, qd, qdd), sampled, strict=True):
-                    kept.append(values[1:])
-                owner.append(np.full(len(times) - 1, segments[k + 1]))
-            continue
-        steps = max(2, int(np.ceil(durations[k] / sample_period)))
-        tau = np.arange(steps + 1) * (durations[k] / steps)
-        s, sd, sdd = sample(Profile(*widths[:, k]), tau)
-        delta = vias[k + 1] - vias[k]
-        low, high = np.minimum(vias[k], vias[k + 1]), np.maximum(vias[k], vias[k + 1])
-        positions = np.clip(vias[k] + s[:, None] * delta, low, high)
-        positions[-1] = vias[k + 1]
-        qdd[-1][-1] = sdd[0] * delta  # the acceleration that begins at the stop replaces the one that ended there
-        times = via_t[k] + tau[1:]
-        times[-1] = via_t[k + 1]
-        t.append(times)
-        q.append(positions[1:])
-        qd.append(sd[1:, None] * delta)
-        qdd.append(sdd[1:, None] * delta)
-        owner.append(np.full(steps, segments[k + 1]))
-    qdd[-1][-1] = 0.0
+        if on_line[k + 1] < 0:
+            found = _straight(Profile(*widths[:, k]), vias[k : k + 2], via_t[k : k + 2], sample_period)
+        elif k in lines:
+            own = slice(k, k + len(lines[k].times))
+            found = _along(lines[k], vias[own], via_t[own], sample_period)
+        else:
+            continue  # sampled with the line's first piece
+        times, q, qd, qdd = found
+        samples[-1][-1][-1] = qdd[0]  # the acceleration that begins at the stop replaces the one that ended there
+        samples.append((times[1:], q[1:], qd[1:], qdd[1:]))
+        owner.append(np.full(len(times) - 1, segments[k + 1]))
+    samples[-1][-1][-1] = 0.0
+    t, q, qd, qdd = map(np.concatenate, zip(*samples, strict=True))
     return Motion(
         via_q=vias,
         segment=segments,
         view=readonly("view", view, (len(vias),), np.int64),
         via_t=via_t,
-        t=np.concatenate(t),
-        q=np.concatenate(q),
-        qd=np.concatenate(qd),
-        qdd=np.concatenate(qdd),
+        t=t,
+        q=q,
+        qd=qd,
+        qdd=qdd,
         segment_of_sample=np.concatenate(owner),
         duration=float(via_t[-1]),
         limits=limits,
@@ -288,8 +267,38 @@ def retime(
     )
 
 
-def _along(line: TimedLine, vias: Floats, via_t: Floats, period: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Times, angles, speeds and accelerations of a line's samples, its via points among their times, its ends exact."""
+def _take_lines(lines: Mapping[int, TimedLine], durations: Floats) -> Ints:
+    """(N,) number of the line on which each via point is reached, -1 for none; its own times become the durations."""
+    on_line = np.full(len(durations) + 1, -1)
+    for number, begin in enumerate(sorted(lines)):
+        times = lines[begin].times
+        if begin + len(times) > len(on_line) or (on_line[begin + 1 : begin + len(times)] >= 0).any():
+            raise PlannerError(
+                f"the line that begins at via point {begin} has {len(times)} via points, and there is no room for them"
+            )
+        on_line[begin + 1 : begin + len(times)] = number
+        durations[begin : begin + len(times) - 1] = np.diff(times)
+    return on_line
+
+
+_Samples = tuple[Floats, Floats, Floats, Floats]
+"""(m,) times [s]; (m, 6) angles, speeds and accelerations [rad], [rad/s], [rad/s^2]; both ends among them."""
+
+
+def _straight(profile: Profile, ends: Floats, end_t: Floats, period: float) -> _Samples:
+    """Samples of a straight move."""
+    steps = max(2, int(np.ceil(profile.duration / period)))
+    tau = np.arange(steps + 1) * (profile.duration / steps)
+    s, sd, sdd = sample(profile, tau)
+    delta = ends[1] - ends[0]
+    q = np.clip(ends[0] + s[:, None] * delta, np.minimum(*ends), np.maximum(*ends))
+    times = end_t[0] + tau
+    q[-1], times[-1] = ends[1], end_t[1]
+    return times, q, sd[:, None] * delta, sdd[:, None] * delta
+
+
+def _along(line: TimedLine, vias: Floats, via_t: Floats, period: float) -> _Samples:
+    """Samples of a line, its via points among their times, its ends exact."""
     pieces = [
         begin + np.arange(steps := max(1, int(np.ceil((end - begin) / period)))) * ((end - begin) / steps)
         for begin, end in pairwise(via_t)
