@@ -75,10 +75,10 @@ class Clearance(JsonTable):
     """How near the motion comes to anything."""
 
     collision: Literal["hull", "decomposed", "exact"] = Field(
-        description="what the part was: its convex hull, convex pieces that enclose it, or its triangles (exact)"
+        description="what the part was: its hull or its triangles (exact); of older runs also pieces that enclose it"
     )
-    segments: tuple[SegmentClearance, ...] = Field(description="in the order of the motion")
-    tightest: Tightest | None = Field(description="null where everything is farther than 300 mm")
+    segments: tuple[SegmentClearance, ...] = Field(description="on the way between two stops, in the motion's order")
+    tightest: Tightest | None = Field(description="its nearest moment; null where everything is farther than 300 mm")
 
 
 class MostCoverage(JsonTable):
@@ -104,7 +104,7 @@ class Overlap(JsonTable):
     extra_views: int = Field(description="price in views")
     views_without: int = Field(description="views of the plan without this wish")
     without_earlier: int = Field(description="views that overlap none before them in visiting order, but for the first")
-    parts: tuple[OverlapPart, ...] = Field(description="into which the scans fall, the one that measures most first")
+    parts: tuple[OverlapPart, ...] = Field(description="groups that hang together, the one that measures most first")
 
 
 class RobustSelection(JsonTable):
@@ -192,10 +192,10 @@ class PlanFile(JsonTable):
     gap: float = Field(description="between the number of views and its bound, as a fraction of the former")
     verdicts: Verdicts
     dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")
-    clearance: Clearance | None = optional("of the motion; older runs have none")
+    clearance: Clearance | None = optional("how near the motion comes to anything; older runs do not say it")
     most_coverage: MostCoverage | None = optional()
     overlap: Overlap | None = optional()
     promise: Promise | None = optional()
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
-    views: tuple[PlanView, ...] = Field(description="in visiting order")
+    views: tuple[PlanView, ...] = Field(description="as they will be executed, in visiting order")

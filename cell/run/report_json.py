@@ -75,7 +75,7 @@ class Sigma(JsonTable):
 
 
 class ReportView(JsonTable):
-    """A view for a person's table; plan.json has all of it."""
+    """A view for a person's table."""
 
     id: int = Field(description="candidate, row of viewpoints.npz")
     adds: float = Field(description="what it measures that the views chosen before it do not, fraction of the surface")
@@ -112,7 +112,7 @@ class Fewest(JsonTable):
 class Curve(JsonTable):
     """With `--curve`: the fewest views for round shares; curve.json has all of the curve."""
 
-    fewest: tuple[Fewest, ...] = Field(description="from little to much")
+    fewest: tuple[Fewest, ...] = Field(description="how many views a share takes, from little to much")
 
 
 class Report(JsonTable):
@@ -131,7 +131,7 @@ class Report(JsonTable):
     verdicts: Verdicts
     blockers: dict[str, int] = Field(description="with what candidates collide, and how many with each")
     dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")
-    views: tuple[ReportView, ...] = Field(description="in visiting order")
+    views: tuple[ReportView, ...] = Field(description="in visiting order; plan.json has all of them")
     motion: ReportMotion
     most_coverage: MostCoverage | None = optional()
     overlap: Overlap | None = optional()
@@ -139,4 +139,4 @@ class Report(JsonTable):
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
     curve: Curve | None = optional()
-    clearance: Clearance | None = optional("of the motion; older runs have none")
+    clearance: Clearance | None = optional("how near the motion comes to anything; older runs do not say it")

@@ -67,7 +67,7 @@ class ResolvedScene(JsonTable):
     scanner: ScannerKeys
     planning_resolution_deg: float = Field(description="between rays that fill the matrix, with `fill` 'rays'")
     housing: ResolvedHousing
-    fixtures: tuple[StandingFixture, ...] = Field(description="all that stands in the cell")
+    fixtures: tuple[StandingFixture, ...] = Field(description="of the scene, and post, pedestal and floor")
     # The built-in home is whole numbers, and the file keeps what the scene has.
     home_deg: tuple[int | float, ...] = Field(description="joint angles at which the motion begins and ends")
     joint_limits_deg: tuple[tuple[float, float], ...] = Field(description="lower and upper of each axis")
