@@ -86,9 +86,7 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
             patch.delenv("SCAN_CELL_TRACEBACK", raising=False)
             patch.setattr(sys, "argv", ["cell", *words])
             patch.chdir(cwd)
-            code = guarded(
-                lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words
-            )
+            code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
         if code == INTERRUPTED:  # the person at the terminal ends the tests
             raise KeyboardInterrupt
         return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())

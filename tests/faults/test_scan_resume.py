@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +21,7 @@ from cell.scan.options import ScanOptions
 from cell.scan.scan import resume
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+Start = Callable[..., "subprocess.Popen[str]"]
 
 _FAST = ("--time-scale", "20")
 
@@ -54,11 +54,7 @@ def undisturbed(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathF
     return scans
 
 
-def _begin(run: Path, *arguments: str) -> "subprocess.Popen[str]":
-    return subprocess.Popen(
-        [sys.executable, "-m", "cell", "scan", str(run), "--resolution", "2", *arguments],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+_BEGIN = ("--resolution", "2", "--confirm-motion", "--speed", "100")
 
 
 def _wait_for_scans(run: Path, count: int, process: "subprocess.Popen[str]") -> None:
@@ -71,11 +67,16 @@ def _wait_for_scans(run: Path, count: int, process: "subprocess.Popen[str]") -> 
 
 @pytest.mark.parametrize("protocol", ["serial", "modbus"])
 def test_a_killed_client_goes_on_and_scans_every_view_once(
-    protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+    protocol: str,
+    run_folder: Path,
+    undisturbed: dict[str, bytes],
+    emulate: Callable[..., Any],
+    run_cell: Run,
+    start_cell: Start,
 ) -> None:
     """Kill -9 after the first scan: the controller stops by itself; the resumed scans are those of a quiet day."""
     emulated = emulate(protocol, *_FAST)
-    process = _begin(run_folder, "--driver", emulated.url, "--confirm-motion", "--speed", "100")
+    process = start_cell("scan", run_folder, *_BEGIN, "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
@@ -99,11 +100,11 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
 
 
 def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
-    run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+    run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run, start_cell: Start
 ) -> None:
     """Kill -9 of the emulator in the middle: exit code 5; after its restart the arm stands where it stood."""
     emulated = emulate("modbus", *_FAST)
-    process = _begin(run_folder, "--driver", emulated.url, "--confirm-motion", "--speed", "100")
+    process = start_cell("scan", run_folder, *_BEGIN, "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(emulated.process.pid, signal.SIGKILL)
     _, said = process.communicate(timeout=120)

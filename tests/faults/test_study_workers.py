@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -83,13 +82,12 @@ def test_no_processes_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
-def test_no_worker_outlives_a_study_that_was_killed(tmp_path: Path) -> None:
+def test_no_worker_outlives_a_study_that_was_killed(
+    tmp_path: Path, start_cell: Callable[..., "subprocess.Popen[str]"]
+) -> None:
     """Kill -9 of the command in its first trial: its processes are gone soon after."""
-    study = subprocess.Popen(
-        [sys.executable, "-m", "cell", "study", "table1", "--part", "petanque", "--processes", "2"],
-        cwd=tmp_path, env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    study = start_cell("study", "table1", "--part", "petanque", "--processes", "2", cwd=tmp_path, **silent)
 
     def until(condition: Callable[[], object]) -> None:
         deadline = time.monotonic() + 120
