@@ -69,9 +69,10 @@ def cache(made_once: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="session")
 def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """`cell` with arguments in a directory `cwd`, in this process; it looks as if it had been one of its own."""
+    """`cell` with arguments in a directory `cwd`, in this process; what it returns looks like that of one of its own."""
     from cell.cli import app
     from cell.commands.failures import INTERRUPTED, guarded
+    from cell.plan import picture_process
 
     def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
         words = [str(word) for word in arguments]
@@ -85,6 +86,7 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
                 patch.setenv(name, value)
             patch.delenv("SCAN_CELL_TRACEBACK", raising=False)
             patch.setattr(sys, "argv", ["cell", *words])
+            patch.setattr(picture_process, "beside", _drawn_here)
             patch.chdir(cwd)
             code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
         if code == INTERRUPTED:  # the person at the terminal ends the tests
@@ -111,6 +113,25 @@ def start_cell(cache: Path) -> Callable[..., "subprocess.Popen[str]"]:
             signal.signal(signal.SIGINT, inherited)
 
     return start
+
+
+@contextlib.contextmanager
+def _drawn_here() -> Iterator[Any]:
+    """In place of `cell.plan.picture_process.beside`: the same pictures, drawn in this process."""
+    from cell.plan import picture_process, pictures
+
+    class Drawing(picture_process.Drawing):
+        def __init__(self) -> None:
+            self._sent = []
+
+        def send(self, picture: str, path: Path, **arrays: Any) -> None:
+            getattr(pictures, picture)(path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+            self._sent.append(path)
+
+        def _wait(self) -> None:
+            pass
+
+    yield Drawing()
 
 
 def _surroundings(cache: Path) -> dict[str, str]:
@@ -148,6 +169,21 @@ def planned(
         assert json.loads(out)["n_views"] > 1
 
     return made_once("planned", make) / "run"
+
+
+@pytest.fixture(scope="session")
+def executed(
+    made_once: Callable[..., Path], planned: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> Path:
+    """A copy of the planned run with one finished execution, `0001`, at 1 degree; its JSON object is `scan.json`."""
+
+    def make(folder: Path) -> None:
+        shutil.copytree(planned, folder / "run")
+        done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "scan.json").write_text(done.stdout)
+
+    return made_once("executed", make) / "run"
 
 
 @dataclass

@@ -36,17 +36,6 @@ CONTRACT = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="session")
-def executed(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: Run) -> Path:
-    """A copy of the small run with one finished execution, `0001`, at 1 degree."""
-    run = tmp_path_factory.mktemp("executed") / "run"
-    shutil.copytree(planned, run)
-    done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=run.parent)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == _without_schema(run / "executions" / "0001")
-    return run
-
-
 @pytest.fixture
 def copied(executed: Path, tmp_path: Path) -> Path:
     """The executed run for a test of its own, its execution as if killed: no status, no sha256."""
@@ -101,6 +90,11 @@ def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None
     assert set(manifest["artefacts"]) == files - {"manifest.json", "events.jsonl"}
     for name, digest in manifest["artefacts"].items():
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest, name
+
+
+def test_one_json_object_on_stdout_is_the_report(executed: Path) -> None:
+    """What `--json` prints and what report.json holds are the same."""
+    assert json.loads((executed.parent / "scan.json").read_text()) == _without_schema(executed / "executions" / "0001")
 
 
 def test_the_plan_stays_untouched(executed: Path, planned: Path) -> None:

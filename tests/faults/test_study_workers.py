@@ -15,7 +15,7 @@ import pytest
 from cell.errors import UsageError
 from cell.scene.scene import load_scene
 from cell.study import run as study_run
-from cell.study.placed import COVERAGE_ONLY, placement
+from cell.study.placement_trial import COVERAGE_ONLY, placement
 from cell.study.run import Told
 from cell.study.scenes import scene_settings
 from cell.study.trial import Outcome, Trial
