@@ -69,7 +69,7 @@ def cache(made_once: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="session")
 def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """`cell` with arguments in a directory `cwd`, in this process; what it returns looks like that of one of its own."""
+    """`cell` with arguments in a directory `cwd`, in this process; what it returns looks like that of another."""
     from cell.cli import app
     from cell.commands.failures import INTERRUPTED, guarded
     from cell.plan import picture_process

@@ -72,8 +72,8 @@ def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(
     """At 9 m nothing is reached: a row with zero, not a failure."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     done = run_cell(
-        "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400", "--processes", "1",
-        "--out", "map", "--json", cwd=tmp_path,
+        "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400",
+        "--processes", "1", "--out", "map", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
