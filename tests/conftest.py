@@ -1,8 +1,17 @@
-"""Shared by all tests: a small part of the tests' own and one finished plan of it, made through the command line."""
+"""Shared by all tests: a small part of the tests' own and one finished plan of it, made through the command line.
 
+What is dear to make is made once for all workers of a session (`made_once`) and read by all: who changes it takes a
+copy. A command runs in the test's own process (`run_cell`), in one of its own where that is what is tested: signals,
+kills, libraries that a fresh process loads (`start_cell`).
+"""
+
+import contextlib
+import io
 import json
 import os
 import select
+import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -14,6 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from filelock import FileLock
 from hypothesis import settings
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
@@ -33,24 +43,99 @@ def _blob(subdivisions: int = 4) -> trimesh.Trimesh:
 
 
 @pytest.fixture(scope="session")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache folder of the test session."""
-    return tmp_path_factory.mktemp("cache")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """A folder that the first worker makes who asks for it; the others wait for it. Read it, never change it."""
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def made(name: str, make: Callable[[Path], object]) -> Path:
+        folder, finished = shared / name, shared / f"{name}.finished"
+        with FileLock(shared / f"{name}.lock"):
+            if not finished.exists():
+                shutil.rmtree(folder, ignore_errors=True)  # of a worker that failed
+                folder.mkdir()
+                make(folder)
+                finished.touch()
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def cache(made_once: Callable[..., Path]) -> Path:
+    """The cache folder of the test session, for all its workers."""
+    return made_once("cache", lambda folder: None)
 
 
 @pytest.fixture(scope="session")
 def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """`python -m cell` with arguments in a directory `cwd`, its caches kept apart from the user's."""
+    """`cell` with arguments in a directory `cwd`, in this process; what it returns looks like that of another."""
+    from cell.cli import app
+    from cell.commands.failures import INTERRUPTED, guarded
+    from cell.plan import picture_process
 
-    def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "COLUMNS": "120", "NO_COLOR": "1"}
-        environment.pop("SCAN_CELL_TRACEBACK", None)
-        return subprocess.run(
-            [sys.executable, "-m", "cell", *arguments],
-            cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False,
-        )  # fmt: skip
+    def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+        words = [str(word) for word in arguments]
+        out, errors = io.StringIO(), io.StringIO()
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(errors),
+        ):
+            for name, value in _surroundings(cache).items():
+                patch.setenv(name, value)
+            patch.delenv("SCAN_CELL_TRACEBACK", raising=False)
+            patch.setattr(sys, "argv", ["cell", *words])
+            patch.setattr(picture_process, "beside", _drawn_here)
+            patch.chdir(cwd)
+            code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
+        if code == INTERRUPTED:  # the person at the terminal ends the tests
+            raise KeyboardInterrupt
+        return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def start_cell(cache: Path) -> Callable[..., "subprocess.Popen[str]"]:
+    """Starts `python -m cell` with arguments in a directory `cwd`, both outputs in pipes unless said otherwise."""
+
+    def start(*arguments: object, cwd: Path | None = None, **streams: int) -> "subprocess.Popen[str]":
+        # A background job of a shell ignores Ctrl-C, and so would its children.
+        inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            return subprocess.Popen(
+                [sys.executable, "-m", "cell", *map(str, arguments)],
+                cwd=cwd, env={**os.environ, **_surroundings(cache)}, text=True,
+                **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams},
+            )  # fmt: skip
+        finally:
+            signal.signal(signal.SIGINT, inherited)
+
+    return start
+
+
+@contextlib.contextmanager
+def _drawn_here() -> Iterator[Any]:
+    """In place of `cell.plan.picture_process.beside`: the same pictures, drawn in this process."""
+    from cell.plan import picture_process, pictures
+
+    class Drawing(picture_process.Drawing):
+        def __init__(self) -> None:
+            self._sent = []
+
+        def send(self, picture: str, path: Path, **arrays: Any) -> None:
+            getattr(pictures, picture)(path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+            self._sent.append(path)
+
+        def _wait(self) -> None:
+            pass
+
+    yield Drawing()
+
+
+def _surroundings(cache: Path) -> dict[str, str]:
+    return {"XDG_CACHE_HOME": str(cache), "COLUMNS": "120", "NO_COLOR": "1"}
 
 
 @pytest.fixture(scope="session")
@@ -66,23 +151,39 @@ def blob() -> Callable[[int], trimesh.Trimesh]:
 
 
 @pytest.fixture(scope="session")
-def part_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def part_file(made_once: Callable[..., Path]) -> Path:
     """The small part as binary STL, millimetres."""
-    path = tmp_path_factory.mktemp("part") / "blob.stl"
-    _blob().export(path)
-    return path
+    return made_once("part", lambda folder: _blob().export(folder / "blob.stl")) / "blob.stl"
 
 
 @pytest.fixture(scope="session")
 def planned(
-    tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+    made_once: Callable[..., Path], part_file: Path, start_cell: Callable[..., "subprocess.Popen[str]"]
 ) -> Path:
-    """Run folder of one finished plan of the small part."""
-    folder = tmp_path_factory.mktemp("runs")
-    done = run_cell("plan", str(part_file), "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["n_views"] > 1
-    return folder / "run"
+    """Run folder of one finished plan of the small part, made by a process of its own."""
+
+    def make(folder: Path) -> None:
+        process = start_cell("plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
+        out, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors
+        assert json.loads(out)["n_views"] > 1
+
+    return made_once("planned", make) / "run"
+
+
+@pytest.fixture(scope="session")
+def executed(
+    made_once: Callable[..., Path], planned: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> Path:
+    """A copy of the planned run with one finished execution, `0001`, at 1 degree; its JSON object is `scan.json`."""
+
+    def make(folder: Path) -> None:
+        shutil.copytree(planned, folder / "run")
+        done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "scan.json").write_text(done.stdout)
+
+    return made_once("executed", make) / "run"
 
 
 @dataclass
@@ -115,24 +216,25 @@ class Emulated:
         found = [json.loads(line) for line in whole.splitlines()]
         return [entry for entry in found if not events or entry["event"] in events]
 
-    def end(self) -> int:
-        """End it in order, as Ctrl-C does; but a process of a background job may ignore that."""
-        self.process.terminate()
+    def end(self, how: signal.Signals = signal.SIGTERM) -> int:
+        """End it in order."""
+        self.process.send_signal(how)
         return self.process.wait(20)
 
 
 @pytest.fixture(scope="session")
-def emulate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Emulated]]:
+def emulate(
+    tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
+) -> Iterator[Callable[..., Emulated]]:
     """Starts `cell emulate` with arguments; given `beside`, with the arm (and the journal) of an earlier one."""
     started: list[Emulated] = []
 
     def start(*arguments: str, beside: Emulated | None = None) -> Emulated:
         folder = beside.log.parent if beside else tmp_path_factory.mktemp("emulated")
         log, state = folder / "moves.jsonl", folder / "arm.json"
-        process = subprocess.Popen(
-            [sys.executable, "-m", "cell", "emulate", *arguments, "--log", str(log), "--state", str(state),
-             "--seconds", "900"],  # a killed test session leaves nothing behind for ever
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        process = start_cell(
+            "emulate", *arguments, "--log", log, "--state", state,
+            "--seconds", "900", stderr=subprocess.DEVNULL,  # a killed test session leaves nothing behind for ever
         )  # fmt: skip
         started.append(Emulated(process, log, state))
         return started[-1]

@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from itertools import combinations
@@ -144,15 +143,14 @@ def _processor_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def test_ctrl_c_gives_the_best_cover_so_far(tmp_path: Path, cache: Path) -> None:
+def test_ctrl_c_gives_the_best_cover_so_far(
+    tmp_path: Path, run_cell: Run, start_cell: Callable[..., "subprocess.Popen[str]"]
+) -> None:
     """An interrupted search prints its cover, and its status says that it was interrupted."""
     hard(tmp_path / "hard")
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    start = [sys.executable, "-m", "cell", "cover", "hard", "--json"]
     # Once before, so that what is interrupted is the search and not the first compilation of its loops.
-    subprocess.run([*start, "--budget", "0.1"], cwd=tmp_path, env=environment, check=True, stdout=subprocess.DEVNULL)
-    command = [*start, "--time-limit", "300"]
-    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as process:
+    solved(run_cell, tmp_path / "hard", "--budget", "0.1")
+    with start_cell("cover", "hard", "--json", "--time-limit", "300", cwd=tmp_path) as process:
         deadline = time.monotonic() + 200
         while _processor_seconds(process.pid) < _INTO_THE_SEARCH:
             assert time.monotonic() < deadline

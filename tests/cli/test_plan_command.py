@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+Start = Callable[..., "subprocess.Popen[str]"]
 
 CONTRACT = {
     "manifest.json", "run.log", "scene.toml", "scene.resolved.json", "reference.ply", "planning.ply", "cell.xml",
@@ -205,13 +205,13 @@ def test_a_negative_placement_is_not_taken_for_an_option(
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("stage", ["reach", "measurability", "select, order and connect"])
-def test_ctrl_c_in_any_stage_keeps_what_was_finished(stage: str, part_file: Path, tmp_path: Path, cache: Path) -> None:
+def test_ctrl_c_in_any_stage_keeps_what_was_finished(
+    stage: str, part_file: Path, tmp_path: Path, start_cell: Start
+) -> None:
     """An interrupt ends with code 130, one sentence, and a folder that says where it stopped."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cell", "plan", str(part_file), "--units", "mm", "--faces", "1000", "--no-cache",
-         "--place", "1100,400,100", "--samples", "4", "--out", "run"],
-        cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True,
+    process = start_cell(
+        "plan", part_file, "--units", "mm", "--faces", "1000", "--no-cache",
+        "--place", "1100,400,100", "--samples", "4", "--out", "run", cwd=tmp_path,
     )  # fmt: skip
     manifest = tmp_path / "run.part" / "manifest.json"
     deadline = time.monotonic() + 120

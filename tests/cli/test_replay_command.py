@@ -25,6 +25,7 @@ from cell.run import reader as run_reader
 from cell.run.record import open_run
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+Start = Callable[..., "subprocess.Popen[str]"]
 Floats = NDArray[np.float64]
 
 _SIZE = (480, 360)
@@ -254,20 +255,23 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
         replay(tmp_path / "run", options, Terminal())
 
 
-def test_without_a_display_and_without_a_renderer_a_sentence_says_what_to_do(planned: Path, tmp_path: Path) -> None:
+def test_without_a_display_and_without_a_renderer_a_sentence_says_what_to_do(
+    planned: Path, tmp_path: Path, run_cell: Run, start_cell: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No display: --frames is named. No EGL and no OSMesa: the packages are named. Both exit with 2."""
-    plain = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    for extra, arguments, said in (
-        ({}, (), "--frames DIR"),
-        ({"MUJOCO_GL": "off"}, ("--picture", "p.png"), "libegl1 libegl-mesa0 libgl1-mesa-dri"),
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    done = run_cell("replay", planned, cwd=tmp_path)
+    monkeypatch.setenv("MUJOCO_GL", "off")  # read once in a process
+    process = start_cell("replay", planned, "--picture", "p.png", cwd=tmp_path)
+    _, errors = process.communicate(timeout=60)
+    for code, told, words in (
+        (done.returncode, done.stderr, "--frames DIR"),
+        (process.returncode, errors, "libegl1 libegl-mesa0 libgl1-mesa-dri"),
     ):
-        done = subprocess.run(
-            [sys.executable, "-m", "cell", "replay", str(planned), *arguments],
-            cwd=tmp_path, env=plain | extra, capture_output=True, text=True, timeout=60, check=False,
-        )  # fmt: skip
-        assert done.returncode == 2, done.stderr
-        assert said in done.stderr
-        assert done.stderr.count("\n") == 1
+        assert code == 2, told
+        assert words in told
+        assert told.count("\n") == 1
 
 
 _WATCH = """

@@ -28,22 +28,12 @@ from cell.scan.work import ScanOutcome
 from planner.ports import Rejection
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+Start = Callable[..., "subprocess.Popen[str]"]
 
 CONTRACT = {
     "manifest.json", "events.jsonl", "cloud.ply", "mesh.ply", "report.json", "report.md", "views.png", "cover.png",
     "deviation.png",
 }  # fmt: skip
-
-
-@pytest.fixture(scope="session")
-def executed(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: Run) -> Path:
-    """A copy of the small run with one finished execution, `0001`, at 1 degree."""
-    run = tmp_path_factory.mktemp("executed") / "run"
-    shutil.copytree(planned, run)
-    done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=run.parent)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == _without_schema(run / "executions" / "0001")
-    return run
 
 
 @pytest.fixture
@@ -100,6 +90,11 @@ def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None
     assert set(manifest["artefacts"]) == files - {"manifest.json", "events.jsonl"}
     for name, digest in manifest["artefacts"].items():
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest, name
+
+
+def test_one_json_object_on_stdout_is_the_report(executed: Path) -> None:
+    """What `--json` prints and what report.json holds are the same."""
+    assert json.loads((executed.parent / "scan.json").read_text()) == _without_schema(executed / "executions" / "0001")
 
 
 def test_the_plan_stays_untouched(executed: Path, planned: Path) -> None:
@@ -445,15 +440,12 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
-    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Run
+    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Run, start_cell: Start
 ) -> None:
     """In real time, stopped after the first scan: status and exit code tell, --report makes do with what is there."""
     run = tmp_path / "run"
     shutil.copytree(planned, run)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cell", "scan", "run", "--resolution", "2", "--realtime"],
-        cwd=tmp_path, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "120"},
-    )  # fmt: skip
+    process = start_cell("scan", "run", "--resolution", "2", "--realtime", cwd=tmp_path)
     folder = run / "executions" / "0001"
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and process.poll() is None and not (folder / "scans" / "0001.npz").exists():
@@ -505,24 +497,14 @@ def test_bad_input_gets_one_sentence_and_its_code(
     words: str,
     executed: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run_cell: Run,
 ) -> None:
     """No traceback; the sentence names what is wrong, and the exit code is the documented one."""
-    from cell.cli import main
-
     (tmp_path / "run").symlink_to(executed)
-    monkeypatch.chdir(tmp_path)
-    kept = signal.getsignal(signal.SIGTERM)
-    try:
-        with pytest.raises(SystemExit) as stop:
-            main(list(arguments))
-    finally:
-        signal.signal(signal.SIGTERM, kept)
-    said = capsys.readouterr()
-    assert stop.value.code == code, said.err
-    assert words in said.err
-    assert said.out == ""
+    done = run_cell(*arguments, cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert words in done.stderr
+    assert done.stdout == ""
 
 
 def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> None:

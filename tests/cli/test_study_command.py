@@ -10,58 +10,70 @@ import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-_TABLE = ("study", "table2", "--part", "humerus", "--faces-share", "0.1", "--processes", "1")
+_TABLE = ("study", "table1", "--part", "mug", "--faces-share", "0.03", "--processes", "1")
+
+
+_COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
 
 @pytest.fixture(scope="module")
-def table(run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def table(run_cell: Run, made_once: Callable[..., Path]) -> Path:
     """A reduced table of one part."""
-    folder = tmp_path_factory.mktemp("study")
-    done = run_cell(*_TABLE, "--out", "table", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "4 trials computed now" in done.stdout
-    return folder / "table"
+
+    def make(folder: Path) -> None:
+        done = run_cell(*_TABLE, "--out", "table", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        assert "3 trials computed now" in done.stdout
+
+    return made_once("study", make) / "table"
 
 
 def test_a_table_leaves_tidy_rows_and_pictures(table: Path) -> None:
     """Paper, its method and ours in one row."""
     rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
-    assert [row["parameter"] for row in rows] == ["5", "10", "30", "50"]
-    assert [row["views paper"] for row in rows] == ["17", "10", "6", "7"]
+    assert [row["parameter"] for row in rows] == ["0.1", "0.5", "1"]
+    assert [row["views paper"] for row in rows] == ["6", "12", "118"]
     for row in rows:
         assert int(row["bound ours"]) <= int(row["views ours"])
         assert 0 <= float(row["visible ours %"]) <= 100
-    for name in ("report.md", "study.json", "seconds.csv", "table2.png", "table2.svg"):
+    for name in ("report.md", "study.json", "seconds.csv", "table1.png", "table1.svg"):
         assert (table / name).stat().st_size > 100, name
 
 
-def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(table: Path, run_cell: Run) -> None:
+def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
+    table: Path, tmp_path: Path, run_cell: Run
+) -> None:
     """Rows, report and pictures."""
-    done = run_cell(*_TABLE, "--out", "again", "--json", cwd=table.parent)
+    done = run_cell(*_TABLE, "--out", "again", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["computed"] == 0
-    for name in ("rows.csv", "seconds.csv", "study.json", "report.md", "table2.png", "table2.svg"):
-        assert (table / name).read_bytes() == (table.parent / "again" / name).read_bytes(), name
+    for name in ("rows.csv", "seconds.csv", "study.json", "report.md", "table1.png", "table1.svg"):
+        assert (table / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
-def test_a_changed_parameter_computes_only_what_depends_on_it(table: Path, run_cell: Run) -> None:
+def test_a_changed_parameter_computes_only_what_depends_on_it(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
     """One more standoff costs one trial."""
-    arguments = ("study", "standoff", "humerus", "--processes", "1", "--json")
-    first = run_cell(*arguments, "--values", "20,30", "--out", "a", cwd=table.parent)
+    (tmp_path / "coarse.toml").write_text(_COARSE)
+    options = ("--units", "mm", "--scene", "coarse.toml", "--processes", "1", "--json")
+    arguments = ("study", "standoff", part_file, *options)
+    first = run_cell(*arguments, "--values", "200,250", "--out", "a", cwd=tmp_path)
     assert first.returncode == 0, first.stderr
     assert json.loads(first.stdout)["computed"] == 2
-    second = run_cell(*arguments, "--values", "20,30,40", "--out", "b", cwd=table.parent)
+    second = run_cell(*arguments, "--values", "200,250,300", "--out", "b", cwd=tmp_path)
     answer = json.loads(second.stdout)
     assert answer["computed"] == 1
-    assert [row["standoff mm"] for row in answer["rows"]] == [20, 30, 40]
+    assert [row["standoff mm"] for row in answer["rows"]] == [200, 250, 300]
     assert "Best standoff distance" in answer["sentences"][0]
 
 
-def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(run_cell: Run, tmp_path: Path) -> None:
+def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(
+    part_file: Path, run_cell: Run, tmp_path: Path
+) -> None:
     """At 9 m nothing is reached: a row with zero, not a failure."""
+    (tmp_path / "coarse.toml").write_text(_COARSE)
     done = run_cell(
-        "study", "placement", "petanque", "--x", "1000,9000", "--y", "400", "--processes", "1",
-        "--out", "map", "--json", cwd=tmp_path,
+        "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400",
+        "--processes", "1", "--out", "map", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
@@ -90,15 +102,26 @@ def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(run_cell: Run,
         (("study", "table5", "--cluster", "no://where:1"), 2, "no://where:1"),
         (("study", "placement", "teapot"), 2, "teapot"),
         (("place", "--x", "9:1"), 2, "--x 9:1"),
-        (("place", "petanque", "--x", "9000", "--y", "0", "--z", "0", "--yaw", "0", "--processes", "1"), 4, "nothing"),
+        (
+            ("place", "PART", "--units", "mm", "--x", "9000", "--y", "0", "--z", "0", "--yaw", "0", "--processes", "1"),
+            4,
+            "nothing",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
 def test_bad_input_gets_one_sentence_and_its_code(
-    arguments: tuple[str, ...], code: int, words: str, run_cell: Run, tmp_path: Path
+    arguments: tuple[str, ...],
+    code: int,
+    words: str,
+    part_file: Path,
+    run_cell: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """No traceback, nothing on stdout, no folder."""
-    done = run_cell(*arguments, cwd=tmp_path)
+    monkeypatch.setattr("cell.study.workers._PATIENCE_S", 0.5)
+    done = run_cell(*(part_file if word == "PART" else word for word in arguments), cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert words in done.stderr
     assert done.stdout == ""

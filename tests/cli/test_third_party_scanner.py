@@ -34,29 +34,24 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run_with(installed: Path, cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """`python -m cell` that sees the installed package."""
-
-    def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "PYTHONPATH": str(installed), "XDG_CACHE_HOME": str(cache), "COLUMNS": "120"}
-        return subprocess.run(
-            [sys.executable, "-m", "cell", *arguments],
-            cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False,
-        )  # fmt: skip
-
-    return run
+def on_path(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """This process and those that it starts see the installed package."""
+    monkeypatch.syspath_prepend(str(installed))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(installed), os.environ.get("PYTHONPATH", "")]).strip(":;"))
 
 
+@pytest.mark.usefixtures("on_path")
 def test_a_plan_is_made_with_a_scanner_of_another_distribution(
-    run_with: Callable[..., subprocess.CompletedProcess[str]], part_file: Path, tmp_path: Path
+    start_cell: Callable[..., "subprocess.Popen[str]"], part_file: Path, tmp_path: Path
 ) -> None:
     """Its key stands in the scene, its law decides what is measured, its parameters are recorded."""
     scene = tmp_path / "cell.toml"
     scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
     arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
-    done = run_with("plan", str(part_file), *arguments, "--scene", str(scene), "--out", "run", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    process = start_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path)
+    out, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    summary = json.loads(out)
     assert summary["settings"]["scanner"] == "cone"
     assert summary["coverage"]["visible"] > 0.5
     resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())
@@ -71,12 +66,13 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
     assert 8 < angle.max() <= 20 + 1e-9
 
 
+@pytest.mark.usefixtures("on_path")
 def test_its_unknown_key_is_refused_with_a_hint(
-    run_with: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+    run_cell: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
     """The valid keys are the arguments of its class."""
     (tmp_path / "cell.toml").write_text('[scanner]\ntype = "cone"\nhalf_angel_deg = 20.0\n', encoding="utf-8")
-    done = run_with("check", "cell.toml", cwd=tmp_path)
+    done = run_cell("check", "cell.toml", cwd=tmp_path)
     assert done.returncode == 2
     assert "scanner.half_angel_deg is an unknown key of cone; did you mean 'half_angle_deg'?" in done.stderr
 

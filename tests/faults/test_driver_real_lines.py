@@ -1,6 +1,7 @@
 """Real pseudo-terminals, sockets and processes: ports that vanish or cannot be, other speeds, restarts, two clients."""
 
 import os
+import signal
 import socket
 import threading
 import time
@@ -114,7 +115,7 @@ def test_the_arm_stands_where_it_stood_and_ctrl_c_is_a_clean_end(emulate: Callab
     first = emulate("modbus", "--time-scale", "200")
     with open_driver(first.url) as driver:
         driver.move(turned(12.3456), 1.0)
-    assert first.end() == 0
+    assert first.end(signal.SIGINT) == 0
     second = emulate("modbus", beside=first)
     with open_driver(second.url) as driver:
         state = driver.state()

@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +21,7 @@ from cell.scan.options import ScanOptions
 from cell.scan.scan import resume
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+Start = Callable[..., "subprocess.Popen[str]"]
 
 _FAST = ("--time-scale", "20")
 
@@ -37,28 +37,24 @@ def _events(execution: Path) -> list[dict[str, Any]]:
 @pytest.fixture
 def run_folder(planned: Path, tmp_path: Path) -> Path:
     """A finished plan of its own, without executions."""
-    folder = tmp_path / "run"
-    shutil.copytree(planned, folder, ignore=shutil.ignore_patterns("executions"))
-    return folder
+    return Path(shutil.copytree(planned, tmp_path / "run"))
+
+
+@pytest.fixture
+def executed_folder(executed: Path, tmp_path: Path) -> Path:
+    """A plan of its own with a finished execution."""
+    return Path(shutil.copytree(executed, tmp_path / "run"))
 
 
 @pytest.fixture(scope="module")
-def undisturbed(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def undisturbed(executed: Path) -> dict[str, bytes]:
     """The scans of an execution that nothing happens to."""
-    folder = tmp_path_factory.mktemp("undisturbed") / "run"
-    shutil.copytree(planned, folder, ignore=shutil.ignore_patterns("executions"))
-    done = run_cell("scan", str(folder), "--resolution", "2", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
-    scans = _scans(folder / "executions" / "0001")
+    scans = _scans(executed / "executions" / "0001")
     assert len(scans) >= 3
     return scans
 
 
-def _begin(run: Path, *arguments: str) -> "subprocess.Popen[str]":
-    return subprocess.Popen(
-        [sys.executable, "-m", "cell", "scan", str(run), "--resolution", "2", *arguments],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+_BEGIN = ("--resolution", "1", "--confirm-motion", "--speed", "100")
 
 
 def _wait_for_scans(run: Path, count: int, process: "subprocess.Popen[str]") -> None:
@@ -71,11 +67,16 @@ def _wait_for_scans(run: Path, count: int, process: "subprocess.Popen[str]") -> 
 
 @pytest.mark.parametrize("protocol", ["serial", "modbus"])
 def test_a_killed_client_goes_on_and_scans_every_view_once(
-    protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+    protocol: str,
+    run_folder: Path,
+    undisturbed: dict[str, bytes],
+    emulate: Callable[..., Any],
+    run_cell: Run,
+    start_cell: Start,
 ) -> None:
     """Kill -9 after the first scan: the controller stops by itself; the resumed scans are those of a quiet day."""
     emulated = emulate(protocol, *_FAST)
-    process = _begin(run_folder, "--driver", emulated.url, "--confirm-motion", "--speed", "100")
+    process = start_cell("scan", run_folder, *_BEGIN, "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
@@ -99,11 +100,11 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
 
 
 def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
-    run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+    run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run, start_cell: Start
 ) -> None:
     """Kill -9 of the emulator in the middle: exit code 5; after its restart the arm stands where it stood."""
     emulated = emulate("modbus", *_FAST)
-    process = _begin(run_folder, "--driver", emulated.url, "--confirm-motion", "--speed", "100")
+    process = start_cell("scan", run_folder, *_BEGIN, "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(emulated.process.pid, signal.SIGKILL)
     _, said = process.communicate(timeout=120)
@@ -118,18 +119,16 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
 
 
 def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
-    run_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
+    executed_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
 ) -> None:
     """After a failure the simulated arm stands at home again; the way to the first missing view is planned anew."""
-    done = run_cell("scan", str(run_folder), "--resolution", "2", cwd=run_folder.parent)
-    assert done.returncode == 0, done.stderr
-    execution = run_folder / "executions" / "0001"
+    execution = executed_folder / "executions" / "0001"
     manifest = json.loads((execution / "manifest.json").read_text())
     missing = [name for name in sorted(undisturbed) if name != "0001.npz"]
     for name in missing:
         (execution / "scans" / name).unlink()
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
-    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
+    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent)
     assert done.returncode == 0, done.stderr
     assert "a new way to view 2 was planned" in done.stderr
     assert _scans(execution) == undisturbed
@@ -145,13 +144,9 @@ class _Told:
         self.notes.append(sentence)
 
 
-def test_the_new_way_is_told_before_anybody_agrees_to_it(
-    run_folder: Path, emulate: Callable[..., Any], run_cell: Run
-) -> None:
+def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, emulate: Callable[..., Any]) -> None:
     """Who is asked has read where the arm will go; without a yes nothing moves and the execution stays as it is."""
-    done = run_cell("scan", str(run_folder), "--resolution", "8", cwd=run_folder.parent)
-    assert done.returncode == 0, done.stderr
-    execution = run_folder / "executions" / "0001"
+    execution = executed_folder / "executions" / "0001"
     for name in list(_scans(execution))[1:]:
         (execution / "scans" / name).unlink()
     manifest = json.loads((execution / "manifest.json").read_text())
@@ -166,7 +161,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(
 
     options = ScanOptions(driver=str(emulated.url), speed_percent=50.0)
     with pytest.raises(UsageError, match="nothing was moved"):
-        resume(run_folder, "latest", options, argv=[], narrator=narrator, ask=ask)
+        resume(executed_folder, "latest", options, argv=[], narrator=narrator, ask=ask)
     assert "a new way to view 2 was planned" in known[1]
     assert "Type yes" in known[2]
     assert emulated.entries("move") == []
@@ -175,23 +170,22 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(
 
 @pytest.mark.parametrize(("status", "torn"), [("failed", True), ("finished", True), ("finished", False)])
 def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
-    status: str, torn: bool, run_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
+    status: str, torn: bool, executed_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
 ) -> None:
     """The arm drives through the views that are confirmed without scanning them, however the execution had ended."""
-    run_cell("scan", str(run_folder), "--resolution", "2", cwd=run_folder.parent)
-    execution = run_folder / "executions" / "0001"
+    execution = executed_folder / "executions" / "0001"
     (execution / "scans" / "0002.npz").write_bytes(b"torn")
     if not torn:
         (execution / "scans" / "0002.npz").rename(execution / "scans" / "0099.npz")  # none of its own
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": status}))
     before = len(_events(execution))
-    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
+    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent)
     assert done.returncode == 0, done.stderr
     assert ("0002.npz" if torn else "0099.npz") in done.stderr
     assert "1 are left (2)" in done.stderr
     (execution / "scans" / "0099.npz").unlink(missing_ok=True)
-    assert run_cell("scan", str(run_folder), "--report", "latest", cwd=run_folder.parent).returncode == 0
+    assert run_cell("scan", executed_folder, "--report", "latest", cwd=executed_folder.parent).returncode == 0
     assert [event["stop"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
     assert _scans(execution) == undisturbed
 
@@ -202,10 +196,7 @@ def test_every_wire_gives_the_same_scans_to_the_bit(
 ) -> None:
     """Set-points are integers on every wire, so the reported poses are the same numbers."""
     emulated = emulate(protocol, "--time-scale", "1000")
-    done = run_cell(
-        "scan", str(run_folder), "--resolution", "2", "--driver", emulated.url, "--confirm-motion", "--speed", "100",
-        cwd=run_folder.parent,
-    )  # fmt: skip
+    done = run_cell("scan", str(run_folder), *_BEGIN, "--driver", emulated.url, cwd=run_folder.parent)
     assert done.returncode == 0, done.stderr
     assert _scans(run_folder / "executions" / "0001") == undisturbed
     moved = [entry for entry in emulated.entries("move")]

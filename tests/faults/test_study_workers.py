@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,17 +13,25 @@ from typing import Any
 import pytest
 
 from cell.errors import UsageError
+from cell.scene.scene import load_scene
 from cell.study import run as study_run
-from cell.study import table_row
+from cell.study.placement_trial import COVERAGE_ONLY, placement
 from cell.study.run import Told
+from cell.study.scenes import scene_settings
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import open_workers
 
 
-def _trials(count: int) -> list[Trial]:
+@pytest.fixture(scope="module")
+def trials(part_file: Path) -> list[Trial]:
+    """Four quick ones with different results."""
+    scene = load_scene(
+        None, {"part": {"path": str(part_file), "units": "mm"}, "plan": {"faces": 40, "samples_per_face": 2}}
+    )
+    place = {"position_mm": [1100, 400, 100], "abc_deg": [0, 0, 0], "what": COVERAGE_ONLY, "solver": "greedy"}
     return [
-        Trial.of(table_row.row, {"part": "petanque", "faces": 16 + number, "samples_per_face": 4})
-        for number in range(count)
+        Trial.of(placement, {**scene_settings(scene), **place, "candidates": candidates})
+        for candidates in (4, 8, 12, 16)
     ]
 
 
@@ -37,10 +44,11 @@ def run(
 
 
 @pytest.fixture(scope="module")
-def local(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
+def local(trials: list[Trial], tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
     """What one process makes of the trials, undisturbed."""
-    outcomes = run(_trials(4), processes=1, folder=tmp_path_factory.mktemp("local"))
+    outcomes = run(trials, processes=1, folder=tmp_path_factory.mktemp("local"))
     assert not [outcome.failure for outcome in outcomes if outcome.failure]
+    assert len({outcome.values["coverable"] for outcome in outcomes}) == len(trials)
     return outcomes
 
 
@@ -48,7 +56,7 @@ def _values(outcomes: list[Outcome]) -> list[Any]:
     return [(outcome.trial, outcome.values, outcome.failure) for outcome in outcomes]
 
 
-def test_a_process_that_dies_costs_no_trial(local: list[Outcome], tmp_path: Path) -> None:
+def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
     """Killed at the first result: all trials come out, as those of an undisturbed run do."""
     killed: list[int] = []
 
@@ -58,38 +66,37 @@ def test_a_process_that_dies_costs_no_trial(local: list[Outcome], tmp_path: Path
             killed.append(victim.pid or 0)
             os.kill(killed[0], signal.SIGKILL)
 
-    outcomes = run(_trials(4), processes=2, folder=tmp_path, told=kill_one)
+    outcomes = run(trials, processes=2, folder=tmp_path, told=kill_one)
     assert killed
     assert _values(outcomes) == _values(local)
 
 
-def test_a_stopped_study_goes_on_where_it_was(local: list[Outcome], tmp_path: Path) -> None:
+def test_a_stopped_study_goes_on_where_it_was(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
     """Ctrl-C after the first result: it is kept, and only the others are computed by the next run."""
 
     def stop(done: int, total: int, outcome: Outcome) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(_trials(2), processes=1, folder=tmp_path, told=stop)
-    outcomes = run(_trials(2), processes=1, folder=tmp_path)
+        run(trials[:2], processes=1, folder=tmp_path, told=stop)
+    outcomes = run(trials[:2], processes=1, folder=tmp_path)
     assert [outcome.cached for outcome in outcomes] == [True, False]
     assert _values(outcomes) == _values(local[:2])
 
 
-def test_no_processes_is_refused(tmp_path: Path) -> None:
+def test_no_processes_is_refused(trials: list[Trial], tmp_path: Path) -> None:
     """The sentence names the option."""
     with pytest.raises(UsageError, match="--processes 0"):
-        run(_trials(1), processes=0, folder=tmp_path)
+        run(trials[:1], processes=0, folder=tmp_path)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
-def test_no_worker_outlives_a_study_that_was_killed(tmp_path: Path) -> None:
+def test_no_worker_outlives_a_study_that_was_killed(
+    tmp_path: Path, start_cell: Callable[..., "subprocess.Popen[str]"]
+) -> None:
     """Kill -9 of the command in its first trial: its processes are gone soon after."""
-    study = subprocess.Popen(
-        [sys.executable, "-m", "cell", "study", "table1", "--part", "petanque", "--processes", "2"],
-        cwd=tmp_path, env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    study = start_cell("study", "table1", "--part", "petanque", "--processes", "2", cwd=tmp_path, **silent)
 
     def until(condition: Callable[[], object]) -> None:
         deadline = time.monotonic() + 120
@@ -126,7 +133,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.mark.filterwarnings("default")  # Dask's own, about the worker that the test kills
 def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
-    local: list[Outcome], cluster: Any, tmp_path: Path
+    trials: list[Trial], local: list[Outcome], cluster: Any, tmp_path: Path
 ) -> None:
     """A worker is killed at the first result; the other takes over what it had."""
     killed: list[int] = []
@@ -137,13 +144,15 @@ def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
             killed.append(nanny.pid)
             os.kill(killed[0], signal.SIGKILL)
 
-    outcomes = run(_trials(4), processes=1, cluster=cluster.scheduler_address, folder=tmp_path, told=kill_one)
+    outcomes = run(trials, processes=1, cluster=cluster.scheduler_address, folder=tmp_path, told=kill_one)
     assert killed
     assert _values(outcomes) == _values(local)
 
 
-def test_a_cluster_that_does_not_answer_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_that_does_not_answer_is_one_sentence(
+    trials: list[Trial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With the address, and what would start one."""
     monkeypatch.setattr("cell.study.workers._PATIENCE_S", 0.5)
     with pytest.raises(UsageError, match="dask scheduler"):
-        run(_trials(1), processes=1, cluster="tcp://127.0.0.1:9", folder=tmp_path)
+        run(trials[:1], processes=1, cluster="tcp://127.0.0.1:9", folder=tmp_path)
