@@ -41,6 +41,7 @@ REGISTRY = {
     "timing": "time of joint moves: pairs per second beside the error against ruckig",
     "singularities": "beside the singularities: joint speed for 100 mm/s at the tool",
     "edge_resolution": "what a fixed step along a move misses, beside certification: time, misses, false refusals",
+    "closest": "closest points and signed distances: seconds beside error against every triangle and wrong signs",
     "paths": "paths around obstacles on seeded scenes: found, checks and time beside ompl",
     "motion_recheck": "final motions of seeded scenes, judged by triangles every millisecond and by their differences",
     "gtsp": "generalised travelling salesman files: over the best known tour and over the lower bound, beside time",

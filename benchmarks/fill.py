@@ -134,10 +134,7 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
     held_out = sample(reference, planning, coverage.SAMPLES, rng)
-    row_of_face = closest_face(
-        face_centres(reference), face_normals(reference),
-        planning.vertices[planning.faces], face_normals(planning),
-    )  # fmt: skip
+    row_of_face = closest_face(face_centres(reference), face_normals(reference), planning)
     faces = face_features(reference, planning)
 
     def rays(step: float) -> Measurability:

@@ -43,10 +43,7 @@ def run() -> list[dict[str, Any]]:
     rng = np.random.default_rng(0)
     features = sample(reference, planning, _SAMPLES_PER_FACE * len(planning.faces), rng)
     held_out = sample(reference, planning, coverage.SAMPLES, rng)
-    row_of_face = closest_face(
-        face_centres(reference), face_normals(reference),
-        planning.vertices[planning.faces], face_normals(planning),
-    )  # fmt: skip
+    row_of_face = closest_face(face_centres(reference), face_normals(reference), planning)
     rows = face_features(reference, planning)
 
     def judged(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:

@@ -22,9 +22,9 @@ from benchmarks.eight_scans import eight_scans, noisy
 from cell.part.workpiece import Workpiece, load
 from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import Deviation, deviation
-from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import REACH, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
+from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 
 Floats = NDArray[np.float64]

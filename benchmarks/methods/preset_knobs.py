@@ -18,7 +18,6 @@ from cell.errors import UsageError
 from cell.plan.candidates import first
 from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.deviation import deviation
-from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.presets import DEFAULT, PRESETS
@@ -29,6 +28,7 @@ from planner import cover
 from planner.errors import PlannerError
 from planner.measurability import coverage
 from planner.measurability.matrix import fill, measured
+from planner.surface.closest import NearestSurface
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import sample

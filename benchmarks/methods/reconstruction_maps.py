@@ -16,9 +16,9 @@ from cell.part.workpiece import Workpiece
 from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import deviation
-from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
 from planner.ports import Floats
+from planner.surface.closest import NearestSurface
 from planner.surface.sample import sample
 
 _FINEST_DEG = 1.0

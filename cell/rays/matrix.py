@@ -90,10 +90,7 @@ def part_matrix(
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
     row_of_face = None
     if method == "rays":
-        row_of_face = closest_face(
-            face_centres(reference), face_normals(reference),
-            planning.vertices[planning.faces], face_normals(planning),
-        )  # fmt: skip
+        row_of_face = closest_face(face_centres(reference), face_normals(reference), planning)
     else:
         parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid
     key = measurability_cache.row_key(reference, features, parameters, method, row_of_face)

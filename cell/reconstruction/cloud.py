@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cell.reconstruction import kdtree
 from planner.errors import PlannerError
 from planner.values import Value, freeze, readonly
 
@@ -121,7 +120,8 @@ def point_spacing(points: Floats, scan: NDArray[np.integer] | None = None) -> fl
     found = [np.empty(0)]
     for group in groups:
         if len(group) > 1:
-            distance = kdtree.nearest(kdtree.build(group), group, 2, workers=2)[0][:, 1]
+            tree = cKDTree(group, balanced_tree=False, compact_nodes=False)  # builds several times faster, asks as fast
+            distance = np.asarray(tree.query(group, 2, workers=2)[0])[:, 1]
             found.append(distance[distance > 0])
     distances = np.concatenate(found)
     return float(np.median(distances)) if len(distances) else float("nan")
@@ -146,7 +146,7 @@ def estimate_normals(points: Floats, sensor_positions: Floats, *, neighbours: in
     toward: NDArray[np.float32] = sight.astype(np.float32)
     if len(points) < 3:
         return sight
-    tree = kdtree.build(points)
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
     normals, along, is_sure = _principal(tree, points, toward, np.arange(len(points)), neighbours)
     unsure = np.flatnonzero(~is_sure)
     for more in _MORE_NEIGHBOURS:
@@ -167,7 +167,7 @@ def _principal(
 
     def of_part(start: int) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         part = chosen[start : start + _CHUNK]
-        _, index = kdtree.nearest(tree, points[part], count)
+        index = tree.query(points[part], count)[1]
         # float32 is enough for offsets of neighbours (7 digits of some millimetres), and halves the memory traffic.
         offsets = (points[index] - points[part, None, :]).astype(np.float32)
         weights = (np.einsum("nkj,nj->nk", toward[index], toward[part]) > 0).astype(np.float32)

@@ -12,8 +12,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
+from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh, face_areas
 from planner.values import Value
 
@@ -70,21 +70,19 @@ def deviation(
         PlannerError: if `count` is not positive or the measured or the closing faces have no area.
     """
     nearest = reference if isinstance(reference, NearestSurface) else NearestSurface(reference)
-    at_vertices = nearest.signed(mesh.vertices, nearest.closest(mesh.vertices))
-    if closed is None or not closed.any():
-        return _of_faces(mesh, at_vertices, nearest, rng, count)
-    measured = _of_faces(TriangleMesh(mesh.vertices, mesh.faces[~closed]), at_vertices, nearest, rng, count)
-    invented = TriangleMesh(mesh.vertices, mesh.faces[closed])
-    return replace(measured, closed=_of_faces(invented, at_vertices, nearest, rng, -(-count // 10)))
+    surfaces, counts = [mesh], [count]
+    if closed is not None and closed.any():
+        surfaces = [TriangleMesh(mesh.vertices, mesh.faces[chosen]) for chosen in (~closed, closed)]
+        counts = [count, -(-count // 10)]
+    samples = [area_samples(surface, n, rng) for surface, n in zip(surfaces, counts, strict=True)]
+    signed = nearest.signed(np.concatenate([mesh.vertices, *samples]))
+    at_vertices, *over_area = np.split(signed, np.cumsum([len(mesh.vertices), *counts])[:-1])
+    parts = [_numbers(surface, at_vertices, at) for surface, at in zip(surfaces, over_area, strict=True)]
+    return replace(parts[0], closed=parts[1]) if len(parts) > 1 else parts[0]
 
 
-def _of_faces(
-    mesh: TriangleMesh, at_vertices: Floats, nearest: NearestSurface, rng: np.random.Generator, count: int
-) -> Deviation:
-    """The numbers of a mesh whose vertices are measured already."""
-    samples = area_samples(mesh, count, rng)
-    over_area = nearest.signed(samples, nearest.closest(samples))
-    used = np.unique(mesh.faces)
+def _numbers(surface: TriangleMesh, at_vertices: Floats, over_area: Floats) -> Deviation:
+    """The numbers of a surface from the deviation of its vertices (V,) and of samples of its area (S,) [m]."""
     quantile = float(np.quantile(np.abs(over_area), 0.95))
     limit = 1.5 * quantile if quantile > 0 else 1e-9  # a mesh that is exactly the reference still needs bins
     edges = np.linspace(-limit, limit, _BINS + 1)
@@ -94,10 +92,10 @@ def _of_faces(
         rms=float(np.sqrt(np.mean(over_area**2))),
         mean=float(over_area.mean()),
         quantile_95=quantile,
-        largest=float(max(np.abs(over_area).max(), np.abs(at_vertices[used]).max())),
-        histogram=counts / count,
+        largest=float(max(np.abs(over_area).max(), np.abs(at_vertices[np.unique(surface.faces)]).max())),
+        histogram=counts / len(over_area),
         bin_edges=edges,
-        sample_count=count,
+        sample_count=len(over_area),
     )
 
 

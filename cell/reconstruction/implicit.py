@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from cell.reconstruction import kdtree
 from cell.reconstruction.cloud import PointCloud
 
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ class ImplicitSurface:
     def __init__(self, cloud: PointCloud, *, neighbours: int = NEIGHBOURS) -> None:
         self._points = cloud.points
         self._normals: Singles = cloud.normals.astype(np.float32)
-        self._tree = kdtree.build(cloud.points)
+        self._tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)
         self._neighbours = min(neighbours, len(cloud))
 
     def evaluate(self, positions: Floats) -> FieldValues:
@@ -72,7 +72,7 @@ class ImplicitSurface:
         return FieldValues(distance, normal, nearest)
 
     def _part(self, positions: Floats) -> tuple[Singles, Singles, Singles]:
-        exact, index = kdtree.nearest(self._tree, positions, self._neighbours)
+        exact, index = map(np.asarray, self._tree.query(positions, self._neighbours))
         distance = exact.astype(np.float32)
         offset = (positions[:, None, :] - self._points[index]).astype(np.float32)
         normals = self._normals[index]

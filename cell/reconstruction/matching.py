@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from cell.reconstruction import kdtree
 from cell.reconstruction.cloud import ScanCloud, estimate_normals, point_spacing
 from cell.reconstruction.freedom import split
-from cell.reconstruction.nearest import NearestSurface
+from planner.surface.closest import NearestSurface
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class MovingScan:
     def __init__(self, scan: ScanCloud, samples: int) -> None:
         self._all_points = scan.points
         self._all_normals = estimate_normals(scan.points, scan.sensor)
-        self._tree = kdtree.build(scan.points) if len(scan) else None
+        self._tree = cKDTree(scan.points, balanced_tree=False, compact_nodes=False) if len(scan) else None
         count = min(samples, len(scan))
         chosen = (np.arange(count) * len(scan)) // max(count, 1)
         self._points, self._normals = scan.points[chosen], self._all_normals[chosen]
@@ -72,8 +72,7 @@ class MovingScan:
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Nearest of all the scan's points: distance (N,) [m], point (N, 3) [m] and normal (N, 3), corrected."""
         assert self._tree is not None  # only scans with points are paired
-        distances, indices = kdtree.nearest(self._tree, (points - self.T[:3, 3]) @ self.T[:3, :3], 1)
-        distance, index = distances[:, 0], indices[:, 0]
+        distance, index = map(np.asarray, self._tree.query((points - self.T[:3, 3]) @ self.T[:3, :3]))
         rotation = self.T[:3, :3].T
         return distance, self._all_points[index] @ rotation + self.T[:3, 3], self._all_normals[index] @ rotation
 

@@ -14,8 +14,8 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from cell.reconstruction import kdtree
 from cell.reconstruction.cloud import PointCloud, point_spacing
 from cell.reconstruction.holes import close_holes
 from cell.reconstruction.implicit import FieldValues, ImplicitSurface
@@ -167,7 +167,8 @@ def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
 
 def _sifted(cloud: PointCloud, spacing: float) -> tuple[PointCloud, float]:
     """The cloud without outliers, and how far its points typically lie off the plane of their neighbours [m]."""
-    distance, index = kdtree.nearest(kdtree.build(cloud.points), cloud.points, min(9, len(cloud)), workers=2)
+    tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)
+    distance, index = map(np.asarray, tree.query(cloud.points, min(9, len(cloud)), workers=2))
     alone = distance[:, 4] > _LONELY * spacing
     # The height over the neighbours' planes; the median is not moved by an outlier among the neighbours.
     offset = cloud.points[:, None, :] - cloud.points[index[:, 1:]]

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import FreeMotion, name, shape_of, split
 from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingScan
-from cell.reconstruction.nearest import NearestSurface
 from planner.errors import PlannerError
+from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 from planner.values import Value
 

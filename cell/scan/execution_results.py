@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from cell.errors import FileError
 from cell.rays.prediction import held_out
 from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
-from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.registration import Registration, register
 from cell.run.cell import RunCell
 from cell.run.executions import RecordedExecution, RecordedScan
@@ -23,6 +22,7 @@ from cell.run.record import file_bytes, understood
 from planner.measurability import coverage
 from planner.measurability import matrix as measurability
 from planner.ports import Floats, Rejection
+from planner.surface.closest import NearestSurface
 from planner.surface.sample import SurfaceSamples
 from planner.values import readonly
 

@@ -14,7 +14,6 @@ from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.reconstruction import cloud_files
 from cell.reconstruction.deviation import deviation
-from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import reconstruct
 from cell.run import process
 from cell.run import reader as run_reader
@@ -27,6 +26,7 @@ from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.execution_results import Achieved, ExecutedScan, achieved, merged, scan_name, usable
 from cell.scan.execution_summary import execution_summary
 from cell.scan.work import ScanOutcome, Work
+from planner.surface.closest import NearestSurface
 from planner.timing.motion import Motion
 
 _DEVIATION = 12

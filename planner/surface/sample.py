@@ -77,7 +77,7 @@ def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.
     weights = np.stack([1 - root, root * (1 - across), root * across], axis=1)
     points = np.einsum("sc,scj->sj", weights, reference.vertices[reference.faces[face]])
     normals = face_normals(reference)[face]
-    planning_face = closest_face(points, normals, planning.vertices[planning.faces], face_normals(planning))
+    planning_face = closest_face(points, normals, planning)
     return SurfaceSamples(points, normals, np.full(count, total / count), face.astype(np.int32), planning_face)
 
 
@@ -92,7 +92,7 @@ def face_features(reference: TriangleMesh, planning: TriangleMesh) -> SurfaceSam
         As many features as the planning mesh has faces; `face` is the closest face of the reference.
     """
     points, normals = face_centres(planning), face_normals(planning)
-    face = closest_face(points, normals, reference.vertices[reference.faces], face_normals(reference))
+    face = closest_face(points, normals, reference)
     return SurfaceSamples(points, normals, face_areas(planning), face, np.arange(len(points), dtype=np.int32))
 
 

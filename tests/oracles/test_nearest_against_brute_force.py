@@ -6,10 +6,9 @@ import pytest
 import trimesh
 
 from cell.reconstruction.deviation import deviation
-from cell.reconstruction.face_blocks import FaceBlocks
-from cell.reconstruction.nearest import NearestSurface
-from planner.surface.closest import squared_distance
-from planner.surface.mesh import TriangleMesh
+from planner.errors import PlannerError
+from planner.surface.closest import NearestSurface
+from planner.surface.mesh import TriangleMesh, face_normals
 
 
 def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:
@@ -80,10 +79,9 @@ def test_distance_equals_brute_force(name: str) -> None:
     )
     closest = NearestSurface(mesh).closest(points)
     np.testing.assert_allclose(closest.distance, _brute(points, mesh), rtol=0, atol=1e-9 * size)
-    corners = mesh.vertices[mesh.faces[closest.face]]
-    assert (closest.weights >= 0).all()
-    np.testing.assert_allclose(closest.weights.sum(axis=1), 1, atol=1e-12)
-    np.testing.assert_allclose(np.einsum("nc,ncj->nj", closest.weights, corners), closest.point, atol=1e-12 * size)
+    np.testing.assert_allclose(np.linalg.norm(points - closest.point, axis=1), closest.distance, atol=1e-12 * size)
+    for point, face in zip(closest.point, mesh.faces[closest.face], strict=True):
+        assert _brute(point[None], TriangleMesh(mesh.vertices, face[None]))[0] <= 1e-12 * size
 
 
 def test_where_thousands_of_faces_are_about_as_near_the_distance_is_exact() -> None:
@@ -101,26 +99,6 @@ def test_where_thousands_of_faces_are_about_as_near_the_distance_is_exact() -> N
         )
         found = NearestSurface(mesh).closest(points)
         np.testing.assert_allclose(found.distance, _brute(points, mesh), rtol=1e-13, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", MESHES)
-def test_pruning_keeps_the_closest_triangle_and_drops_most(name: str) -> None:
-    """Of each point all triangles that are the closest remain, whatever is known of the distance; few others do."""
-    mesh = _mesh(MESHES[name])
-    triangles = mesh.vertices[mesh.faces]
-    blocks = FaceBlocks(triangles)
-    points = np.random.default_rng(8).uniform(-0.3, 0.3, (60, 3))
-    faces = np.arange(len(triangles))
-    exact = np.array([squared_distance(point, triangles, faces) for point in points]) ** 0.5
-    for reach in (np.full(60, np.inf), exact.min(axis=1)):
-        kept = np.zeros(exact.shape, dtype=bool)
-        for row, face in blocks.pairs(points, reach, 1e-12):
-            assert (np.diff(row) >= 0).all()
-            kept[row, face] = True
-        assert kept[np.arange(60), exact.argmin(axis=1)].all()
-        assert kept[exact <= exact.min(axis=1)[:, None]].all()
-        if len(faces) > 1000:
-            assert kept.mean() < 0.1
 
 
 def test_distance_equals_fcl() -> None:
@@ -152,7 +130,41 @@ def test_sign_on_a_closed_mesh_is_inside_or_outside() -> None:
     points = np.random.default_rng(3).uniform(-2, 2, (3000, 3)) * half
     beyond = np.abs(points) - half
     exact = np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
-    np.testing.assert_allclose(nearest.signed(points, nearest.closest(points)), exact, atol=1e-12)
+    np.testing.assert_allclose(nearest.signed(points), exact, atol=1e-12)
+
+
+def test_faces_without_area_change_no_sign() -> None:
+    """With faces that repeat a corner or lie in an edge, points just beside every corner keep the side they are on."""
+    ball = MESHES["ball"]
+    first, second, _ = ball.faces[:300].T
+    lines, dots = np.stack([first, second, first], axis=1), np.stack([second] * 3, axis=1)
+    mesh = TriangleMesh(ball.vertices, np.concatenate([lines, ball.faces, dots]))
+    nearest = NearestSurface(mesh)
+    for factor in (0.99, 1.01):
+        points = factor * mesh.vertices
+        assert (np.sign(nearest.signed(points)) == np.sign(factor - 1)).all()
+        assert (nearest.closest(points).face // 300 > 0).all()
+        assert (nearest.closest(points).face < 300 + len(ball.faces)).all()
+
+
+def test_normals_are_smooth_but_for_creases() -> None:
+    """On a fine ball the normal is the radius' direction to a quarter of a facet's turn; on a box its face's."""
+    ball, box = _mesh(trimesh.creation.icosphere(4, 0.1)), _mesh(MESHES["box of 12 faces"])
+    rng = np.random.default_rng(5)
+    for mesh, tolerance in ((ball, np.radians(1.0)), (box, 1e-12)):
+        nearest = NearestSurface(mesh)
+        closest = nearest.closest(mesh.vertices.max(axis=0) * rng.uniform(-1.2, 1.2, (2000, 3)))
+        radial = closest.point / np.linalg.norm(closest.point, axis=1, keepdims=True)
+        expected = radial if mesh is ball else face_normals(mesh)[closest.face]
+        np.testing.assert_allclose(nearest.normals(closest), expected, atol=tolerance)
+
+
+def test_what_has_no_distance_is_refused() -> None:
+    """A point that is not finite, and a mesh without area, are named."""
+    with pytest.raises(PlannerError, match="points contains infinity or NaN"):
+        NearestSurface(_mesh(MESHES["ball"])).closest(np.array([[0.0, np.nan, 0.0]]))
+    with pytest.raises(PlannerError, match="no face of the mesh has an area"):
+        NearestSurface(TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]))
 
 
 def test_deviation_of_a_grown_ball_is_its_growth() -> None:

@@ -5,46 +5,31 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.surface.closest import closest_face, squared_distance
+from planner.surface.closest import closest_face
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh, face_normals
 from planner.surface.sample import sample
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
-def test_point_to_triangle_distance_is_that_of_another_method(seed: int) -> None:
-    """The closed form agrees with trimesh's region test, for slim and for round triangles, near and far points."""
-    rng = np.random.default_rng(seed)
-    triangles = rng.normal(size=(200, 3, 3))
-    triangles[::2, 2] = triangles[::2, 0] + (triangles[::2, 1] - triangles[::2, 0]) * rng.uniform(-1, 2, (100, 1))
-    triangles[::2, 2] += rng.normal(size=(100, 3)) * 10.0 ** rng.integers(-3, 0, (100, 1))
-    points = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-1, 2, (200, 1))
-    ours = np.sqrt(squared_distance(points, triangles, np.arange(200)))
-    theirs = np.linalg.norm(trimesh.triangles.closest_point(triangles, points) - points, axis=1)
-    assert np.abs(ours - theirs).max() < 1e-6
-
-
-@given(st.integers(0, 2**32 - 1))
 @settings(max_examples=15, deadline=None)
 def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> None:
-    """Against all faces: at most 6 in 100 choices are not the very nearest, and those by less than a face's size."""
+    """Against all faces: it is the very nearest of those that look the same way."""
     rng = np.random.default_rng(seed)
     ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
     radius = 1 + 0.3 * np.sin(ball.vertices @ rng.normal(size=3) * 3 + rng.random())
     mesh = TriangleMesh(ball.vertices * radius[:, None] * rng.uniform(0.3, 1, 3), ball.faces)
     planning = decimate(mesh, 250)
     samples = sample(mesh, planning, 400, rng)
-    triangles, normals = planning.vertices[planning.faces], face_normals(planning)
-    chosen = closest_face(samples.points, samples.normals, triangles, normals)
-    everything = np.broadcast_to(np.arange(len(triangles)), (400, len(triangles)))
-    distance = np.sqrt(squared_distance(samples.points[:, None, :], triangles, everything))
-    agreeing = np.where(samples.normals @ normals.T > 0, distance, np.inf)
+    triangles, count = planning.vertices[planning.faces], len(planning.faces)
+    chosen = closest_face(samples.points, samples.normals, planning)
+    points = np.repeat(samples.points, count, axis=0)
+    feet = trimesh.triangles.closest_point(np.tile(triangles, (400, 1, 1)), points)
+    distance = np.linalg.norm(feet - points, axis=1).reshape(400, count)
+    agreeing = np.where(samples.normals @ face_normals(planning).T > 0, distance, np.inf)
     excess = agreeing[np.arange(400), chosen] - agreeing.min(axis=1)
-    face_size = np.sqrt((np.linalg.norm(np.ptp(triangles, axis=1), axis=1) ** 2).mean())
     assert np.isfinite(excess).all()
-    assert (excess > 1e-9).mean() <= 0.06
-    assert excess.max() < face_size
+    assert excess.max() < 1e-9
 
 
 @given(st.integers(1, 3000), st.integers(0, 2**32 - 1))
@@ -55,7 +40,8 @@ def test_samples_lie_on_their_faces_and_share_the_area(count: int, seed: int) ->
     mesh = TriangleMesh(body.vertices, body.faces)
     samples = sample(mesh, mesh, count, np.random.default_rng(seed))
     assert len(samples) == count
-    assert np.sqrt(squared_distance(samples.points, mesh.vertices[mesh.faces], samples.face)).max() < 1e-7
+    feet = trimesh.triangles.closest_point(mesh.vertices[mesh.faces[samples.face]], samples.points)
+    assert np.abs(feet - samples.points).max() < 1e-12
     assert (samples.normals == face_normals(mesh)[samples.face]).all()
     assert np.isclose(samples.areas.sum(), body.area, rtol=1e-9)
     assert np.ptp(samples.areas) == 0

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud, merge
-from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from planner.errors import PlannerError
+from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 
 VIEWS = 0.25 * np.array([[1, 0, 0.2], [-1, 0.1, 0], [0, 1, 0], [0, -1, 0.1], [0.3, 0, 1], [0, 0.2, -1]])
