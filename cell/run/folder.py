@@ -28,7 +28,9 @@ from planner.surface.mesh import TriangleMesh
 SCHEMA = "scan-cell/run/1"
 """Version of the layout; it changes together with a line in CHANGELOG.md."""
 
-_VERSIONS_OF = ("scan-cell", "numpy", "scipy", "mujoco", "embreex", "trimesh", "fast-simplification", "networkx")
+_VERSIONS_OF = (
+    "scan-cell", "numpy", "scipy", "mujoco", "embreex", "trimesh", "fast-simplification", "libigl", "networkx",
+)  # fmt: skip
 
 
 @dataclass(slots=True)

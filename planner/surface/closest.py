@@ -1,7 +1,7 @@
 """Closest points of a triangle mesh, exact up to rounding, and on which side of the surface a point lies.
 
-libigl's tree of boxes finds them, near and far, also on faces without area. Which of two faces is named where both are
-equally near (beside an edge) is its choice, the same in every run and on any number of threads.
+libigl's tree of boxes finds them. Which of two faces is named where both are equally near (beside an edge) is its
+choice, the same in every run and on any number of threads.
 
 The side follows Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG
 11 (2005), doi:10.1109/TVCG.2005.49: the normal of the face, edge or corner on which the closest point lies decides,
@@ -124,9 +124,11 @@ def closest_face(points: Floats, normals: Floats, mesh: TriangleMesh) -> Ints:
     closest = NearestSurface(mesh).closest(points)
     face = closest.face.copy()
     away = np.flatnonzero(np.einsum("nj,nj->n", normals, facing[face]) <= 0)
+    if not len(away):
+        return face
     nearest = closest.distance[away] + np.sqrt(face_areas(mesh).mean())
     group = np.where(facing.any(axis=1), np.argmax(facing @ _DIRECTIONS.T, axis=1), -1)
-    for rows in (np.flatnonzero(group == g) for g in np.unique(group[group >= 0]) if len(away)):
+    for rows in (np.flatnonzero(group == direction) for direction in np.unique(group[group >= 0])):
         found = NearestSurface(TriangleMesh(mesh.vertices, mesh.faces[rows])).closest(points[away])
         same_way = np.einsum("nj,nj->n", normals[away], facing[rows[found.face]]) > 0
         better = same_way & (found.distance < nearest)
