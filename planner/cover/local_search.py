@@ -47,6 +47,7 @@ def local_search(problem: CoverProblem, rng: np.random.Generator, budget: Budget
     best = greedy(problem, rng, budget) if budget.best is None else budget.best
     if problem.trivial or problem.n_columns == 0 or not budget.spend(0):
         return best
+    # Importing numba costs 0.3 s.
     from planner.cover.local_search_kernels import BEST_COST, BEST_MEMBERS, full_steps, partial_steps, start
 
     steps = full_steps if problem.full else partial_steps
@@ -65,7 +66,7 @@ def local_search(problem: CoverProblem, rng: np.random.Generator, budget: Budget
 
 def _state(problem: CoverProblem, best_cost: int, rng: np.random.Generator) -> "State":
     """The arrays of a search that has no column yet."""
-    from planner.cover import local_search_kernels as kernels
+    from planner.cover import local_search_kernels as kernels  # importing numba costs 0.3 s
 
     n_rows, n_columns = problem.shape
     if problem.full:

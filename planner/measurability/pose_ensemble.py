@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.measurability.matrix import Measurability
+from planner.measurability.matrix import Measurability, measured
 from planner.ports import Floats, Progress, RayCaster, Scanner
 from planner.surface.sample import SurfaceSamples
 from planner.values import Value, freeze
@@ -222,8 +222,6 @@ def times_measured(
     Returns:
         (S,) executions in which any view measured the sample, and (N,) share of the samples' area that each measured.
     """
-    from planner.measurability.matrix import measured
-
     times = np.zeros(len(samples), dtype=np.int32)
     share = np.zeros(len(errors))
     for number, error in enumerate(errors):

@@ -218,7 +218,7 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, scale: float | 
     """
     if steps <= 0 or problem.n_clusters < 4:  # three clusters and fewer have one cyclic order, which has its best nodes
         return best_nodes(problem, problem.clusters_of(tour)[1:])
-    from planner.order.ruin_and_recreate import anneal  # imports numba, which small tours do without
+    from planner.order.ruin_and_recreate import anneal  # importing numba costs 0.3 s, and small tours do without
 
     between = tour_bound.between_clusters(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest

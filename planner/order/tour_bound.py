@@ -167,7 +167,7 @@ class _Ascent:
 
     def leave_out(self) -> None:
         """Leave out nodes through which every walk, and so every tour, costs more than the tour that is known."""
-        from planner.order import walk_relaxation as walks
+        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
 
         through = np.full(len(self.cost), np.inf)
         visits = self.near + self.far - 1
@@ -194,7 +194,7 @@ class _Ascent:
 
     def _index(self) -> None:
         """Number the states after memories or nodes changed."""
-        from planner.order import walk_relaxation as walks
+        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
 
         sizes = np.diff(self.first)
         states = sizes << self.count
@@ -210,7 +210,7 @@ class _Ascent:
 
     def _shortest(self, prize: Floats) -> tuple[float, Ints]:
         """The bound under these prizes, and the nodes of the walk that gives it."""
-        from planner.order import walk_relaxation as walks
+        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
 
         best, walk = np.inf, self.walk
         for start in range(self.first[1]):

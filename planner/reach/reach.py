@@ -8,13 +8,11 @@ free is what will be commanded. A turn does not move the arm's geometry, so each
 Rounding moves the scanner by at most 6 axes x 5e-5 deg x reach, about 8 micrometres at 1.6 m.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,9 +21,7 @@ from planner.errors import PlannerError
 from planner.ports import CollisionChecker, Kinematics, Progress
 from planner.reach.setpoints import Setpoints, setpoints
 from planner.values import Value, freeze, readonly
-
-if TYPE_CHECKING:
-    from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planner.ports import Floats, RayCaster, Scanner
 from planner.values import Value
 from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses, in_view, legs_free
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, looking_at
 
 NEARLY = 0.9
 """Share of the largest gain from which on a change counts as gaining as much: then the smaller change is preferred."""
@@ -222,8 +222,6 @@ def tilted_at(
         rolls: [rad].
         sweep: (K, 4, 4) poses of a sweep in the frame of its middle; None for K = 1.
     """
-    from planner.viewpoints.viewpoints import looking_at
-
     sides = 1 if tilt == 0 else azimuths
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(helper, normals)

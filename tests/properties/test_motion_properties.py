@@ -48,11 +48,14 @@ def test_samples_never_exceed_a_limit(via: list[np.ndarray], v: np.ndarray, acc:
 
 @given(angles, positive, positive, st.floats(0.1, 1.0))
 def test_less_speed_never_saves_time(q: np.ndarray, v: np.ndarray, acc: np.ndarray, fraction: float) -> None:
-    """Scaling limits down never shortens a move, and scaling speed by f, acceleration by f^2 takes exactly 1 / f."""
+    """Scaling limits down never shortens a move (but for the last bits: limits in one ratio are timed by one of them).
+
+    Scaling speed by f and acceleration by f^2 takes exactly 1 / f.
+    """
     rest = np.zeros(6)
     full = float(move_time(rest, q, limits(v, acc)))
-    assert full <= float(move_time(rest, q, limits(v * fraction, acc)))
-    assert full <= float(move_time(rest, q, limits(v, acc * fraction)))
+    assert full <= float(move_time(rest, q, limits(v * fraction, acc))) * (1 + 1e-12)
+    assert full <= float(move_time(rest, q, limits(v, acc * fraction))) * (1 + 1e-12)
     assert float(move_time(rest, q, limits(v * fraction, acc * fraction**2))) == pytest.approx(
         full / fraction, rel=1e-9
     )

@@ -35,6 +35,7 @@ from drivers.setpoints import SetPoints
 from drivers.url import DriverUrl
 from drivers.wire import Patience, pieces, speed_from_wire
 from drivers.wires.modbus import register_map as registers
+from drivers.wires.modbus.port import ModbusPort
 from drivers.wires.serial.link import port_path, require_taken
 
 STANDING_FLAG = 0b01
@@ -215,8 +216,6 @@ class ModbusDriver(ControllerClient):
         url.finish()
         if not url.host or url.path not in ("", "/"):
             raise DriverUrlError(f"'{url.text}' must name a host and no path: modbus://192.168.0.10:502?unit=1")
-        from drivers.wires.modbus.port import ModbusPort
-
         clock = context.clock or RealTimeClock()
         port = ModbusPort.tcp(url.host, url.port or 502, unit, patience.answer)
         return cls(ModbusLink(port, clock, patience), clock)
@@ -236,8 +235,6 @@ class ModbusRtuDriver(ControllerClient):
         patience = Patience.from_url(url)
         url.finish()
         path = port_path(url)
-        from drivers.wires.modbus.port import ModbusPort
-
         clock = context.clock or RealTimeClock()
         return cls(ModbusLink(ModbusPort.rtu(path, baud, unit, patience.answer), clock, patience), clock)
 

@@ -48,6 +48,7 @@ from drivers.wires.serial.messages import (
     status_of,
     trouble_of,
 )
+from drivers.wires.serial.port import SerialPort
 
 T = TypeVar("T")
 
@@ -182,8 +183,6 @@ class SerialDriver(ControllerClient):
         patience = Patience.from_url(url)
         url.finish()
         path = port_path(url)
-        from drivers.wires.serial.port import SerialPort
-
         clock = context.clock or RealTimeClock()
         link = SerialLink(SerialPort(path, baud), clock, patience, seconds_per_byte=BITS_PER_BYTE / baud)
         return cls(link, clock)
