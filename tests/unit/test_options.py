@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from cell.cli import app
 from cell.commands import options
-from cell.errors import CellError, SceneError, UsageError
+from cell.errors import SceneError, UsageError
 from cell.scan.options import ScanOptions
 from cell.scene.option import flag, offers, read
 from cell.scene.options import scene_of, tables
@@ -87,26 +87,28 @@ def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch
         (tmp_path / name).touch()
     function, arguments = _parsed(line)
     if "wishes" in inspect.signature(function).parameters:
-        assert scene_of(arguments["scene"], arguments.get("part"), spell=flag, **arguments["wishes"])
+        assert scene_of(arguments["scene"], arguments["wishes"], arguments.get("part"), flag)
 
 
 def test_values_of_python_are_texts_of_the_command_line() -> None:
     """Both forms of each kind give the same tables; numpy's numbers are numbers."""
-    texts = tables(
-        "mug", place="1200,500,0,90,0,0", standoff="300", roll="0,90", pin="1,2", overlap="20%", curve=True,
-        pose_sd="0.5mm,0.1deg", seed="7", coverage="0.9", cost="time", speed="0.5", sensor="gocator-2350", faces=None,
-    )  # fmt: skip
-    assert texts == tables(
-        "mug", place=np.array([1200.0, 500, 0, 90, 0, 0]), standoff=300, roll=(0, 90), pin=[1, 2], overlap={"%": 20},
-        curve=True, pose_sd={"mm": 0.5, "deg": 0.1}, seed=np.int64(7), coverage=0.9, cost="time", speed=0.5,
-        sensor="gocator-2350",
-    )  # fmt: skip
-    assert texts["part"] == {"name": "mug"}
-    assert texts["placement"] == {"position_mm": [1200, 500, 0], "abc_deg": [90, 0, 0]}
-    assert texts["plan"]["overlap_share"] == 0.2
-    assert (texts["plan"]["pose_sd_mm"], texts["plan"]["pose_sd_deg"]) == (0.5, 0.1)
-    assert tables(overlap="500mm2") == {"plan": {"overlap_mm2": 500.0}}
-    assert tables(place=(1, 2, 3)) == {"placement": {"position_mm": [1, 2, 3]}}
+    texts = {
+        "place": "1200,500,0,90,0,0", "standoff": "300", "roll": "0,90", "pin": "1,2", "overlap": "20%", "curve": True,
+        "pose_sd": "0.5mm,0.1deg", "seed": "7", "coverage": "0.9", "cost": "time", "speed": "0.5", "faces": None,
+    }  # fmt: skip
+    values = {
+        "place": np.array([1200.0, 500, 0, 90, 0, 0]), "standoff": 300, "roll": (0, 90), "pin": [1, 2],
+        "overlap": {"%": 20}, "curve": True, "pose_sd": {"mm": 0.5, "deg": 0.1}, "seed": np.int64(7), "coverage": 0.9,
+        "cost": "time", "speed": 0.5,
+    }  # fmt: skip
+    asked = tables(texts, "mug")
+    assert asked == tables(values, "mug")
+    assert asked["part"] == {"name": "mug"}
+    assert asked["placement"] == {"position_mm": [1200, 500, 0], "abc_deg": [90, 0, 0]}
+    assert asked["plan"]["overlap_share"] == 0.2
+    assert (asked["plan"]["pose_sd_mm"], asked["plan"]["pose_sd_deg"]) == (0.5, 0.1)
+    assert tables({"overlap": "500mm2"}) == {"plan": {"overlap_mm2": 500.0}}
+    assert tables({"place": (1, 2, 3)}) == {"placement": {"position_mm": [1, 2, 3]}}
 
 
 @pytest.mark.parametrize(
@@ -120,16 +122,15 @@ def test_values_of_python_are_texts_of_the_command_line() -> None:
         ({"standoff": "200,x"}, "standoff 200,x must be numbers separated by commas"),
         ({"seed": "1.5"}, "seed 1.5 must be a whole number"),
         ({"alpha": ""}, "alpha  must be a number"),
-        ({"part": "mzeke"}, "did you mean mseke? "),
     ],
 )
 def test_a_wish_that_cannot_be_read_is_named_as_it_was_written(wishes: dict[str, Any], words: str) -> None:
     """The keyword of Python, or the option of the command line."""
     with pytest.raises(UsageError) as caught:
-        tables(**wishes)
+        tables(wishes)
     assert words in str(caught.value)
-    with pytest.raises(CellError, match=r"--|built-in"):
-        tables(spell=flag, **wishes)
+    with pytest.raises(UsageError, match="--"):
+        tables(wishes, spell=flag)
 
 
 def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as_they_stand(tmp_path: Path) -> None:
@@ -137,11 +138,11 @@ def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as
     path = tmp_path / "scene.toml"
     path.write_text("[plan]\ncoverage = 0.9\n", encoding="utf-8")
     with pytest.raises(SceneError, match=r"  max_views and plan\.coverage both set"):
-        scene_of(path, max_views=3)
+        scene_of(path, {"max_views": 3})
     with pytest.raises(SceneError, match="  --max-views and --coverage both set"):
-        scene_of(None, spell=flag, max_views="3", coverage="0.9")
+        scene_of(None, {"max_views": "3", "coverage": "0.9"}, spell=flag)
     with pytest.raises(SceneError, match=r"--standoff\[1\] is -5.0; it must be above 0"):
-        scene_of(None, spell=flag, standoff="200,-5")
+        scene_of(None, {"standoff": "200,-5"}, spell=flag)
 
 
 def test_options_of_a_scan_are_those_given_and_checked() -> None:

@@ -47,10 +47,11 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
         for key, field in ((key, field) for table in classes for key, field in table.model_fields.items()):
             if key in tables:
                 continue
-            stated = [tomllib.loads(line)[key] for line in lines if line.startswith(f"{key} =")]
-            assert stated, f"{name}.{key}"
+            line = next((line for line in lines if line.startswith(f"{key} =")), None)
+            assert line is not None, f"{name}.{key}"
             if field.default is not None and name != "fixtures":
-                assert TypeAdapter(field.annotation).validate_python(stated[0]) == field.default, f"{name}.{key}"
+                stated = tomllib.loads(line)[key]
+                assert TypeAdapter(field.annotation).validate_python(stated) == field.default, f"{name}.{key}"
 
 
 def test_an_empty_file_is_the_built_in_scene(tmp_path: Path) -> None:
