@@ -28,7 +28,7 @@ AsJson = Annotated[
     typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel="Output"),
 ]
 
-Wishes = dict[str, Any]
+Wishes = dict[str, object]
 """Texts and switches by the names of their options, only those that were given; `Annotated` with what is offered."""
 OfScene = Annotated[Wishes, offers(Scene)]
 OfPartAndPreset = Annotated[Wishes, offers(Scene, "units", "preset")]
@@ -65,8 +65,8 @@ def arguments(command: Callable[..., None], given: Mapping[str, object]) -> dict
         if offered is None:
             found[parameter.name] = given[parameter.name]
             continue
-        texts = {name: ",".join(text) if isinstance(text := given[name], list) else text for name in offered}
-        wishes = {name: text for name, text in texts.items() if text is not None and text != ""}
+        asked = {name: given[name] for name in offered if given[name] not in (None, [], ())}
+        wishes = {name: ",".join(texts) if isinstance(texts, list | tuple) else texts for name, texts in asked.items()}
         model = parameter.annotation
         found[parameter.name] = wishes if get_origin(model) is Annotated else read(model, wishes, flag)
     return found

@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -174,7 +175,7 @@ def values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = 
             continue
         try:
             filled |= _filled(known[name], wish)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, LookupError):
             raise UsageError(_refusal(known[name], wish, spell(name))) from None
     return filled
 
@@ -228,54 +229,45 @@ def _limits(metadata: Sequence[object]) -> str:
 
 
 def _filled(offer: Offer, wish: object) -> dict[str, object]:
-    """Values by key of one wish; ValueError or TypeError where it has not the form."""
+    """Values by key of one wish; ValueError, TypeError or LookupError where it has not the option's form."""
     value: Any = wish.tolist() if hasattr(wish, "tolist") else wish  # numpy's arrays and numbers
-    kinds, keys = _kinds(offer), list(offer.fields)
+    option, kinds, keys = offer.option, _kinds(offer), list(offer.fields)
     if isinstance(value, str):
         value = _parsed(offer, value)
     if offer.by_unit:
-        value = value if isinstance(value, Mapping) else _wrong()
-        return {_key_of(unit, keys): float(number) * _SCALES.get(unit, ("", 1.0))[1] for unit, number in value.items()}
-    if not kinds[0].length and not offer.option.counts:
+        fills = {key.rpartition("_")[2]: key for key in keys}
+        scaled = {unit: _SCALES.get(unit, (unit, 1.0)) for unit in dict(value)}
+        return {fills[ending]: value[unit] * scale for unit, (ending, scale) in scaled.items()}
+    if not kinds[0].length and not option.counts:
         return {keys[0]: value}
     several = list(value) if isinstance(value, (list, tuple)) else [value]
-    if offer.option.counts and len(several) not in offer.option.counts:
+    if option.counts and len(several) not in option.counts:
         raise ValueError
-    if offer.option.made is not None:
-        several = list(offer.option.made(several))
+    if option.made is not None:
+        several = list(option.made(several))
     if len(keys) == 1:
         return {keys[0]: several}
-    filled: dict[str, object] = {}
-    for key, kind in zip(keys, kinds, strict=True):
-        if several:
-            filled[key] = several[: kind.length] if kind.length else several[0]
-            several = several[kind.length or 1 :]
-    return filled
+    left = iter(several)
+    dealt = {key: list(islice(left, kind.length or 1)) for key, kind in zip(keys, kinds, strict=True)}
+    return {
+        key: some if kind.length else some[0] for (key, some), kind in zip(dealt.items(), kinds, strict=True) if some
+    }
 
 
 def _parsed(offer: Offer, text: str) -> Any:
     """What Python would give in place of a text."""
-    kind = offer.kind
+    kind, option = offer.kind, offer.option
     if offer.by_unit:
-        found: dict[str, float] = {}
-        for piece in text.split(","):
-            number, unit = (re.fullmatch(r"(.*?)\s*(%|[a-z]+2?)", piece.strip()) or _wrong()).groups()
-            found[unit] = float(number) if unit not in found else _wrong()
+        pieces = [re.fullmatch(r"(.*?)\s*(%|[a-z]+2?)", piece.strip()) for piece in text.split(",")]
+        found = {piece[2]: float(piece[1]) for piece in pieces if piece}
+        if len(found) < len(pieces):  # one without a unit, or with another's
+            raise ValueError
         return found
     if kind.base not in (int, float):
         return text
-    if kind.length or offer.option.counts:
-        return [kind.base(piece) for piece in text.split(offer.option.separator)]
+    if kind.length or option.counts:
+        return [kind.base(piece) for piece in text.split(option.separator)]
     return kind.base(text)
-
-
-def _key_of(unit: str, keys: Sequence[str]) -> str:
-    ending = _SCALES.get(unit, (unit, 1.0))[0]
-    return next((key for key in keys if key.endswith(f"_{ending}")), None) or _wrong()
-
-
-def _wrong() -> Any:
-    raise ValueError
 
 
 def _refusal(offer: Offer, wish: object, name: str) -> str:

@@ -1,10 +1,12 @@
 """The scene file: defaults, every problem at once, hints, overrides."""
 
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from cell.errors import SceneError
 from cell.robot.model import model_file
@@ -31,17 +33,25 @@ def test_the_documented_scene_is_the_built_in_one() -> None:
     assert load_scene(model_file("scene.toml")) == Scene() == load_scene(None)
 
 
-def test_the_documented_scene_names_every_key() -> None:
-    """Each key of each table stands in models/scene.toml, set or commented out."""
+def test_the_documented_scene_names_every_key_with_its_default() -> None:
+    """Each key of each table stands in models/scene.toml: set, or commented out, which is true of a default as well."""
     text = model_file("scene.toml").read_text(encoding="utf-8")
-    lines = [line.lstrip("# ") for line in text.splitlines()]
-    tables = {name: [field.annotation] for name, field in Scene.model_fields.items()}
-    tables["fixtures"] = [BoxFixture, CylinderFixture, MeshFixture]
+    sections = re.split(r"^(?:# )?\[\[?(\w+)\]", text, flags=re.MULTILINE)
+    documented: dict[str, str] = {"": sections[0]}
+    for name, section in zip(sections[1::2], sections[2::2], strict=True):
+        documented[name] = documented.get(name, "") + section
+    tables = {name: [type(table)] for name, table in Scene() if isinstance(table, BaseModel)}
+    tables |= {"": [Scene], "fixtures": [BoxFixture, CylinderFixture, MeshFixture]}
     for name, classes in tables.items():
-        for table in classes:
-            keys = table.model_fields if issubclass(table, BaseModel) else [name]
-            for key in keys:
-                assert any(line.startswith(f"{key} =") for line in lines), f"{name}.{key}"
+        lines = [line.lstrip("# ") for line in documented[name].splitlines()]
+        for key, field in ((key, field) for table in classes for key, field in table.model_fields.items()):
+            if key in tables:
+                continue
+            line = next((line for line in lines if line.startswith(f"{key} =")), None)
+            assert line is not None, f"{name}.{key}"
+            if field.default is not None and name != "fixtures":
+                stated = tomllib.loads(line)[key]
+                assert TypeAdapter(field.annotation).validate_python(stated) == field.default, f"{name}.{key}"
 
 
 def test_an_empty_file_is_the_built_in_scene(tmp_path: Path) -> None:

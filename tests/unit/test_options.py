@@ -1,0 +1,165 @@
+"""Options from fields: each key is offered or says why not, texts and values mean the same, examples parse."""
+
+import inspect
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from pydantic import BaseModel
+
+from cell.cli import app
+from cell.commands import options
+from cell.errors import SceneError, UsageError
+from cell.scan.options import ScanOptions
+from cell.scene.option import flag, offers, read
+from cell.scene.options import scene_of, tables
+from cell.scene.plan_settings import PlanSettings
+from cell.scene.scene import Scene
+from cell.study.options import PlaceRange, StudyRun
+
+FILE_ONLY = {
+    "view_sphere_step_deg": "of one generator of candidates only",
+    "scan_s": "a fact of the scanner, which no plan changes",
+    "settle_s": "a fact of the arm, which no plan changes",
+    "ensemble": "more of it changes seconds, hardly a plan",
+}
+MODELS = (Scene, ScanOptions, PlaceRange, StudyRun)
+ROOT: Any = typer.main.get_command(app)
+
+
+def _examples(command: Any) -> list[str]:
+    """Lines of all epilogs that are commands."""
+    own = [line for line in (command.epilog or "").split("\n\n") if line.startswith("cell ")]
+    return own + [line for each in getattr(command, "commands", {}).values() for line in _examples(each)]
+
+
+def _parsed(line: str) -> tuple[Any, dict[str, object]]:
+    """The function of a command and the arguments that it would be called with."""
+    command, words = ROOT, shlex.split(line)[1:]
+    while words and words[0] in getattr(command, "commands", {}):
+        command, words = command.commands[words[0]], words[1:]
+    function = inspect.unwrap(command.callback)
+    return function, options.arguments(function, command.make_context("cell", words).params)
+
+
+def test_every_key_of_the_plan_is_offered_or_file_only_with_a_reason() -> None:
+    """No key is forgotten, none is both."""
+    offered = {key.removeprefix("plan.") for offer in offers(Scene).values() for key in offer.fields}
+    assert set(PlanSettings.model_fields) - offered == set(FILE_ONLY)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_option_tells_its_unit_its_limits_and_its_choices(model: type[BaseModel]) -> None:
+    """A key with a unit shows it; a bound of the field stands in the help, and so does each choice."""
+    for offer in offers(model).values():
+        assert offer.help.endswith("."), offer.name
+        shown = f"{offer.metavar} {offer.help}".lower()
+        for key, field in offer.fields.items():
+            unit = re.search(r"_(mm2|mm|deg|percent|share)$", key)
+            assert unit is None or {"share": "%"}.get(unit[1], unit[1]) in shown, key
+            for bound in (
+                getattr(each, word) for each in field.metadata for word in ("ge", "le") if hasattr(each, word)
+            ):
+                assert offer.by_unit or bound > 1e9 or f"{bound:g}" in offer.help, key
+        assert all(choice in offer.help for choice in offer.kind.choices), offer.name
+
+
+def test_the_help_imports_nothing_heavy() -> None:
+    """All commands with all their options are made without arrays, engines and pictures."""
+    code = (
+        "import sys; from typer.main import get_command; from cell.cli import app; get_command(app); "
+        "assert not {'numpy', 'scipy', 'mujoco', 'trimesh', 'matplotlib', 'numba'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("line", _examples(ROOT))
+def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its options exist and their texts can be read; where it names a scene, that scene can be."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("part.stl", "my_cell.toml"):
+        (tmp_path / name).touch()
+    function, arguments = _parsed(line)
+    if "wishes" in inspect.signature(function).parameters:
+        assert scene_of(arguments["scene"], arguments["wishes"], arguments.get("part"), flag)
+
+
+def test_values_of_python_are_texts_of_the_command_line() -> None:
+    """Both forms of each kind give the same tables; numpy's numbers are numbers."""
+    texts = {
+        "place": "1200,500,0,90,0,0", "standoff": "300", "roll": "0,90", "pin": "1,2", "overlap": "20%", "curve": True,
+        "pose_sd": "0.5mm,0.1deg", "seed": "7", "coverage": "0.9", "cost": "time", "speed": "0.5", "faces": None,
+    }  # fmt: skip
+    values = {
+        "place": np.array([1200.0, 500, 0, 90, 0, 0]), "standoff": 300, "roll": (0, 90), "pin": [1, 2],
+        "overlap": {"%": 20}, "curve": True, "pose_sd": {"mm": 0.5, "deg": 0.1}, "seed": np.int64(7), "coverage": 0.9,
+        "cost": "time", "speed": 0.5,
+    }  # fmt: skip
+    asked = tables(texts, "mug")
+    assert asked == tables(values, "mug")
+    assert asked["part"] == {"name": "mug"}
+    assert asked["placement"] == {"position_mm": [1200, 500, 0], "abc_deg": [90, 0, 0]}
+    assert asked["plan"]["overlap_share"] == 0.2
+    assert (asked["plan"]["pose_sd_mm"], asked["plan"]["pose_sd_deg"]) == (0.5, 0.1)
+    assert tables({"overlap": "500mm2"}) == {"plan": {"overlap_mm2": 500.0}}
+    assert tables({"place": (1, 2, 3)}) == {"placement": {"position_mm": [1, 2, 3]}}
+
+
+@pytest.mark.parametrize(
+    ("wishes", "words"),
+    [
+        ({"coverag": 0.9}, "there is no option coverag; did you mean 'coverage'? there are "),
+        ({"place": (1200, 500)}, "place (1200, 500) must be x,y,z or x,y,z,A,B,C (mm and deg), for instance place 1"),
+        ({"overlap": 0.2}, "overlap 0.2 must be a share of the smaller view or an area, for instance overlap 20% or"),
+        ({"overlap": "20%,30%"}, "overlap 20%,30% must be"),
+        ({"pose_sd": "1mm,2kg"}, "with their units"),
+        ({"standoff": "200,x"}, "standoff 200,x must be numbers separated by commas"),
+        ({"seed": "1.5"}, "seed 1.5 must be a whole number"),
+        ({"alpha": ""}, "alpha  must be a number"),
+    ],
+)
+def test_a_wish_that_cannot_be_read_is_named_as_it_was_written(wishes: dict[str, Any], words: str) -> None:
+    """The keyword of Python, or the option of the command line."""
+    with pytest.raises(UsageError) as caught:
+        tables(wishes)
+    assert words in str(caught.value)
+    with pytest.raises(UsageError, match="--"):
+        tables(wishes, spell=flag)
+
+
+def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as_they_stand(tmp_path: Path) -> None:
+    """Every key of a contradiction by the name that its author used."""
+    path = tmp_path / "scene.toml"
+    path.write_text("[plan]\ncoverage = 0.9\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"  max_views and plan\.coverage both set"):
+        scene_of(path, {"max_views": 3})
+    with pytest.raises(SceneError, match="  --max-views and --coverage both set"):
+        scene_of(None, {"max_views": "3", "coverage": "0.9"}, spell=flag)
+    with pytest.raises(SceneError, match=r"--standoff\[1\] is -5.0; it must be above 0"):
+        scene_of(None, {"standoff": "200,-5"}, spell=flag)
+
+
+def test_options_of_a_scan_are_those_given_and_checked() -> None:
+    """Which were given is known; what cannot be is said in one sentence; a manifest brings them back."""
+    asked = read(ScanOptions, {"pose_error": "0.5,0.1", "register": False}, flag)
+    assert asked.model_fields_set == {"pose_error_mm", "pose_error_deg", "registration"}
+    assert (asked.pose_error_mm, asked.pose_error_deg, asked.registers) == (0.5, 0.1, False)
+    assert ScanOptions.begun({**asked.kept(), "of_later": 1}) == asked
+    with pytest.raises(UsageError, match="--noise is 'loud'; valid are: none, model"):
+        read(ScanOptions, {"noise": "loud"}, flag)
+    with pytest.raises(ValueError, match="seed is 'three'; it must be a whole number"):
+        ScanOptions.begun({"seed": "three"})
+
+
+def test_a_resumed_scan_keeps_what_it_was_begun_with() -> None:
+    """Speed and the like are said anew, the driver only where it is given."""
+    begun = ScanOptions(driver="serial:///dev/x", range_noise_mm=0.1, speed_percent=50.0, reset=True)
+    now = begun.resumed(ScanOptions(speed_percent=5.0))
+    assert (now.driver, now.range_noise_mm, now.speed_percent, now.reset) == ("serial:///dev/x", 0.1, 5.0, False)
+    assert begun.resumed(ScanOptions(driver="sim://")).driver == "sim://"
