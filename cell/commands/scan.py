@@ -66,10 +66,11 @@ def scan(
 
     _require_one_question(options.model_fields_set, preset, resume, report)
     if preset is not None and options.resolution_deg is None:
+        from cell.run import reader as run_reader
         from cell.run.record import open_run
         from cell.scan.preset import resolution_deg
 
-        options = options.model_copy(update={"resolution_deg": resolution_deg(open_run(run), preset)})
+        options = options.model_copy(update={"resolution_deg": resolution_deg(run_reader.scene(open_run(run)), preset)})
     terminal = Terminal(quiet_stdout=as_json)
     ask = terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
     if report is not None:

@@ -6,14 +6,16 @@ show.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cell.replay import marks
 from cell.replay.timeline import Timeline
-from cell.run.reader import Tightest
+from cell.run.plan_json import PlanFile
+from planner.ports import Floats
+from planner.values import readonly
 
 if TYPE_CHECKING:
     import mujoco
@@ -26,20 +28,55 @@ _ELEVATIONS_DEG = (-15.0, -35.0, 5.0)
 _SKIN = 0.012  # m; a shape that hides less than this of a point's own surroundings does not hide it
 
 
-def in_the_show(tightest: Tightest | None, timeline: Timeline) -> Tightest | None:
-    """The tightest moment of a plan at its time of the show, whose rests the motion does not have."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Closest:
+    """Two things that are nearest in all of the motion.
+
+    Attributes:
+        points: (2, 3) of the first and of the second [m], base frame.
+        distance: between them [m].
+        between: what they are, "housing with part".
+        time: of the show [s].
+    """
+
+    points: Floats
+    distance: float
+    between: str
+    time: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", readonly("points", self.points, (2, 3)))
+
+    @property
+    def sentence(self) -> str:
+        """For captions and for the label beside the line."""
+        return f"{1000 * self.distance:.1f} mm {self.between}"
+
+    def shown_at(self, t: float) -> bool:
+        """Whether the show is so near to the moment that the pair is drawn."""
+        return abs(t - self.time) <= _SHOWN
+
+
+def of_plan(plan: PlanFile, timeline: Timeline) -> Closest | None:
+    """The tightest moment of a plan.
+
+    Args:
+        plan: its views and clearances.
+        timeline: the plan's show, with its rests.
+    """
+    tightest = None if plan.clearance is None else plan.clearance.tightest
     if tightest is None:
         return None
-    rests = sum(stop.end - stop.begin for stop in timeline.stops if stop.moved < tightest.time - 1e-6)
-    return replace(tightest, time=min(tightest.time + rests, timeline.duration))
+    rests = sum(stop.end - stop.begin for stop in timeline.stops if stop.moved < tightest.time_s - 1e-6)
+    return Closest(
+        np.array(tightest.points_in_base_mm) / 1000.0,
+        tightest.distance_mm / 1000.0,
+        tightest.between,
+        min(tightest.time_s + rests, timeline.duration),
+    )
 
 
-def shown_at(closest: Tightest, t: float) -> bool:
-    """Whether the show is so near to the moment that the pair is drawn."""
-    return abs(t - closest.time) <= _SHOWN
-
-
-def add_closest(scene: mujoco.MjvScene, closest: Tightest) -> None:
+def add_closest(scene: mujoco.MjvScene, closest: Closest) -> None:
     """A rod between the two points, a ball at each, and the distance as a label."""
     start, end = closest.points
     marks.add_segment(scene, start, end, _ROD, NEAR)
@@ -49,7 +86,7 @@ def add_closest(scene: mujoco.MjvScene, closest: Tightest) -> None:
     marks.add_label(scene, closest.points.mean(axis=0), "   " + closest.sentence)  # beside the line, not on it
 
 
-def close_camera(model: mujoco.MjModel, data: mujoco.MjData, closest: Tightest) -> mujoco.MjvCamera:
+def close_camera(model: mujoco.MjModel, data: mujoco.MjData, closest: Closest) -> mujoco.MjvCamera:
     """A camera near the two points, across the line between them, from where most of both is to be seen.
 
     Args:

@@ -14,14 +14,13 @@ import numpy as np
 from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.replay import timeline as replay_timeline
-from cell.replay.closest import in_the_show
+from cell.replay.closest import of_plan
 from cell.replay.frames import require_empty, write_frames, write_picture
 from cell.replay.model import dress
 from cell.replay.offscreen import require_backend
 from cell.replay.show import Show
 from cell.replay.timeline import Timeline
 from cell.run import reader as run_reader
-from cell.run.cell import read_scene
 from cell.run.executions import read_execution
 from cell.run.record import RunRecord, open_run
 
@@ -127,7 +126,7 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
         )
     if not run.finished:
         narrator.note(f"this run {run.ended}; it is shown as far as it got")
-    scene = read_scene(run)
+    scene = run_reader.scene(run)
     recorded = read_execution(run, execution) if execution is not None else None
     if recorded is not None and not recorded.scans:
         narrator.note(f"{recorded.folder} holds no scan that can be read")
@@ -145,7 +144,7 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
     if timeline.stops or planned is not None or not run.has("viewpoints.npz"):
         closest = None
         if recorded is None and planned is not None and run.has("plan.json"):
-            closest = in_the_show(run_reader.plan(run).tightest, timeline)
+            closest = of_plan(run_reader.plan(run), timeline)
         return Show(theatre, timeline, closest=closest)
     candidates = run_reader.candidates(run)
     reachable = run_reader.reached(run).reachable if run.has("reach.npz") else None

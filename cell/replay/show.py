@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.replay import marks
-from cell.replay.closest import add_closest, shown_at
+from cell.replay.closest import Closest, add_closest
 from cell.replay.model import Theatre
 from cell.replay.timeline import Timeline
 from cell.robot import model as robot
-from cell.run.reader import Tightest
 from planner.ports import Floats
 from planner.values import readonly
 
@@ -43,7 +42,7 @@ class Show:
         timeline: Timeline,
         T_base_candidate: Floats | None = None,
         reachable: np.ndarray[tuple[int], np.dtype[np.bool_]] | None = None,
-        closest: Tightest | None = None,
+        closest: Closest | None = None,
     ) -> None:
         """Work out the poses.
 
@@ -108,7 +107,7 @@ class Show:
         elif self.timeline.stops:
             marks.add_glyph(scene, self.theatre, self._scanner_now())
         marks.add_touches(scene, touching)
-        if self.closest is not None and shown_at(self.closest, t):
+        if self.closest is not None and self.closest.shown_at(t):
             add_closest(scene, self.closest)
 
     def draw_tour(self, scene: mujoco.MjvScene, t: float) -> None:
@@ -145,7 +144,7 @@ class Show:
         else:
             where = "home" if t >= self.timeline.duration else "to home"
         text = f"{where}   {self.timeline.moved(t):.1f} s"
-        tight = [f"tightest: {self.closest.sentence}"] if self.closest is not None and shown_at(self.closest, t) else []
+        tight = [f"tightest: {self.closest.sentence}"] if self.closest is not None and self.closest.shown_at(t) else []
         return "   ".join([text, *tight, *(touch.sentence for touch in touching)])
 
     def camera(self, aspect: float, times: Sequence[float] | None = None) -> mujoco.MjvCamera:

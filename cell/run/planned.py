@@ -102,6 +102,6 @@ def open_run(folder: Path) -> PlannedRun:
         raise FileError(f"{folder} has no finished plan: the run {record.ended}; plan again")
     return PlannedRun(
         record,
-        parsed(PlanFile, artefact(record, "plan.json"), folder / "plan.json"),
+        reader.plan(record),
         parsed(Report, artefact(record, "report.json"), folder / "report.json"),
     )

@@ -6,14 +6,13 @@ collision asked again), the scanner's law and the casters under it. Nothing is e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from cell import scanners
-from cell.errors import SceneError
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
@@ -63,6 +62,11 @@ class Changes:
         """The part's and everything else's, as they were."""
         return self.cell.part_caster, self.cell.occluder_caster
 
+    @property
+    def max_sigma_mm(self) -> float | None:
+        """The plan's limit on sigma [mm]; None where it has none."""
+        return self.cell.scene.plan.max_sigma_mm
+
     def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
         """Every change except further views, in ladders.
 
@@ -74,8 +78,9 @@ class Changes:
         """
         yield from self._of_the_plan(aims)
         yield [self._turned(axis, angle) for axis, angle in ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))]
-        for name in self.cell.scene.removable:
-            yield [self._without(name)]
+        for fixture in self.cell.scene.fixtures:
+            if not fixture.built_in or fixture.name == "post":
+                yield [self._without(fixture.name)]
         yield from self._of_the_scanner()
 
     def views(self, targets: Targets, rows: Indices) -> list[WhatIf]:
@@ -111,7 +116,7 @@ class Changes:
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
         base = _pick(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
         listed = ",".join(f"{standoff:g}" for standoff in standoffs)
-        near, far = self.cell.scanner_parameters.get("range_mm", (0.0, np.inf))
+        near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [
             self._reached(
                 Kind.STANDOFF, abs(factor - 1), f"standoff {other:g} mm beside {now:g}" if few
@@ -122,9 +127,10 @@ class Changes:
             for factor in _STANDOFFS if near < (other := _round_mm(factor * now)) < far and other not in standoffs
         ]  # fmt: skip
 
-        limit = float(self.cell.scanner_parameters.get("grazing_max_deg", 90.0))
+        limit = self.cell.scanner_keys.number("grazing_max_deg")
+        limit = 90.0 if limit is None else limit
         sweep = np.linalg.inv(what_if.middle(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
-        setting = "" if self.cell.scene.targeted else "--candidates targeted"
+        setting = "" if self.cell.scene.plan.candidates == "targeted" else "--candidates targeted"
         rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
         yield [
             self._reached(
@@ -164,74 +170,77 @@ class Changes:
         )  # fmt: skip
 
     def _of_the_scanner(self) -> Iterator[list[WhatIf]]:
-        limits = self.cell.scanner_parameters
+        keys = self.cell.scanner_keys
         for name, last, of in (
             ("grazing_max_deg", _LAST_GRAZING_DEG, "grazing limit"),
             ("sensor_grazing_max_deg", 90, "sensor's grazing limit"),
         ):
-            if name in limits:
-                now = float(limits[name])
+            if (now := keys.number(name)) is not None:
                 yield [
-                    self._law(Kind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", {name: float(value)})
+                    self._law(Kind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", name, float(value))
                     for value in range(int(np.floor(now)) + 1, last + 1)
                 ]
         for name in ("range_mm", "depth_of_field_mm"):
-            if limits.get(name) is not None:
-                near, far = limits[name]
+            if (limits := keys.pair(name)) is not None:
                 of = name.removesuffix("_mm").replace("_", " ")
-                for end, values in (("to", [far * f for f in _FARTHER]), ("from", [near * f for f in _NEARER])):
-                    now = far if end == "to" else near
-                    yield [
-                        self._law(
-                            Kind.RANGE, abs(np.log(max(value, 1e-3) / max(now, 1e-3))),
-                            f"{of} {end} {value:g} instead of {now:g} mm",
-                            {name: [near, value] if end == "to" else [value, far]},
-                        )
-                        for value in map(_round_mm, values) if value != now
-                    ]  # fmt: skip
+                yield self._range_to(name, of, *limits)
+                yield self._range_from(name, of, *limits)
         for name, of in (("fov_deg", "field of view"), ("sensor_fov_deg", "sensor's field of view")):
-            if limits.get(name) is not None:
-                now_h, now_v = limits[name]
+            if (fov := keys.pair(name)) is not None:
+                h, v = fov
                 yield [
                     self._law(
-                        Kind.FOV, more, f"{of} {now_h + more:g} x {now_v + more:g} deg, not {now_h:g} x {now_v:g}",
-                        {name: [now_h + more, now_v + more]},
+                        Kind.FOV, more, f"{of} {h + more:g} x {v + more:g} deg, not {h:g} x {v:g}",
+                        name, (h + more, v + more),
                     )
-                    for more in _FOV_DEG if max(now_h, now_v) + more < 180
+                    for more in _FOV_DEG if max(fov) + more < 180
                 ]  # fmt: skip
-        if "fan_deg" in limits:
-            now = float(limits["fan_deg"])
+        if (now := keys.number("fan_deg")) is not None:
             yield [
-                self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", {"fan_deg": now + more})
+                self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", "fan_deg", now + more)
                 for more in _FOV_DEG if now + more < 180
             ]  # fmt: skip
-        if self.cell.scene.max_sigma is not None:
-            now = self.cell.scene.max_sigma * 1000
-            yield [
-                self._law(Kind.SIGMA, factor, f"sigma up to {factor * now:.3g} instead of {now:g} mm", {}, factor)
-                for factor in _SIGMAS
-            ]
-        if float(limits.get("baseline_mm", 0.0)) > 0:
-            now = float(limits["baseline_mm"])
+        if self.max_sigma_mm is not None:
+            yield [self._sigma(factor, self.max_sigma_mm) for factor in _SIGMAS]
+        if now := keys.number("baseline_mm"):
             yield [
                 self._law(
                     Kind.BASELINE, 1 - share, f"baseline {share * now:.3g} instead of {now:g} mm",
-                    {"baseline_mm": share * now},
+                    "baseline_mm", share * now,
                 )
                 for share in _BASELINES
             ]  # fmt: skip
 
-    def _law(self, kind: Kind, change: float, sentence: str, changed: Mapping[str, Any], sigmas: float = 1.0) -> WhatIf:
-        """Another law, the same reachable candidates."""
-        parameters = {key: value for key, value in {**self.cell.scanner_parameters, **changed}.items() if key != "type"}
-        scanner: Scanner = scanners.load(str(self.cell.scanner_parameters["type"]))(**parameters)
-        if self.cell.scene.max_sigma is not None:
-            scanner = Limited(scanner, sigmas * self.cell.scene.max_sigma)  # type: ignore[arg-type]  # it had a limit before
-        setting = "; ".join(f"scanner.{name} = {_toml(value)}" for name, value in changed.items())
-        if sigmas != 1.0 and self.cell.scene.max_sigma is not None:
-            setting = f"--max-sigma {sigmas * self.cell.scene.max_sigma * 1000:.3g}"
+    def _range_to(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
+        return [
+            self._law(Kind.RANGE, _apart(to, far), f"{of} to {to:g} instead of {far:g} mm", name, (near, to))
+            for to in (_round_mm(far * factor) for factor in _FARTHER) if to != far
+        ]  # fmt: skip
+
+    def _range_from(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
+        return [
+            self._law(Kind.RANGE, _apart(at, near), f"{of} from {at:g} instead of {near:g} mm", name, (at, far))
+            for at in (_round_mm(near * factor) for factor in _NEARER) if at != near
+        ]  # fmt: skip
+
+    def _law(self, kind: Kind, change: float, sentence: str, key: str, value: float | tuple[float, float]) -> WhatIf:
+        """Another value of one of the scanner's keys, the same reachable candidates."""
+        keys = self.cell.scanner_keys
+        scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
+        if self.max_sigma_mm is not None:
+            scanner = Limited(scanner, self.max_sigma_mm / 1000)  # type: ignore[arg-type]  # it had a limit before
+        numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
         poses = self.candidates.T_object_scanner[self.usable]
-        return WhatIf(kind, change, sentence, setting, poses, scanner, self.casters)
+        return WhatIf(kind, change, sentence, f"scanner.{key} = {numbers}", poses, scanner, self.casters)
+
+    def _sigma(self, factor: float, now: float) -> WhatIf:
+        """Another limit on sigma, so many times the present one [mm]."""
+        assert isinstance(self.cell.scanner, Limited)
+        scanner = Limited(self.cell.scanner.scanner, factor * (now / 1000))
+        poses = self.candidates.T_object_scanner[self.usable]
+        sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
+        setting = f"--max-sigma {factor * now:.3g}"
+        return WhatIf(Kind.SIGMA, factor, sentence, setting, poses, scanner, self.casters)
 
     def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:
         """Other candidates, of which those that the arm takes up count."""
@@ -285,9 +294,6 @@ def _round_mm(length: float) -> float:
     return float(f"{length:.2g}")
 
 
-def _toml(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(f"{item:g}" for item in value) + "]"
-    if isinstance(value, float):
-        return f"{value:g}"
-    raise SceneError(f"the scanner's {value!r} cannot be changed; it must be a number or a pair of them")
+def _apart(value: float, now: float) -> float:
+    """How far a limit is opened, alike for large and small ones."""
+    return float(abs(np.log(max(value, 1e-3) / max(now, 1e-3))))
