@@ -12,7 +12,6 @@ from planner.surface.sample import sample
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
 def test_point_to_triangle_distance_is_that_of_another_method(seed: int) -> None:
     """The closed form agrees with trimesh's region test, for slim and for round triangles, near and far points."""
     rng = np.random.default_rng(seed)
@@ -26,7 +25,7 @@ def test_point_to_triangle_distance_is_that_of_another_method(seed: int) -> None
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> None:
     """Against all faces: at most 6 in 100 choices are not the very nearest, and those by less than a face's size."""
     rng = np.random.default_rng(seed)
@@ -48,7 +47,6 @@ def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> N
 
 
 @given(st.integers(1, 3000), st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
 def test_samples_lie_on_their_faces_and_share_the_area(count: int, seed: int) -> None:
     """Each sample lies on its reference face, carries that face's normal and an equal part of the whole area."""
     body = trimesh.creation.capsule(height=1.0, radius=0.2, count=(12, 12))
@@ -62,7 +60,7 @@ def test_samples_lie_on_their_faces_and_share_the_area(count: int, seed: int) ->
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 def test_stratified_samples_estimate_an_area_better_than_independent_ones(seed: int) -> None:
     """The share of samples in a cap of a sphere is within a third of the independent samples' 3-sigma band."""
     rng = np.random.default_rng(seed)
