@@ -27,7 +27,9 @@ from filelock import FileLock
 from hypothesis import settings
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
-settings.register_profile("own", deadline=None, derandomize="CI" in os.environ)
+# `--hypothesis-profile=full` has four times as many.
+for _name, _examples in (("full", 100), ("own", 25)):
+    settings.register_profile(_name, deadline=None, derandomize="CI" in os.environ, max_examples=_examples)
 settings.load_profile("own")
 
 _SMALL_PLAN = ("--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3")

@@ -48,7 +48,7 @@ def check_stop(driven: Reference, t: float, jerk: np.ndarray, acceleration: np.n
     return braked
 
 
-@settings(max_examples=150)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(
     arrays(float, (2, 6), elements=st.floats(-6.0, 6.0)), positive, positive, positive, shares, shares, st.booleans()
 )

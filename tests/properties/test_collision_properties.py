@@ -36,7 +36,7 @@ def _near_the_part(world: World, T_base_object: np.ndarray, count: int, seed: in
     return np.concatenate([q[:count], q[np.argsort(gap)[: count // 2]]])
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(place=PLACE, abc=st.tuples(ANGLE, ANGLE, ANGLE))
 def test_a_new_placement_is_a_recompiled_model(world: World, place: tuple, abc: tuple) -> None:
     """Moving the mocap bodies gives the verdicts and distances of a model compiled for that placement."""
@@ -52,7 +52,7 @@ def test_a_new_placement_is_a_recompiled_model(world: World, place: tuple, abc: 
     assert sum(a != b for a, b in zip(names, expected_names, strict=True)) <= 1  # a tie may fall either way
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(
     shape=st.sampled_from(["box", "cylinder"]),
     size=st.lists(st.floats(1, 800), min_size=3, max_size=3),
@@ -87,7 +87,7 @@ def test_a_larger_clearance_never_frees(world: World) -> None:
     assert free[0].sum() > free[1].sum() > free[2].sum()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(turn=ANGLE, seed=st.integers(0, 2**31), offset=st.floats(0, 0.25), abc=st.tuples(ANGLE, ANGLE, ANGLE))
 def test_turning_part_and_arm_together_changes_no_distance(
     world: World, turn: float, seed: int, offset: float, abc: tuple
@@ -164,7 +164,6 @@ def test_travel_is_never_less_than_what_any_point_moves(world: World, scale: flo
     assert np.median(ratios) < (1.6 if scale <= 0.02 else 2.5)
 
 
-@settings(max_examples=50, deadline=None)
 @given(
     q_from=st.lists(ANGLE, min_size=6, max_size=6),
     q_to=st.lists(ANGLE, min_size=6, max_size=6),

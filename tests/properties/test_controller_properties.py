@@ -259,4 +259,4 @@ class ControllerMachine(RuleBasedStateMachine):
 
 
 TestController = ControllerMachine.TestCase
-TestController.settings = settings(max_examples=120, stateful_step_count=40, deadline=None)
+TestController.settings = settings(stateful_step_count=40)

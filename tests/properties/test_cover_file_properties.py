@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.cover.cover_files import read
@@ -30,7 +30,6 @@ def rail(M, costs):
     return "\n".join(lines)
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.booleans(), st.sampled_from([rows, rail]))
 def test_what_is_written_is_read(seed, n_rows, n_columns, packed, form):
     """Matrix and costs come back, plain and packed."""
@@ -45,7 +44,6 @@ def test_what_is_written_is_read(seed, n_rows, n_columns, packed, form):
     np.testing.assert_array_equal(found.costs, costs)
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.data())
 def test_a_damaged_file_is_refused_or_is_another_file(seed, data):
     """A file that lacks a number never gives the matrix that was written; it is refused, or is another one."""

@@ -1,7 +1,7 @@
 """The moving cover of the local search: its running numbers against numbers computed from scratch."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.cover import local_search_kernels as kernels
@@ -25,7 +25,6 @@ def moves(draw):
     return problem, rng.integers(0, problem.n_columns, draw(st.integers(0, 40)))
 
 
-@settings(max_examples=80)
 @given(moves(), st.integers(0, 1000))
 def test_running_numbers_are_those_computed_from_scratch(case, seed):
     """Scores, counts, members, open rows, cost and missing area after any sequence of moves."""

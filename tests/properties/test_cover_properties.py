@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -24,7 +24,6 @@ def problems(draw):
     return M, areas, draw(st.sampled_from([0.0, 0.1, 0.5, 0.9, 1.0]))
 
 
-@settings(max_examples=60, deadline=None)
 @given(problems(), st.sampled_from(["auto", "greedy", "meta-raps", "local-search"]), st.integers(0, 3))
 def test_every_claimed_cover_covers(problem, solver, seed):
     """Whatever the matrix, areas and target: the target is met and the bound is not above the plan."""
@@ -38,7 +37,6 @@ def test_every_claimed_cover_covers(problem, solver, seed):
     assert result.lower_bound <= len(result.views)
 
 
-@settings(max_examples=60, deadline=None)
 @given(problems(), st.data())
 def test_any_multipliers_give_a_bound_below_any_cover(problem, data):
     """L(u) <= columns of every cover, for arbitrary u >= 0, full and partial."""
@@ -51,7 +49,6 @@ def test_any_multipliers_give_a_bound_below_any_cover(problem, data):
     assert evaluate(canonical, u, canonical.matrix().T.tocsr())[0].value <= len(cover)
 
 
-@settings(max_examples=60, deadline=None)
 @given(problems())
 def test_pruned_covers_are_covers_without_a_redundant_column(problem):
     """Pruning all columns leaves a cover of which no column can go."""
@@ -63,7 +60,6 @@ def test_pruned_covers_are_covers_without_a_redundant_column(problem):
         assert not canonical.met(canonical.counts(np.setdiff1d(cover, column)) > 0)
 
 
-@settings(max_examples=60, deadline=None)
 @given(problems())
 def test_the_canonical_problem_is_the_matrix(problem):
     """Rows and columns of the canonical problem, mapped back, are the matrix without its empty rows and columns."""
@@ -77,7 +73,6 @@ def test_the_canonical_problem_is_the_matrix(problem):
     assert found.problem.units.sum() < 2**53
 
 
-@settings(max_examples=60, deadline=None)
 @given(problems())
 def test_reduced_problems_cannot_be_reduced_and_lift_to_covers(problem):
     """No dominated column is left, no dominated row at full cover, and all reduced columns together lift to a cover."""
@@ -122,7 +117,6 @@ def test_set_hash_ignores_order_and_sees_members(members, random):
     assert a == b != c
 
 
-@settings(max_examples=40, deadline=None)
 @given(problems())
 def test_marginal_order_keeps_the_columns_and_their_rows(problem):
     """Ordering by marginal area is a permutation whose marginal rows partition what the columns cover."""

@@ -17,7 +17,7 @@ NEAR_A_QUARTER = st.builds(
 ANGLE = st.one_of(st.floats(-np.pi, np.pi), NEAR_A_QUARTER)
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(st.tuples(*[ANGLE] * 6))
 def test_every_real_branch_leads_back_to_the_pose(q):
     """forward(inverse(T)) = T to 1e-9 m and rad for each branch, and at least one branch is real."""
@@ -28,7 +28,7 @@ def test_every_real_branch_leads_back_to_the_pose(q):
     np.testing.assert_allclose(KINEMATICS.forward(solutions), np.repeat(T, len(solutions), axis=0), rtol=0, atol=1e-9)
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(st.tuples(*[ANGLE] * 3), st.tuples(*[st.floats(-1e3, 1e3)] * 3))
 def test_kuka_angles_reproduce_the_rotation_everywhere(abc, position):
     """A, B, C -> T -> A, B, C -> T gives the same T to 5e-14, in gimbal lock too, in the stated ranges."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -30,7 +30,6 @@ def test_move_time_is_a_metric(a: np.ndarray, b: np.ndarray, c: np.ndarray, v: n
     assert ab <= (float(move_time(a, c, law)) + float(move_time(c, b, law))) * (1 + 1e-12) + 1e-6 * RESOLUTION**0.5
 
 
-@settings(max_examples=60)
 @given(st.lists(angles, min_size=1, max_size=5), positive, positive)
 def test_samples_never_exceed_a_limit(via: list[np.ndarray], v: np.ndarray, acc: np.ndarray) -> None:
     """Speed, acceleration, range and first differences hold without tolerance; time increases; ends are exact."""
@@ -81,7 +80,6 @@ class Weighted:
         return np.abs(q_to - q_from) @ self.weights
 
 
-@settings(max_examples=60)
 @given(angles, angles, st.floats(0.005, 0.1), arrays(float, 6, elements=st.floats(0.0, 2.0)))
 def test_two_checked_neighbours_are_less_than_a_clearance_apart(
     a: np.ndarray, b: np.ndarray, clearance: float, weights: np.ndarray

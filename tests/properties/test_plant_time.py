@@ -47,7 +47,6 @@ def cuts(total: float, at: list[float]) -> list[float]:
 fractions = st.lists(st.floats(0.0, 1.0), max_size=12)
 
 
-@settings(max_examples=25)
 @given(fractions, fractions, st.floats(0.05, 0.2))
 @example([], [], 0.1)
 @example([0.1] * 5, [k / 40 for k in range(40)], 0.123456789)
@@ -58,14 +57,14 @@ def test_the_trajectory_does_not_depend_on_how_time_is_cut(first: list[float], s
     assert driven(cuts(cut, first), cuts(0.4, second), cut) == driven([cut], [0.4], cut)
 
 
-@settings(max_examples=10)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(st.lists(st.floats(0.0, 0.02), max_size=20))
 def test_the_same_commands_and_times_give_the_same_bytes(times: list[float]) -> None:
     """Two plants that are told the same are the same."""
     assert driven(times, times, 0.1) == driven(times, times, 0.1)
 
 
-@settings(max_examples=20)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(st.floats(0.0, 3e-3))
 def test_nothing_moves_between_two_steps(seconds: float) -> None:
     """So many whole steps as fit, the rest is carried: the axes are those at the last step."""

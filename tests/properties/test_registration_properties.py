@@ -29,7 +29,6 @@ def _placed(mesh: TriangleMesh, T: np.ndarray) -> TriangleMesh:
     return TriangleMesh(mesh.vertices @ T[:3, :3].T + T[:3, 3], mesh.faces)
 
 
-@settings(max_examples=25, deadline=None)
 @given(_POSES)
 def test_distances_do_not_change_with_the_frame(drawn: tuple[int, float, float]) -> None:
     """Signed distances of points stay the same when mesh and points move together."""
@@ -40,7 +39,7 @@ def test_distances_do_not_change_with_the_frame(drawn: tuple[int, float, float])
     np.testing.assert_allclose(there.signed(moved), here.signed(points), atol=1e-12)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(_POSES)
 def test_corrections_move_with_the_frame(drawn: tuple[int, float, float]) -> None:
     """Registering everything in another frame gives the same correction, written in that frame."""

@@ -2,7 +2,7 @@
 
 import networkx as nx
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.sparse import csr_array
@@ -24,7 +24,6 @@ def problems(draw):
     return M, draw(hnp.arrays(float, M.shape[0], elements=st.floats(0.0, 1e6)))
 
 
-@settings(max_examples=40)
 @given(problems(), st.integers(0, 10), st.integers(0, 3))
 def test_no_answer_exceeds_its_bound_or_its_number(problem, k, seed):
     """At most k views, none twice; the area is theirs; no selection of the curve exceeds the bound."""
@@ -43,7 +42,6 @@ def test_no_answer_exceeds_its_bound_or_its_number(problem, k, seed):
         assert found.upper_area * (1 + 1e-6) + 1e-12 >= curve.covered_area[len(views)] or len(views) < k
 
 
-@settings(max_examples=40)
 @given(problems(), st.floats(0.05, 1.0), st.sampled_from([0.5, 1.0]), st.integers(0, 3))
 def test_what_is_called_connected_is(problem, share, coverage, seed):
     """By networkx; the cover covers in either case; the parts are those of the graph."""
@@ -68,7 +66,6 @@ def test_what_is_called_connected_is(problem, share, coverage, seed):
         assert parts > 1
 
 
-@settings(max_examples=40)
 @given(matrices, st.data(), st.floats(0.001, 0.5), st.integers(0, 3))
 def test_every_promise_is_kept_by_the_layer(M, data, alpha, seed):
     """What counts as promised is missed with alpha at most; all that can be promised is."""

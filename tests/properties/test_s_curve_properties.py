@@ -25,7 +25,7 @@ def widths(v: float, a: float, j: float) -> Profile:
     return Profile(*(width.item() for width in fastest(np.array(v), np.array(a), np.array(j))))
 
 
-@settings(max_examples=400)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(inverse, inverse, inverse)
 def test_the_peaks_keep_every_limit_and_some_limit_is_reached(v: float, a: float, j: float) -> None:
     """Also without limits of speed, acceleration or jerk; the widths are ordered and finite."""
@@ -42,7 +42,7 @@ def test_the_peaks_keep_every_limit_and_some_limit_is_reached(v: float, a: float
         assert (peaks[asked > 0] <= asked[asked > 0] * (1 + 1e-12)).any()
 
 
-@settings(max_examples=300)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(inverse, inverse, inverse, inverse, inverse, inverse)
 def test_one_move_is_never_slower_than_two(v: float, a: float, j: float, v2: float, a2: float, j2: float) -> None:
     """Duration is subadditive in the inverse limits, which is why fewer stops are never slower."""
@@ -81,7 +81,6 @@ def test_move_time_is_a_metric(
     )
 
 
-@settings(max_examples=60)
 @given(st.lists(angles, min_size=2, max_size=4), maybe_endless, positive, positive, st.floats(0.1, 1.0))
 def test_samples_never_exceed_a_limit(
     via: list[np.ndarray], v: np.ndarray, acc: np.ndarray, jerk: np.ndarray, override: float

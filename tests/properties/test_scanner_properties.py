@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.rays.embree import EmbreeRayCaster
@@ -39,7 +39,6 @@ def _measured(limits: dict, cloud: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return LaserArea(resolution_deg=(5, 5), **limits).reject(*cloud) == Rejection.MEASURED
 
 
-@settings(max_examples=60, deadline=None)
 @given(_LIMITS, st.floats(0, 1), st.integers(0, 5))
 def test_widening_any_limit_never_loses_a_point(limits, share, seed):
     """Each of FOV, range, grazing, sensor's FOV and depth of field alone, or given up where it may be."""
@@ -60,7 +59,6 @@ def test_widening_any_limit_never_loses_a_point(limits, share, seed):
         assert (_measured({**limits, name: None}, cloud) | ~before).all(), name
 
 
-@settings(max_examples=40, deadline=None)
 @given(_LIMITS, st.floats(1e-5, 1e-3), st.floats(1, 10), st.integers(0, 5))
 def test_a_larger_limit_on_sigma_never_loses_a_point(limits, limit, factor, seed):
     """And no limit on sigma measures what the scanner without one does not."""
@@ -71,7 +69,6 @@ def test_a_larger_limit_on_sigma_never_loses_a_point(limits, limit, factor, seed
     assert (_measured(limits, cloud) | ~loose).all()
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.floats(0.05, 0.5), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(1.01, 3.0))
 def test_sigma_grows_with_noise_and_shrinks_with_the_baseline_on_the_axis(z, tilt_x, tilt_y, factor):
     """Proportional to the angular noise; a longer baseline is better while it is short against the distance."""

@@ -12,7 +12,7 @@ from planner.surface.sample import sample
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> None:
     """Against all faces: it is the very nearest of those that look the same way."""
     rng = np.random.default_rng(seed)
@@ -33,7 +33,6 @@ def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> N
 
 
 @given(st.integers(1, 3000), st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
 def test_samples_lie_on_their_faces_and_share_the_area(count: int, seed: int) -> None:
     """Each sample lies on its reference face, carries that face's normal and an equal part of the whole area."""
     body = trimesh.creation.capsule(height=1.0, radius=0.2, count=(12, 12))
@@ -48,7 +47,7 @@ def test_samples_lie_on_their_faces_and_share_the_area(count: int, seed: int) ->
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 def test_stratified_samples_estimate_an_area_better_than_independent_ones(seed: int) -> None:
     """The share of samples in a cap of a sphere is within a third of the independent samples' 3-sigma band."""
     rng = np.random.default_rng(seed)

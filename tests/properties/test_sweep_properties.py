@@ -1,7 +1,7 @@
 """Laws of swept line sensors."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.scanners.laser_line import LaserLine
@@ -31,7 +31,6 @@ _sweeps = st.one_of(
 )
 
 
-@settings(max_examples=40, deadline=None)
 @given(sweep=_sweeps, steps=st.integers(1, 24), seed=st.integers(0, 2**32 - 1))
 def test_the_poses_tile_the_sweep(sweep: dict, steps: int, seed: int) -> None:
     """Where only the sheet decides, each point of the swept volume belongs to exactly one pose, any other to none."""
@@ -56,7 +55,6 @@ def test_the_poses_tile_the_sweep(sweep: dict, steps: int, seed: int) -> None:
     assert (count[clear] == (np.abs(place) < half)[clear]).all()
 
 
-@settings(max_examples=25, deadline=None)
 @given(sweep=_sweeps, steps=st.integers(4, 16), finer=st.integers(2, 6), seed=st.integers(0, 2**32 - 1))
 def test_refining_a_sweep_changes_only_what_is_undecided_within_half_a_step(
     sweep: dict, steps: int, finer: int, seed: int
@@ -94,7 +92,6 @@ def test_refining_a_sweep_changes_only_what_is_undecided_within_half_a_step(
     assert undecided.sum() >= 0.98 * len(undecided) - 1
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     key=st.sampled_from(["fan_deg", "range_mm", "grazing_max_deg", "sensor_grazing_max_deg", "sweep"]),
     sweep=_sweeps,
