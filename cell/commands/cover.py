@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-_SEARCH, _OUTPUT = "Search", "Output"
+from cell.commands.options import AsJson
+
+_SEARCH = "Search"
 
 EPILOG = (
     "Examples:\n\n"
@@ -54,9 +56,7 @@ def cover(
     coverage: Annotated[float, typer.Option(help="Share of the coverable rows that must be covered.")] = 1.0,
     multiplicity: Annotated[int, typer.Option(metavar="K", help="How many columns must cover a row.")] = 1,
     seed: Annotated[int, typer.Option(help="Seed of the solver's random choices.", rich_help_panel=_SEARCH)] = 0,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout.", rich_help_panel=_OUTPUT)
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Solve a set-cover file with the solvers that choose the views, so that anyone can check them."""
     from cell.cover.solve_file import solve_file

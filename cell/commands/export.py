@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
+from cell.commands.options import AsJson
 from cell.errors import UsageError
 
 _KRL = "KRL"
-_OUTPUT = "Output"
 
 EPILOG = (
     "Examples:\n\n"
@@ -68,10 +68,7 @@ def export(
     timeout: Annotated[
         float, typer.Option(metavar="S", help="Longest wait for the scanner.", rich_help_panel=_KRL)
     ] = 10.0,
-    as_json: Annotated[
-        bool,
-        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
     from cell.commands.terminal import Terminal

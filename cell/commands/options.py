@@ -76,7 +76,7 @@ def _offered(annotation: Any) -> Mapping[str, Offer] | None:
     """What a parameter of this annotation offers; None for one of typer's own."""
     if get_origin(annotation) is Annotated:
         offered = annotation.__metadata__[0]
-        return offered if isinstance(offered, dict) else None
+        return offered if isinstance(offered, Mapping) else None
     return offers(annotation) if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
 
 

@@ -2,15 +2,14 @@
 
 import json
 import sys
-from typing import Annotated
 
-import typer
+from cell.commands.options import AsJson
 
 EPILOG = "Examples:\n\ncell sensors\n\ncell plan --sensor gocator-2340 --baseline 100"
 
 
 def sensors(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the real sensors that a scene may name, what is known of each, and what you have to give."""
     from cell.run.folder import SCHEMA

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-_OUTPUT = "Output"
+from cell.commands.options import AsJson
 
 EPILOG = (
     "Examples:\n\n"
@@ -24,10 +24,7 @@ def why(
         int | None,
         typer.Option(metavar="N", help="Surface samples to ask about. Default: 100,000, as coverage is defined."),
     ] = None,
-    as_json: Annotated[
-        bool,
-        typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel=_OUTPUT),
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
     from cell.commands.terminal import Terminal

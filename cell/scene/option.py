@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import islice
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -20,7 +19,7 @@ from cell.errors import UsageError
 from cell.scene.problems import did_you_mean, sentences
 
 Spell = Callable[[str], str]
-"""Writes the name of an option as its user does: `flag` or `keyword`."""
+"""Writes the name of an option as its user does: `flag` for the command line, `str` for a keyword of Python."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -85,9 +84,14 @@ class Offer:
     fields: Mapping[str, FieldInfo]
 
     @property
+    def kinds(self) -> list[Kind]:
+        """What the annotation of each field says."""
+        return [_kind(field.annotation, field.metadata) for field in self.fields.values()]
+
+    @property
     def kind(self) -> Kind:
-        """Of its values: several fields of one option are of one kind."""
-        return _kinds(self)[0]
+        """Of the first field: several fields of one option differ in length only."""
+        return self.kinds[0]
 
     @property
     def by_unit(self) -> bool:
@@ -126,22 +130,18 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def keyword(name: str) -> str:
-    """The keyword of Python: the name as it is."""
-    return name
-
-
-def offers(model: type[BaseModel], *names: str) -> dict[str, Offer]:
-    """What the fields of a model, and of the tables in it, offer; all of it, or only the named ones in their order.
-
-    Returns:
-        by name, panel after panel as they first come.
-    """
-    found = _offers(model)
+@cache
+def offers(model: type[BaseModel], *names: str) -> Mapping[str, Offer]:
+    """What the fields of a model, and of the tables in it, offer by name: all of it, or only those named."""
+    found: dict[str, Offer] = {}
+    for key, field, option in _offered(model):
+        name = option.name or _UNIT.sub("", key.rpartition(".")[2])
+        earlier = found[name].fields if name in found else {}
+        found[name] = Offer(name, option, {**earlier, key: field})
     return {name: found[name] for name in names or found}
 
 
-def read(model: type[Model], wishes: Mapping[str, object], spell: Spell = keyword) -> Model:
+def read(model: type[Model], wishes: Mapping[str, object], spell: Spell = str) -> Model:
     """A model of wishes; fields that nobody wishes keep their defaults.
 
     Args:
@@ -156,17 +156,17 @@ def read(model: type[Model], wishes: Mapping[str, object], spell: Spell = keywor
     try:
         return model.model_validate(filled)
     except ValidationError as error:
-        names = {key: spell(offer.name) for offer in _offers(model).values() for key in offer.fields}
+        names = {key: spell(offer.name) for offer in offers(model).values() for key in offer.fields}
         raise UsageError("; ".join(sentences(error, model, names))) from error
 
 
-def values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = keyword) -> dict[str, object]:
+def values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = str) -> dict[str, object]:
     """Values of a model's fields by key, as `read`; the model has not checked them.
 
     Raises:
         UsageError: if a name is unknown, or a text is not what its field can be made of.
     """
-    known, filled = _offers(model), dict[str, object]()
+    known, filled = offers(model), dict[str, object]()
     for name, wish in wishes.items():
         if name not in known:
             hint = did_you_mean(name, list(known))
@@ -180,26 +180,11 @@ def values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = 
     return filled
 
 
-@cache
-def _offers(model: type[BaseModel]) -> dict[str, Offer]:
-    found: dict[str, Offer] = {}
-    for key, field, option in _offered(model):
-        name = option.name or _UNIT.sub("", key.rpartition(".")[2])
-        earlier = found[name].fields if name in found else {}
-        found[name] = Offer(name, option, {**earlier, key: field})
-    panels = list(dict.fromkeys(offer.option.panel for offer in found.values()))
-    return dict(sorted(found.items(), key=lambda item: panels.index(item[1].option.panel)))
-
-
 def _offered(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo, Option]]:
     for key, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             yield from _offered(field.annotation, f"{prefix}{key}.")
         yield from ((prefix + key, field, option) for option in field.metadata if isinstance(option, Option))
-
-
-def _kinds(offer: Offer) -> list[Kind]:
-    return [_kind(field.annotation, field.metadata) for field in offer.fields.values()]
 
 
 def _kind(annotation: Any, metadata: Sequence[object]) -> Kind:
@@ -231,7 +216,7 @@ def _limits(metadata: Sequence[object]) -> str:
 def _filled(offer: Offer, wish: object) -> dict[str, object]:
     """Values by key of one wish; ValueError, TypeError or LookupError where it has not the option's form."""
     value: Any = wish.tolist() if hasattr(wish, "tolist") else wish  # numpy's arrays and numbers
-    option, kinds, keys = offer.option, _kinds(offer), list(offer.fields)
+    option, kinds, keys = offer.option, offer.kinds, list(offer.fields)
     if isinstance(value, str):
         value = _parsed(offer, value)
     if offer.by_unit:
@@ -247,11 +232,12 @@ def _filled(offer: Offer, wish: object) -> dict[str, object]:
         several = list(option.made(several))
     if len(keys) == 1:
         return {keys[0]: several}
-    left = iter(several)
-    dealt = {key: list(islice(left, kind.length or 1)) for key, kind in zip(keys, kinds, strict=True)}
-    return {
-        key: some if kind.length else some[0] for (key, some), kind in zip(dealt.items(), kinds, strict=True) if some
-    }
+    filled: dict[str, object] = {}
+    for key, kind in zip(keys, kinds, strict=True):
+        some, several = several[: kind.length or 1], several[kind.length or 1 :]
+        if some:
+            filled[key] = some if kind.length else some[0]
+    return filled
 
 
 def _parsed(offer: Offer, text: str) -> Any:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 from cell.errors import FileError, UsageError
-from cell.scene.option import Spell, keyword, offers, values
+from cell.scene.option import Spell, offers, values
 from cell.scene.scene import Part, Scene, load_scene
 
 BUILT_IN: tuple[str, ...] = get_args(Part.model_fields["name"].annotation)
@@ -16,7 +16,7 @@ BUILT_IN: tuple[str, ...] = get_args(Part.model_fields["name"].annotation)
 Tables = dict[str, dict[str, object]]
 
 
-def tables(wishes: Mapping[str, object], part: str | Path | None = None, spell: Spell = keyword) -> Tables:
+def tables(wishes: Mapping[str, object], part: str | Path | None = None, spell: Spell = str) -> Tables:
     """Tables of the scene with what is wished: `{"place": (1200, 500, 0), "standoff": 300, "pin": [1, 2]}`.
 
     Args:
@@ -35,7 +35,7 @@ def tables(wishes: Mapping[str, object], part: str | Path | None = None, spell: 
     return found
 
 
-def spelled(asked: Mapping[str, Mapping[str, object]], spell: Spell = keyword) -> dict[str, str]:
+def spelled(asked: Mapping[str, Mapping[str, object]], spell: Spell = str) -> dict[str, str]:
     """How the user wrote the keys of `tables`, for the sentences of `load_scene`."""
     known = {key: spell(offer.name) for offer in offers(Scene).values() for key in offer.fields}
     known |= {"part.path": "the part", "part.name": "the part"}
@@ -47,7 +47,7 @@ def scene_of(
     path: Path | None,
     wishes: Mapping[str, object],
     part: str | Path | None = None,
-    spell: Spell = keyword,
+    spell: Spell = str,
 ) -> Scene:
     """A scene file with wishes before it; the built-in scene for None.
 
