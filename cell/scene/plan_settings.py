@@ -95,9 +95,9 @@ class PlanKeys(Table):
         Option("What the part is to arm and scanner: its hull, convex pieces or exactly its triangles.", _VIEWS),
     ] = "exact"
     seed: Annotated[int, Field(ge=0, le=2**63 - 1), Option("Seed of every random choice.", _VIEWS)] = 0
-    max_views: Annotated[int | None, Field(ge=1), Option("The most coverage with at most so many views.", _WISHES)] = (
-        None
-    )
+    max_views: Annotated[
+        int | None, Field(ge=1), Option("The most coverage that at most so many views give.", _WISHES)
+    ] = None
     multiplicity: Annotated[
         int, Field(ge=1), Option("Measure each sample from so many views.", _WISHES, also="k_fold")
     ] = 1
