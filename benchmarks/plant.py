@@ -34,7 +34,6 @@ from cell.plant.servo import Settings
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from cell.run import reader as run_reader
-from cell.run.cell import read_scene
 from cell.run.record import RunRecord, open_run
 from cell.scan import driver as scan_driver
 from cell.scan import execute
@@ -61,7 +60,7 @@ def run() -> list[dict[str, Any]]:
 
 def default_plan(run_record: RunRecord, speed: float) -> dict[str, Any]:
     """One row: the plan's legs at a speed fraction."""
-    motion, T = run_reader.motion(run_record), read_scene(run_record).T_flange_scanner
+    motion, T = run_reader.motion(run_record), run_reader.resolved_scene(run_record).T_flange_scanner
     kinematics = Kr16Kinematics.from_model(load())
     seconds, stands, trace = np.inf, [], Trace()
     for attempt in range(4):

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from cell.errors import FileError, UsageError
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
-from cell.run.cell import read_scene
 from cell.run.record import artefact, open_finished, understood
 from planner.path.sweeps.line import rotation_vectors
 from planner.ports import Floats, JointLimits
@@ -161,13 +160,13 @@ def load(run_folder: Path, name: str | None) -> Program:
         raise FileError(
             f"{run_folder} holds no motion: its motion.npz visits no view, so there is nothing to export; plan again"
         )
-    scene = read_scene(run)
+    scene = run_reader.resolved_scene(run)
     clearance, between = run_reader.nearest(run)
     folder = run_folder.resolve().name
     told = Told(
         name=name if name is not None else _name_of(folder, digest),
-        part=scene.part_name, run=folder, plan_sha256=digest, speed=scene.speed, acceleration=scene.acceleration,
-        clearance=clearance, between=between,
+        part=scene.part.name, run=folder, plan_sha256=digest, speed=scene.speed_scaling,
+        acceleration=scene.acceleration_scaling, clearance=clearance, between=between,
     )  # fmt: skip
     with understood(run.folder / "cell.xml"):
         kinematics = Kr16Kinematics.from_model(run_reader.cell_model(run))

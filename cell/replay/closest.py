@@ -6,14 +6,13 @@ show.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cell.replay import marks
 from cell.replay.timeline import Timeline
-from cell.run.reader import Tightest
+from cell.run.plan_json import Tightest
 
 if TYPE_CHECKING:
     import mujoco
@@ -30,20 +29,20 @@ def in_the_show(tightest: Tightest | None, timeline: Timeline) -> Tightest | Non
     """The tightest moment of a plan at its time of the show, whose rests the motion does not have."""
     if tightest is None:
         return None
-    rests = sum(stop.end - stop.begin for stop in timeline.stops if stop.moved < tightest.time - 1e-6)
-    return replace(tightest, time=min(tightest.time + rests, timeline.duration))
+    rests = sum(stop.end - stop.begin for stop in timeline.stops if stop.moved < tightest.time_s - 1e-6)
+    return tightest.model_copy(update={"time_s": min(tightest.time_s + rests, timeline.duration)})
 
 
 def shown_at(closest: Tightest, t: float) -> bool:
     """Whether the show is so near to the moment that the pair is drawn."""
-    return abs(t - closest.time) <= _SHOWN
+    return abs(t - closest.time_s) <= _SHOWN
 
 
 def add_closest(scene: mujoco.MjvScene, closest: Tightest) -> None:
     """A rod between the two points, a ball at each, and the distance as a label."""
     start, end = closest.points
     marks.add_segment(scene, start, end, _ROD, NEAR)
-    radius = max(_ROD, min(_BALL, closest.distance / 4))
+    radius = max(_ROD, min(_BALL, closest.distance_mm / 4000))
     marks.add_ball(scene, start, radius, NEAR)
     marks.add_ball(scene, end, radius, NEAR)
     marks.add_label(scene, closest.points.mean(axis=0), "   " + closest.sentence)  # beside the line, not on it
@@ -62,7 +61,7 @@ def close_camera(model: mujoco.MjModel, data: mujoco.MjData, closest: Tightest) 
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
     middle = closest.points.mean(axis=0)
-    camera.lookat[:], camera.distance = middle, max(_NEAREST, 6.0 * closest.distance)
+    camera.lookat[:], camera.distance = middle, max(_NEAREST, 0.006 * closest.distance_mm)
     way = closest.points[1] - closest.points[0]
     way = way / max(float(np.linalg.norm(way)), 1e-9)
     shown = np.array([1, 1, 1, 1, 0, 0], dtype=np.uint8)

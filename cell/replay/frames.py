@@ -108,7 +108,7 @@ def write_picture(show: Show, path: Path, size: tuple[int, int], t: float | None
         moment = show.best_stop() if t is None else t
         camera = show.camera(size[0] / size[1], [moment])
         show.pose(moment)
-        if show.closest is not None and moment == show.closest.time:
+        if show.closest is not None and moment == show.closest.time_s:
             camera = close_camera(show.theatre.model, show.data, show.closest)
         _save(screen.picture(show.data, camera, lambda scene: show.draw_tour(scene, moment)), path)
 

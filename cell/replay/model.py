@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell import scanners
 from cell.errors import FileError
 from cell.replay.look import add_mesh, light, paint, part_pieces, show_surface
 from cell.robot import model as robot
 from cell.run import reader as run_reader
-from cell.run.cell import RecordedScene
-from cell.run.record import RunRecord, understood
+from cell.run.record import RunRecord
+from cell.run.scene_json import ResolvedScene
 from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
@@ -82,7 +81,7 @@ class Theatre:
 
 def dress(
     run: RunRecord,
-    scene: RecordedScene,
+    scene: ResolvedScene,
     reference: TriangleMesh,
     clouds: Sequence[Floats] = (),
     size: tuple[int, int] = (960, 720),
@@ -106,9 +105,8 @@ def dress(
             f"{run.folder / 'cell.xml'} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again"
         )
     centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
-    with understood(run.folder / "scene.resolved.json"):
-        opening = np.radians(scanners.drawn_opening_deg(scene.scanner))
-        corners = frustum(*opening, *(np.array(scene.scanner.get("range_mm", _DRAWN_RANGE_MM)) / 1000.0))
+    opening, span = np.radians(scene.scanner.opening_deg), scene.scanner.pair("range_mm") or _DRAWN_RANGE_MM
+    corners = frustum(*opening, *(np.array(span) / 1000.0))
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
     entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)
@@ -135,8 +133,8 @@ def dress(
         frustum_corners=corners.vertices,
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
-        clearance=scene.clearance,
-        part_tree=_tree(reference) if scene.collision == "exact" else None,
+        clearance=scene.clearance_mm / 1000,
+        part_tree=_tree(reference) if scene.plan.collision == "exact" else None,
     )
 
 

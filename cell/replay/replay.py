@@ -21,7 +21,6 @@ from cell.replay.offscreen import require_backend
 from cell.replay.show import Show
 from cell.replay.timeline import Timeline
 from cell.run import reader as run_reader
-from cell.run.cell import read_scene
 from cell.run.executions import read_execution
 from cell.run.record import RunRecord, open_run
 
@@ -127,7 +126,7 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
         )
     if not run.finished:
         narrator.note(f"this run {run.ended}; it is shown as far as it got")
-    scene = read_scene(run)
+    scene = run_reader.resolved_scene(run)
     recorded = read_execution(run, execution) if execution is not None else None
     if recorded is not None and not recorded.scans:
         narrator.note(f"{recorded.folder} holds no scan that can be read")
@@ -145,7 +144,7 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
     if timeline.stops or planned is not None or not run.has("viewpoints.npz"):
         closest = None
         if recorded is None and planned is not None and run.has("plan.json"):
-            closest = in_the_show(run_reader.plan(run).tightest, timeline)
+            closest = in_the_show(run_reader.plan_file(run).tightest, timeline)
         return Show(theatre, timeline, closest=closest)
     candidates = run_reader.candidates(run)
     reachable = run_reader.reached(run).reachable if run.has("reach.npz") else None
@@ -176,7 +175,7 @@ def _tightest(show: Show) -> float:
             "--tightest asks for the tightest moment, and this replay knows none: an execution, a run of an older "
             "version, or a motion that is far from everything; leave it out"
         )
-    return show.closest.time
+    return show.closest.time_s
 
 
 def _check(options: ReplayOptions) -> None:

@@ -12,7 +12,7 @@ from cell.replay.closest import add_closest, shown_at
 from cell.replay.model import Theatre
 from cell.replay.timeline import Timeline
 from cell.robot import model as robot
-from cell.run.reader import Tightest
+from cell.run.plan_json import Tightest
 from planner.ports import Floats
 from planner.values import readonly
 
@@ -124,7 +124,7 @@ class Show:
         marks.add_clouds(scene, self.theatre, range(len(self.theatre.cloud_mesh)), None)
         if present is not None:
             marks.add_frustum(scene, self.theatre, self.T_base_scanner[present])
-        if self.closest is not None and np.allclose(self.timeline.at(t), self.timeline.at(self.closest.time)):
+        if self.closest is not None and np.allclose(self.timeline.at(t), self.timeline.at(self.closest.time_s)):
             add_closest(scene, self.closest)
 
     def _row_at(self, t: float) -> int | None:

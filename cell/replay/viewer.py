@@ -112,7 +112,7 @@ def play(
 
     keys: queue.SimpleQueue[int] = queue.SimpleQueue()
     model, data = show.theatre.model, show.data
-    player = Player(show.timeline, speed, start, None if show.closest is None else show.closest.time)
+    player = Player(show.timeline, speed, start, None if show.closest is None else show.closest.time_s)
     show.pose(start)
     others = set(threading.enumerate())
     with mujoco.viewer.launch_passive(

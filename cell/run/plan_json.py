@@ -70,6 +70,16 @@ class Tightest(JsonTable):
     points_in_base_mm: tuple[Triple, Triple] = Field(description="the nearest points, of the first and of the second")
     q_deg: JointAngles = Field(description="joint angles there")
 
+    @property
+    def points(self) -> Floats:
+        """(2, 3) the nearest points [m], base frame."""
+        return np.array(self.points_in_base_mm) / 1000.0
+
+    @property
+    def sentence(self) -> str:
+        """For captions and labels."""
+        return f"{self.distance_mm:.1f} mm {self.between}"
+
 
 class Clearance(JsonTable):
     """How near the motion comes to anything."""
@@ -199,3 +209,8 @@ class PlanFile(JsonTable):
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
     views: tuple[PlanView, ...] = Field(description="as they will be executed, in visiting order")
+
+    @property
+    def tightest(self) -> Tightest | None:
+        """The nearest moment of the motion; None where nothing comes near, or an older run does not say it."""
+        return None if self.clearance is None else self.clearance.tightest

@@ -10,9 +10,8 @@ from pydantic import JsonValue
 from cell.errors import FileError
 from cell.run import reader
 from cell.run.folder import SCHEMA
-from cell.run.json_table import parsed
 from cell.run.plan_json import Coverage, PlanFile
-from cell.run.record import RunRecord, artefact
+from cell.run.record import RunRecord
 from cell.run.record import open_run as open_record
 from cell.run.report_json import Report
 from planner.ports import Floats
@@ -102,6 +101,6 @@ def open_run(folder: Path) -> PlannedRun:
         raise FileError(f"{folder} has no finished plan: the run {record.ended}; plan again")
     return PlannedRun(
         record,
-        parsed(PlanFile, artefact(record, "plan.json"), folder / "plan.json"),
-        parsed(Report, artefact(record, "report.json"), folder / "report.json"),
+        reader.plan_file(record),
+        reader.report(record),
     )

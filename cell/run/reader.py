@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,129 +16,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
-from cell.run.record import RunRecord, arrays, artefact, artefact_json, understood
-from planner.ports import Floats, JointLimits
+from cell.run.plan_json import PlanFile
+from cell.run.record import RunRecord, arrays, artefact, artefact_value, understood
+from cell.run.report_json import Report
+from cell.run.scene_json import ResolvedScene
+from planner.ports import JointLimits
 from planner.reach.reach import Reach
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
-from planner.values import readonly
 from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
     import mujoco
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedView:
-    """One view of `plan.json`.
-
-    Attributes:
-        id: candidate, row of viewpoints.npz.
-        roll: about the viewing axis [rad].
-        q: (6,) set-points [rad], KUKA signs.
-        T_object_scanner: (4, 4) [m]; of a sweep its middle pose, as the next two.
-        T_base_scanner: (4, 4) [m].
-        T_base_flange: (4, 4) [m].
-        T_object_poses: (K, 4, 4) all poses of a sweep [m]; of a view at rest `T_object_scanner` alone.
-        sweeps: whether it is a sweep.
-    """
-
-    id: int
-    roll: float
-    q: Floats
-    T_object_scanner: Floats
-    T_base_scanner: Floats
-    T_base_flange: Floats
-    T_object_poses: Floats
-    sweeps: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "q", readonly("q_deg", self.q, (6,)))
-        poses = readonly("sweep.T_object_scanner", self.T_object_poses, (None, 4, 4))
-        object.__setattr__(self, "T_object_poses", poses)
-        for name in ("T_object_scanner", "T_base_scanner", "T_base_flange"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tightest:
-    """The tightest moment of the motion.
-
-    Attributes:
-        points: (2, 3) nearest points of the first and of the second [m], base frame.
-        distance: between them [m].
-        between: what they are on, "housing with part".
-        time: of the motion [s].
-    """
-
-    points: Floats
-    distance: float
-    between: str
-    time: float
-
-    @property
-    def sentence(self) -> str:
-        """For captions and labels."""
-        return f"{1000 * self.distance:.1f} mm {self.between}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedPlan:
-    """What commands ask for of `plan.json`; coverages are fractions of the surface.
-
-    Attributes:
-        views: in visiting order.
-        visible: predicted visible coverage.
-        coverable: what at least one reachable candidate measures.
-        lower_bound: on the number of views.
-        dropped: why, by candidate, views were given up that no path leads to.
-        tightest: None where nothing comes near, or a version did not say it.
-    """
-
-    views: tuple[RecordedView, ...]
-    visible: float
-    coverable: float
-    lower_bound: int
-    dropped: Mapping[int, str]
-    tightest: Tightest | None
-
-
-def plan(run: RunRecord) -> RecordedPlan:
-    """What the plan came to.
+def plan_file(run: RunRecord) -> PlanFile:
+    """plan.json: the views in visiting order, and what is known of their selection.
 
     Raises:
-        FileError: if plan.json is missing, changed or damaged.
+        FileError: if it is missing, changed or damaged.
     """
-    content = artefact_json(run, "plan.json")
-    with understood(run.folder / "plan.json"):
-        tightest = content.get("clearance", {}).get("tightest")
-        return RecordedPlan(
-            views=tuple(
-                RecordedView(
-                    int(view["id"]), float(np.radians(view["roll_deg"])), np.radians(view["q_deg"]),
-                    view["T_object_scanner"], view["T_base_scanner"], view["T_base_flange"],
-                    view.get("sweep", {}).get("T_object_scanner", [view["T_object_scanner"]]), "sweep" in view,
-                )
-                for view in content["views"]
-            ),
-            visible=float(content["coverage"]["visible"]),
-            coverable=float(content["coverage"]["coverable"]),
-            lower_bound=int(content["lower_bound"]),
-            dropped={int(view["id"]): str(view["reason"]) for view in content["dropped"]},
-            tightest=None if tightest is None else Tightest(
-                readonly("points_in_base_mm", tightest["points_in_base_mm"], (2, 3)) / 1000.0,
-                float(tightest["distance_mm"]) / 1000.0, str(tightest["between"]), float(tightest["time_s"]),
-            ),
-        )  # fmt: skip
+    return artefact_value(run, "plan.json", PlanFile)
 
 
-def views(run: RunRecord) -> tuple[RecordedView, ...]:
-    """The views of the plan in visiting order.
+def report(run: RunRecord) -> Report:
+    """report.json: what the page, the table and `cell plan --json` say.
 
     Raises:
-        FileError: if plan.json is missing, changed or damaged.
+        FileError: if it is missing, changed or damaged.
     """
-    return plan(run).views
+    return artefact_value(run, "report.json", Report)
+
+
+def resolved_scene(run: RunRecord) -> ResolvedScene:
+    """scene.resolved.json: all that was used.
+
+    Raises:
+        FileError: if it is missing, changed or damaged.
+    """
+    return artefact_value(run, "scene.resolved.json", ResolvedScene)
 
 
 def motion(run: RunRecord) -> Motion:
@@ -157,7 +73,7 @@ def driven_motion(run: RunRecord) -> Motion:
         FileError: if motion.npz or plan.json is missing, changed or damaged, or the motion leaves out poses of sweeps.
     """
     found = motion(run)
-    if any(view.sweeps for view in views(run)) and not (found.pose > 0).any():
+    if any(view.sweep for view in plan_file(run).views) and not (found.pose > 0).any():
         raise FileError(
             f"the views of {run.folder} are sweeps, and its motion holds only their first poses, as earlier versions "
             "planned them; plan again"

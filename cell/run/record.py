@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run.folder import SCHEMA
+from cell.run.json_table import Table, parsed
 from planner.errors import PlannerError
 
 _KINDS: Mapping[str, tuple[Any, str]] = {
@@ -144,13 +145,13 @@ def artefact(run: RunRecord, name: str) -> bytes:
     return content
 
 
-def artefact_json(run: RunRecord, name: str) -> dict[str, Any]:
-    """The object of a JSON artefact.
+def artefact_value(run: RunRecord, name: str, kind: type[Table]) -> Table:
+    """A JSON artefact as the value that `kind` defines.
 
     Raises:
         FileError: if it is missing, changed or damaged.
     """
-    return _json(run.folder / name, artefact(run, name))
+    return parsed(kind, artefact(run, name), run.folder / name)
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -21,6 +21,15 @@ class ScannerKeys(OpenTable):
 
     type: str = Field(description="name of the plug-in")
 
+    @property
+    def opening_deg(self) -> tuple[float, float]:
+        """Angles (across, along) that stand for it in pictures [deg]: its field of view, or a line's thin fan.
+
+        A scanner that states neither is drawn 10 degrees wide.
+        """
+        fan = self.number("fan_deg")
+        return self.pair("fov_deg") or ((10.0, 10.0) if fan is None else (0.5, fan))
+
 
 class ResolvedHousing(JsonTable):
     """The scanner's body and the bracket between it and the flange."""
@@ -55,6 +64,11 @@ class ResolvedPlan(PlanKeys):
     planning_faces: int | None = Field(default=None, description="of planning.ply, what came out for `faces`")
     sphere_radius_mm: float | None = Field(default=None, description="of the view sphere")
 
+    @property
+    def max_sigma(self) -> float | None:
+        """Limit on the expected standard deviation of a point [m]; None where there is none."""
+        return None if self.max_sigma_mm is None else self.max_sigma_mm / 1000
+
 
 class ResolvedScene(JsonTable):
     """The file."""
@@ -80,3 +94,8 @@ class ResolvedScene(JsonTable):
     acceleration_scaling: float = Field(description="fraction of the accelerations and jerks")
     clearance_mm: float = Field(description="that everything keeps from everything else")
     plan: ResolvedPlan
+
+    @property
+    def removable(self) -> tuple[str, ...]:
+        """Names of the fixtures, and "post": what may be taken out."""
+        return tuple(fixture.name for fixture in self.fixtures if not fixture.built_in or fixture.name == "post")

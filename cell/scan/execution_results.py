@@ -18,7 +18,7 @@ from cell.reconstruction.nearest import NearestSurface
 from cell.reconstruction.registration import Registration, register
 from cell.run.cell import RunCell
 from cell.run.executions import RecordedExecution, RecordedScan
-from cell.run.reader import RecordedPlan, RecordedView
+from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import file_bytes, understood
 from planner.measurability import coverage
 from planner.measurability import matrix as measurability
@@ -72,7 +72,7 @@ class ExecutedScan:
 
 
 def usable(
-    recorded: RecordedExecution, planned: Sequence[RecordedView]
+    recorded: RecordedExecution, planned: Sequence[PlanView]
 ) -> tuple[tuple[ExecutedScan, ...], tuple[str, ...]]:
     """The scans that can be used, in driving order, and a sentence about each file that cannot.
 
@@ -105,7 +105,7 @@ def _executed(recorded: RecordedExecution, scan: RecordedScan) -> ExecutedScan:
 
 
 def _of_the_plan(
-    recorded: RecordedExecution, scan: ExecutedScan, name: str, planned: Sequence[RecordedView]
+    recorded: RecordedExecution, scan: ExecutedScan, name: str, planned: Sequence[PlanView]
 ) -> ExecutedScan:
     """The scan, if it is that of the view that its file is named after; a stop has one file name, so none repeats."""
     path = recorded.folder / "scans" / name
@@ -211,7 +211,7 @@ class Achieved:
 
 def achieved(
     scans: Sequence[ExecutedScan],
-    plan: RecordedPlan,
+    plan: PlanFile,
     cloud: PointCloud,
     cell: RunCell,
     plan_seed: int,
@@ -227,7 +227,7 @@ def achieved(
     """
     samples = held_out(cell.reference, cell.planning, plan_seed)
     measured = _measured([scan.T_true_poses for scan in scans], samples, cell)
-    predicted = plan.visible
+    predicted = plan.coverage.visible
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
         poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
         predicted = _share(_measured(poses, samples, cell), samples)

@@ -8,7 +8,7 @@ import numpy as np
 from cell.reconstruction.deviation import Deviation
 from cell.reconstruction.reconstruct import REACH, Reconstruction
 from cell.run.cell import RunCell
-from cell.run.reader import RecordedPlan
+from cell.run.plan_json import PlanFile
 from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason
 from cell.scan.pose_error import difference
 
@@ -17,7 +17,7 @@ def execution_summary(
     cell: RunCell,
     options: Mapping[str, Any],
     seed: int,
-    plan: RecordedPlan,
+    plan: PlanFile,
     scans: Sequence[ExecutedScan],
     expected: Sequence[int],
     left_out: Sequence[str],
@@ -47,9 +47,9 @@ def execution_summary(
     """
     there = {scan.stop for scan in scans}
     missing = [stop for stop in expected if stop not in there]
-    registration = merged.registration
+    registration, coverable = merged.registration, plan.coverage.coverable
     return {
-        "part": {"name": cell.scene.part_name, "faces": len(cell.reference.faces)},
+        "part": {"name": cell.scene.part.name, "faces": len(cell.reference.faces)},
         "complete": not missing and not left_out,
         "missing_views": missing,
         "left_out": list(left_out),
@@ -57,8 +57,8 @@ def execution_summary(
             **{name: options.get(name) for name in ("driver", "view", "range_noise_mm", "pose_error_mm")},
             **{name: options.get(name) for name in ("pose_error_deg", "register", "close_holes")},
             "noise": options.get("noise", "none"),
-            "scanner": cell.scanner_parameters["type"],
-            "resolution_deg": list(cell.scanner_parameters.get("resolution_deg", [])),
+            "scanner": cell.scanner_keys.type,
+            "resolution_deg": list(cell.scanner_keys.pair("resolution_deg") or ()),
             "rays_per_scan": cell.scanner.grid_shape[0] * cell.scanner.grid_shape[1],
             "seed": seed,
         },
@@ -68,9 +68,9 @@ def execution_summary(
         "coverage": {
             "visible": achieved.visible,
             "predicted": achieved.predicted,
-            "predicted_all_views": plan.visible,
-            "coverable": plan.coverable,
-            "visible_of_coverable": achieved.visible / plan.coverable if plan.coverable > 0 else 0.0,
+            "predicted_all_views": plan.coverage.visible,
+            "coverable": coverable,
+            "visible_of_coverable": achieved.visible / coverable if coverable > 0 else 0.0,
             "sampled": achieved.sampled,
             "sampled_radius_mm": _mm(achieved.radius),
         },

@@ -20,7 +20,7 @@ from cell.run import process
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
 from cell.run.executions import RecordedExecution, read_execution
-from cell.run.reader import RecordedPlan
+from cell.run.plan_json import PlanFile
 from cell.run.record import open_finished
 from cell.scan import execute, execution_report
 from cell.scan.execution_folder import ExecutionFolder
@@ -81,7 +81,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
     seed, options = int(folder.manifest.get("seed", run.manifest["seed"])), folder.manifest.get("options", {})
 
     with work.step("merge"):
-        plan = run_reader.plan(run)
+        plan = run_reader.plan_file(run)
         scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
         nearest = NearestSurface(cell.reference)
@@ -125,7 +125,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
 
 
 def _draw(
-    folder: ExecutionFolder, cell: RunCell, plan: RecordedPlan, scans: Sequence[ExecutedScan], reached: Achieved
+    folder: ExecutionFolder, cell: RunCell, plan: PlanFile, scans: Sequence[ExecutedScan], reached: Achieved
 ) -> None:
     """Part and views, and the cover curve; nothing to draw without a scan."""
     if not scans:
@@ -133,7 +133,6 @@ def _draw(
         folder.remove("cover.png")
         return
     from cell.plan import pictures
-    from cell.scanners import drawn_opening_deg
 
     poses = np.stack([scan.T_true for scan in scans])
     pictures.part_and_views(
@@ -142,11 +141,11 @@ def _draw(
         faces=cell.planning.faces,
         views_per_face=reached.views_per_face,
         T_object_scanner=poses,
-        fov_rad=np.radians(drawn_opening_deg(cell.scanner_parameters)),
+        fov_rad=np.radians(cell.scanner_keys.opening_deg),
         numbers=[scan.stop for scan in scans],
     )
     pictures.cover_curve(
-        folder.path / "cover.png", marginal_area=reached.largest_first, coverable=plan.coverable, total=1.0,
+        folder.path / "cover.png", marginal_area=reached.largest_first, coverable=plan.coverage.coverable, total=1.0,
         lower_bound=plan.lower_bound,
     )  # fmt: skip
     folder.adopt("views.png")
@@ -162,4 +161,4 @@ def _adopt(folder: ExecutionFolder, scans: Sequence[ExecutedScan]) -> None:
 def exit_code_of(summary: dict[str, Any], cell: RunCell) -> int:
     """3 where a whole execution stays below the coverage that the plan requires, else 0."""
     whole = summary["settings"]["view"] is None
-    return 3 if whole and summary["coverage"]["visible"] < cell.scene.required_visible else 0
+    return 3 if whole and summary["coverage"]["visible"] < cell.scene.plan.required_visible else 0

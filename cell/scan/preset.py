@@ -3,13 +3,12 @@
 It is, where the plan has the angle of its own preset; one that the scene's author gave, or a real sensor's, stays.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 from cell.errors import UsageError
-from cell.run.cell import read_scene
+from cell.run import reader as run_reader
 from cell.run.record import RunRecord
-from cell.scene.presets import DEFAULT, PRESETS, RAY_GRID
+from cell.scene.presets import PRESETS, RAY_GRID
 from cell.scene.scene import Scanner
 
 
@@ -26,14 +25,14 @@ def resolution_deg(run: RunRecord, preset: str) -> float | None:
     """
     if preset not in PRESETS:
         raise UsageError(f"--preset is '{preset}'; valid are: {', '.join(PRESETS)}")
-    scene = read_scene(run)
-    planned = scene.preset or DEFAULT
-    own = scene.scanner["type"] == RAY_GRID and list(scene.scanner["resolution_deg"]) == _angles(planned)
-    angle = float(_angles(preset)[0])
+    scene = run_reader.resolved_scene(run)
+    planned = scene.plan.preset
+    own = scene.scanner.type == RAY_GRID and scene.scanner.pair("resolution_deg") == _angles(planned)
+    angle = _angles(preset)[0]
     return angle if own and angle != _angles(planned)[0] else None
 
 
-def _angles(preset: str) -> list[float]:
+def _angles(preset: str) -> tuple[float, float]:
     usual: Any = Scanner.model_fields["resolution_deg"].default
-    found: Sequence[float] = PRESETS[preset].scanner.get("resolution_deg", usual)
-    return [float(angle) for angle in found]
+    across, along = PRESETS[preset].scanner.get("resolution_deg", usual)
+    return float(across), float(along)

@@ -57,8 +57,8 @@ def scan(
     legs = execute.legs_of(motion, options.view)
     cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else int(run.manifest["seed"])
-    driver, clock = scan_driver.prepare(options, motion, cell.scene.speed, factory.of_run(run))
-    kept = options.kept() | {"scanner": dict(cell.scanner_parameters)}
+    driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run))
+    kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
     with ExitStack() as connected:
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
@@ -96,7 +96,7 @@ def resume(
     """
     run = open_finished(run_folder)
     recorded = read_execution(run, execution)
-    scans, left_out = usable(recorded, run_reader.views(run))
+    scans, left_out = usable(recorded, run_reader.plan_file(run).views)
     begun = resumable(run, recorded)
     settled = begun.resumed(options or ScanOptions())
     motion = run_reader.motion(run)
@@ -107,7 +107,7 @@ def resume(
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
-    driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed, factory.of_run(run))
+    driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed_scaling, factory.of_run(run))
     with ExitStack() as connected:
         with _drivers_errors_as_ours():
             connected.enter_context(driver)
@@ -157,7 +157,9 @@ def _told(rest: Rest, done: int) -> Iterator[str]:
 
 def _allowed_speed(driver: Driver, options: ScanOptions, cell: RunCell, ask: safety.Ask | None) -> float:
     """The speed to drive at, once a person has agreed to it where steel moves."""
-    speed = safety.speed_fraction(options.speed_percent, cell.scene.speed, hardware=driver.capabilities.hardware)
+    speed = safety.speed_fraction(
+        options.speed_percent, cell.scene.speed_scaling, hardware=driver.capabilities.hardware
+    )
     safety.require_confirmed(driver, speed, confirmed=options.confirm_motion, ask=ask)
     return speed
 

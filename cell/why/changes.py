@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pydantic import JsonValue
 
 from cell import scanners
 from cell.errors import SceneError
@@ -111,7 +112,7 @@ class Changes:
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
         base = _pick(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
         listed = ",".join(f"{standoff:g}" for standoff in standoffs)
-        near, far = self.cell.scanner_parameters.get("range_mm", (0.0, np.inf))
+        near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [
             self._reached(
                 Kind.STANDOFF, abs(factor - 1), f"standoff {other:g} mm beside {now:g}" if few
@@ -122,9 +123,10 @@ class Changes:
             for factor in _STANDOFFS if near < (other := _round_mm(factor * now)) < far and other not in standoffs
         ]  # fmt: skip
 
-        limit = float(self.cell.scanner_parameters.get("grazing_max_deg", 90.0))
+        given = self.cell.scanner_keys.number("grazing_max_deg")
+        limit = 90.0 if given is None else given
         sweep = np.linalg.inv(what_if.middle(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
-        setting = "" if self.cell.scene.targeted else "--candidates targeted"
+        setting = "" if self.cell.scene.plan.candidates == "targeted" else "--candidates targeted"
         rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
         yield [
             self._reached(
@@ -164,20 +166,19 @@ class Changes:
         )  # fmt: skip
 
     def _of_the_scanner(self) -> Iterator[list[WhatIf]]:
-        limits = self.cell.scanner_parameters
+        limits = self.cell.scanner_keys
         for name, last, of in (
             ("grazing_max_deg", _LAST_GRAZING_DEG, "grazing limit"),
             ("sensor_grazing_max_deg", 90, "sensor's grazing limit"),
         ):
-            if name in limits:
-                now = float(limits[name])
+            if (now := limits.number(name)) is not None:
                 yield [
                     self._law(Kind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", {name: float(value)})
                     for value in range(int(np.floor(now)) + 1, last + 1)
                 ]
         for name in ("range_mm", "depth_of_field_mm"):
-            if limits.get(name) is not None:
-                near, far = limits[name]
+            if span := limits.pair(name):
+                near, far = span
                 of = name.removesuffix("_mm").replace("_", " ")
                 for end, values in (("to", [far * f for f in _FARTHER]), ("from", [near * f for f in _NEARER])):
                     now = far if end == "to" else near
@@ -190,8 +191,8 @@ class Changes:
                         for value in map(_round_mm, values) if value != now
                     ]  # fmt: skip
         for name, of in (("fov_deg", "field of view"), ("sensor_fov_deg", "sensor's field of view")):
-            if limits.get(name) is not None:
-                now_h, now_v = limits[name]
+            if fov := limits.pair(name):
+                now_h, now_v = fov
                 yield [
                     self._law(
                         Kind.FOV, more, f"{of} {now_h + more:g} x {now_v + more:g} deg, not {now_h:g} x {now_v:g}",
@@ -199,20 +200,18 @@ class Changes:
                     )
                     for more in _FOV_DEG if max(now_h, now_v) + more < 180
                 ]  # fmt: skip
-        if "fan_deg" in limits:
-            now = float(limits["fan_deg"])
+        if (now := limits.number("fan_deg")) is not None:
             yield [
                 self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", {"fan_deg": now + more})
                 for more in _FOV_DEG if now + more < 180
             ]  # fmt: skip
-        if self.cell.scene.max_sigma is not None:
-            now = self.cell.scene.max_sigma * 1000
+        if self.cell.scene.plan.max_sigma is not None:
+            now = self.cell.scene.plan.max_sigma * 1000
             yield [
                 self._law(Kind.SIGMA, factor, f"sigma up to {factor * now:.3g} instead of {now:g} mm", {}, factor)
                 for factor in _SIGMAS
             ]
-        if float(limits.get("baseline_mm", 0.0)) > 0:
-            now = float(limits["baseline_mm"])
+        if now := limits.number("baseline_mm"):
             yield [
                 self._law(
                     Kind.BASELINE, 1 - share, f"baseline {share * now:.3g} instead of {now:g} mm",
@@ -221,15 +220,17 @@ class Changes:
                 for share in _BASELINES
             ]  # fmt: skip
 
-    def _law(self, kind: Kind, change: float, sentence: str, changed: Mapping[str, Any], sigmas: float = 1.0) -> WhatIf:
+    def _law(
+        self, kind: Kind, change: float, sentence: str, changed: Mapping[str, JsonValue], sigmas: float = 1.0
+    ) -> WhatIf:
         """Another law, the same reachable candidates."""
-        parameters = {key: value for key, value in {**self.cell.scanner_parameters, **changed}.items() if key != "type"}
-        scanner: Scanner = scanners.load(str(self.cell.scanner_parameters["type"]))(**parameters)
-        if self.cell.scene.max_sigma is not None:
-            scanner = Limited(scanner, sigmas * self.cell.scene.max_sigma)  # type: ignore[arg-type]  # it had a limit before
+        keys = self.cell.scanner_keys
+        scanner: Scanner = scanners.load(keys.type)(**{**keys.own, **changed})
+        if self.cell.scene.plan.max_sigma is not None:
+            scanner = Limited(scanner, sigmas * self.cell.scene.plan.max_sigma)  # type: ignore[arg-type]  # it had a limit before
         setting = "; ".join(f"scanner.{name} = {_toml(value)}" for name, value in changed.items())
-        if sigmas != 1.0 and self.cell.scene.max_sigma is not None:
-            setting = f"--max-sigma {sigmas * self.cell.scene.max_sigma * 1000:.3g}"
+        if sigmas != 1.0 and self.cell.scene.plan.max_sigma is not None:
+            setting = f"--max-sigma {sigmas * self.cell.scene.plan.max_sigma * 1000:.3g}"
         poses = self.candidates.T_object_scanner[self.usable]
         return WhatIf(kind, change, sentence, setting, poses, scanner, self.casters)
 

@@ -20,7 +20,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell, world_of
-from cell.run.reader import RecordedPlan, RecordedView
+from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import RunRecord, open_finished, understood
 from cell.why import files as why_files
 from cell.why.answer import Answer, Group, Patch
@@ -71,7 +71,7 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
 def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
     """The whole on one screen."""
     with narrator.stage("read the run"):
-        cell, plan = read_cell(run), run_reader.plan(run)
+        cell, plan = read_cell(run), run_reader.plan_file(run)
         candidates = _as_executed(run_reader.candidates(run), plan.views)
         fails, blockers = _failing(run, plan, len(candidates))
         world = world_of(run, cell.reference)
@@ -102,18 +102,18 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
     groups = tuple(
         Group(
             group.reason, group.what,
-            detail(group.reason, diagnosis, np.isin(rows, group.rows), cell.scanner_parameters), group.rows,
+            detail(group.reason, diagnosis, np.isin(rows, group.rows), cell.scanner_keys), group.rows,
             tuple(Patch(piece, named) for piece, named in zip(group.patches, of_patch, strict=True)), of_group,
         )
         for group, of_group, of_patch in zip(open_groups, found.of_group, found.of_patch, strict=True)
     )  # fmt: skip
     return Answer(
         samples, covered, diagnosis, rows, groups, found.rest, found.overall, found.tried, cell.planning,
-        cell.scene.part_name,
+        cell.scene.part.name,
     )  # fmt: skip
 
 
-def _as_executed(candidates: Viewpoints, views: Sequence[RecordedView]) -> Viewpoints:
+def _as_executed(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoints:
     """The candidates, those of the plan's views at the poses of the rounded joint angles, as coverage takes them."""
     T = np.array(candidates.T_object_scanner)
     if T.shape[1] == 1:
@@ -122,7 +122,7 @@ def _as_executed(candidates: Viewpoints, views: Sequence[RecordedView]) -> Viewp
     return Viewpoints(T, candidates.face, candidates.standoff, candidates.roll)
 
 
-def _failing(run: RunRecord, plan: RecordedPlan, count: int) -> tuple[NDArray[np.uint8], list[str]]:
+def _failing(run: RunRecord, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
     """At what each candidate fails even for a point that it would measure, and what is in its way."""
     reached = run_reader.reached(run)
     fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
@@ -130,6 +130,6 @@ def _failing(run: RunRecord, plan: RecordedPlan, count: int) -> tuple[NDArray[np
     with understood(run.folder / "plan.json"):
         if len(fails) != count:
             raise ValueError(f"reach.npz has {len(fails)} verdicts and viewpoints.npz {count} candidates")
-        for view, reason in plan.dropped.items():
-            fails[view], blockers[view] = Reason.NO_PATH, reason
+        for lost in plan.dropped:
+            fails[lost.id], blockers[lost.id] = Reason.NO_PATH, lost.reason
     return fails, blockers

@@ -1,12 +1,12 @@
 """Groups and patches of open samples: what stays open for one reason, and the connected pieces of it. Object frame."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.run.scene_json import ScannerKeys
 from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -78,17 +78,17 @@ _OF_ANGLE: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {
 }
 
 
-def detail(reason: Reason, diagnosis: Diagnosis, inside: NDArray[np.bool_], limits: Mapping[str, Any]) -> str:
+def detail(reason: Reason, diagnosis: Diagnosis, inside: NDArray[np.bool_], limits: ScannerKeys) -> str:
     """What there is to add about the closest candidates of some open samples."""
     if reason is Reason.NOT_SELECTED:
         return "the plan's target did not need it"
     if reason in _OF_ANGLE:
         angles, limit = _OF_ANGLE[reason]
         low, high = np.degrees(np.quantile(angles(diagnosis)[inside], (0.1, 0.9)))
-        given = f", limit {limits[limit]:g}" if limit in limits else ""
+        given = "" if (most := limits.number(limit)) is None else f", limit {most:g}"
         return f"{low:.0f} to {high:.0f} deg from the normal{given}"
     if reason is Reason.OUT_OF_RANGE:
         low, high = 1000 * np.quantile(diagnosis.distance[inside], (0.1, 0.9))
-        given = f", range {limits['range_mm'][0]:g} to {limits['range_mm'][1]:g}" if "range_mm" in limits else ""
+        given = f", range {span[0]:g} to {span[1]:g}" if (span := limits.pair("range_mm")) else ""
         return f"{low:.0f} to {high:.0f} mm away{given}"
     return ""

@@ -97,7 +97,7 @@ def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, scr
     fovy, housing = model.vis.global_.fovy, model.geom("housing").id
     resolved = json.loads((planned / "scene.resolved.json").read_text())
     T_flange_housing = np.array(resolved["housing"]["T_flange_housing"])
-    views = run_reader.views(open_run(planned))
+    views = run_reader.plan_file(open_run(planned)).views
     seen, pictures = 0, []
     for stop, view in zip(show.timeline.stops, views, strict=True):
         show.pose(stop.begin)
@@ -200,7 +200,7 @@ def test_an_execution_shows_its_points(
     scans.mkdir(parents=True)
     run = open_run(folder)
     points = run_reader.mesh(run, "reference.ply").vertices
-    for number, view in enumerate(run_reader.views(run)[:3], start=1):
+    for number, view in enumerate(run_reader.plan_file(run).views[:3], start=1):
         np.savez_compressed(
             scans / f"{number:04d}.npz", view=view.id, q_commanded=view.q, q_reported=view.q + 1e-3, points=points
         )
@@ -209,7 +209,7 @@ def test_an_execution_shows_its_points(
     assert "0003.npz is damaged or cut short" in capsys.readouterr().err
     assert len(executed.timeline.stops) == 2
     np.testing.assert_allclose(
-        executed.timeline.at(executed.timeline.stops[1].begin), run_reader.views(run)[1].q + 1e-3
+        executed.timeline.at(executed.timeline.stops[1].begin), run_reader.plan_file(run).views[1].q + 1e-3
     )
     camera = show.camera(_SIZE[0] / _SIZE[1])
     with OffScreen(executed.theatre.model, _SIZE) as drawn:

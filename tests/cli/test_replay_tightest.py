@@ -38,21 +38,21 @@ def test_the_show_stands_where_the_plan_says_that_it_is_tightest(planned: Path, 
     told = json.loads((planned / "plan.json").read_text())["clearance"]
     tightest, closest = told["tightest"], show.closest
     assert closest is not None
-    np.testing.assert_allclose(np.degrees(show.timeline.at(closest.time)), tightest["q_deg"], atol=0.3)
-    assert show.timeline.moved(closest.time) == pytest.approx(tightest["time_s"], abs=1e-6)
-    assert np.linalg.norm(closest.points[0] - closest.points[1]) == pytest.approx(closest.distance, abs=1e-6)
+    np.testing.assert_allclose(np.degrees(show.timeline.at(closest.time_s)), tightest["q_deg"], atol=0.3)
+    assert show.timeline.moved(closest.time_s) == pytest.approx(tightest["time_s"], abs=1e-6)
+    assert np.linalg.norm(closest.points[0] - closest.points[1]) == pytest.approx(closest.distance_mm / 1000, abs=1e-6)
     assert tightest["distance_mm"] == min(segment["minimum_mm"] for segment in told["segments"])
     assert all(segment["at_least_mm"] <= segment["minimum_mm"] for segment in told["segments"])
-    assert f"tightest: {closest.sentence}" in show.caption(closest.time)
-    assert "tightest" not in show.caption(closest.time + 1.0)
+    assert f"tightest: {closest.sentence}" in show.caption(closest.time_s)
+    assert "tightest" not in show.caption(closest.time_s + 1.0)
 
 
 def test_the_end_key_goes_to_the_tightest_moment_and_stands_there(show: Show) -> None:
     """Without one it does nothing."""
     assert show.closest is not None
-    player = Player(show.timeline, tightest=show.closest.time)
+    player = Player(show.timeline, tightest=show.closest.time_s)
     player.press(_END)
-    assert (player.t, player.playing) == (show.closest.time, False)
+    assert (player.t, player.playing) == (show.closest.time_s, False)
     without = Player(show.timeline)
     without.press(_END)
     assert (without.t, without.playing) == (0.0, True)
@@ -63,7 +63,7 @@ def test_both_points_and_the_line_are_in_the_picture(show: Show) -> None:
     """From near by, they stand in the middle of it; without them the picture is another one there only."""
     closest = show.closest
     assert closest is not None
-    show.pose(closest.time)
+    show.pose(closest.time_s)
     camera = close_camera(show.theatre.model, show.data, closest)
     with OffScreen(show.theatre.model, _SIZE) as screen:
         show_what_is_seen(screen.option)
@@ -81,10 +81,10 @@ def test_a_picture_of_another_moment_does_not_have_the_pair(show: Show) -> None:
     """With the arm elsewhere it would hang in the air: the tour is the same picture with and without."""
     assert show.closest is not None
     bare = Show(show.theatre, show.timeline)
-    away = max((stop.begin for stop in show.timeline.stops), key=lambda t: abs(t - show.closest.time))
+    away = max((stop.begin for stop in show.timeline.stops), key=lambda t: abs(t - show.closest.time_s))
     with OffScreen(show.theatre.model, _SIZE) as screen:
         pictures = {}
-        for moment in (away, show.closest.time):
+        for moment in (away, show.closest.time_s):
             show.pose(moment)
             camera = show.camera(_SIZE[0] / _SIZE[1], [moment])
             for name, drawn in (("with", show), ("bare", bare)):
@@ -93,10 +93,10 @@ def test_a_picture_of_another_moment_does_not_have_the_pair(show: Show) -> None:
                 )
     changed = {
         moment: int((np.abs(pictures["with", moment].astype(int) - pictures["bare", moment]) > 25).any(axis=2).sum())
-        for moment in (away, show.closest.time)
+        for moment in (away, show.closest.time_s)
     }
     assert changed[away] == 0
-    assert changed[show.closest.time] > 20
+    assert changed[show.closest.time_s] > 20
 
 
 @draws

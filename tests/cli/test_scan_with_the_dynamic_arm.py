@@ -16,7 +16,6 @@ from cell.plant.servo import Settings
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from cell.run import reader as run_reader
-from cell.run.cell import read_scene
 from cell.run.record import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
@@ -47,7 +46,7 @@ def scans(run: Path, execution: str) -> list[dict[str, Any]]:
 def test_every_scan_is_taken_from_the_pose_that_the_controller_reports(scanned: Path) -> None:
     """The reported axes are near the commanded ones but not they; poses and points are of the reported ones."""
     record = open_run(scanned)
-    scene = read_scene(record)
+    scene = run_reader.resolved_scene(record)
     T_base_object, T_flange_scanner = scene.T_base_object, scene.T_flange_scanner
     kinematics = Kr16Kinematics.from_model(load())
     ideal = scans(scanned, "0003")

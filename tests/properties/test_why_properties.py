@@ -14,7 +14,6 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import occluder_triangles
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
-from cell.run.cell import read_scene
 from cell.run.record import RunRecord, artefact, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import Scene, load_scene
@@ -127,7 +126,7 @@ def test_reasons_complete_the_plan_to_the_whole_surface(answer: why.Answer, run:
         count[group.rows] += 1
         np.testing.assert_array_equal(np.sort(np.concatenate([p.rows for p in group.patches])), group.rows)
     assert (count == 1).all()
-    planned = run_reader.plan(run).visible
+    planned = run_reader.plan_file(run).coverage.visible
     assert abs(answer.covered.mean() - planned) < 4 * np.sqrt(planned * (1 - planned) / _SAMPLES)
 
 
@@ -155,7 +154,7 @@ def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
     path = run_folder.parent / "scene.toml"
     place = [float(value) for value in _PLACE.split(",")]
     views = run_reader.candidates(run)
-    limits = {k: v for k, v in read_scene(run).scanner.items() if k != "type"}
+    limits = dict(run_reader.resolved_scene(run).scanner.own)
     seen = set()
     for group in answer.groups:
         changes = [*((named, group.rows) for named in group.named)]

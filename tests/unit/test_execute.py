@@ -19,6 +19,7 @@ from cell.run.cell import RunCell
 from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
 from cell.run.record import RunRecord
+from cell.run.scene_json import ScannerKeys
 from cell.scan import driver as scan_driver
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
@@ -67,7 +68,7 @@ def _scene() -> RunCell:
     return RunCell(
         SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
         mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
-        scanner, scanner.parameters(), kinematics,
+        scanner, ScannerKeys(**scanner.parameters()), kinematics,
     )  # fmt: skip
 
 

@@ -92,7 +92,7 @@ def test_scanner_and_poses_are_the_plans(written: tuple[RunRecord, World]) -> No
     """Same law, and the pose at a configuration is forward kinematics through mount and placement."""
     run, world = written
     scene = read_cell(run)
-    assert scene.scanner.parameters() == dict(scene.scanner_parameters)
+    assert scene.scanner.parameters() == scene.scanner_keys.as_json()
     import mujoco
 
     q = world.home + 0.2

@@ -11,7 +11,6 @@ import trimesh
 
 from cell.errors import FileError
 from cell.run import reader as run_reader
-from cell.run.cell import read_scene
 from cell.run.executions import execution_ids, read_execution
 from cell.run.record import open_run
 
@@ -32,11 +31,11 @@ def _manifest(folder: Path, **changes: object) -> None:
 def test_the_parts_agree_with_each_other(planned: Path) -> None:
     """Views, motion, candidates and reach of one run tell of the same poses."""
     run = open_run(planned)
-    views, motion = run_reader.views(run), run_reader.motion(run)
+    views, motion = run_reader.plan_file(run).views, run_reader.motion(run)
     candidates, reached = run_reader.candidates(run), run_reader.reached(run)
     assert run.finished
     assert [view.id for view in views] == motion.view[motion.view >= 0].tolist()
-    T_base_object = read_scene(run).T_base_object
+    T_base_object = run_reader.resolved_scene(run).T_base_object
     for view, q in zip(views, motion.via_q[motion.view >= 0], strict=True):
         np.testing.assert_allclose(view.q, q, atol=1e-12)
         assert np.isclose(reached.q_of(view.id), view.q, atol=1e-9).all(axis=1).any()
@@ -90,7 +89,7 @@ def test_a_changed_artefact_is_refused(copy: Path) -> None:
         run_reader.mesh(run, "reference.ply")
     (copy / "plan.json").write_text((copy / "plan.json").read_text().replace("0", "1", 1))
     with pytest.raises(FileError, match="changed or damaged"):
-        run_reader.views(run)
+        run_reader.plan_file(run)
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.9])
@@ -101,10 +100,10 @@ def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None
     readers = {
         "reference.ply": lambda: run_reader.mesh(run, "reference.ply"),
         "motion.npz": lambda: run_reader.motion(run),
-        "plan.json": lambda: run_reader.views(run),
+        "plan.json": lambda: run_reader.plan_file(run),
         "reach.npz": lambda: run_reader.reached(run),
         "viewpoints.npz": lambda: run_reader.candidates(run),
-        "scene.resolved.json": lambda: read_scene(run),
+        "scene.resolved.json": lambda: run_reader.resolved_scene(run),
         "cell.xml": lambda: run_reader.cell_model(run),
     }
     for name, read in readers.items():

@@ -14,6 +14,7 @@ from cell.run.cell import RunCell
 from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
 from cell.run.record import RunRecord
+from cell.run.scene_json import ScannerKeys
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.pose_error import Disturbance
@@ -57,7 +58,7 @@ def scene() -> RunCell:
     return RunCell(
         SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
         mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
-        SCANNER, SCANNER.parameters(), KINEMATICS,
+        SCANNER, ScannerKeys(**SCANNER.parameters()), KINEMATICS,
     )  # fmt: skip
 
 
