@@ -275,22 +275,26 @@ def test_without_a_display_and_without_a_renderer_a_sentence_says_what_to_do(
 
 
 _WATCH = """
-import json, sys
+import json, sys, time
 from pathlib import Path
 import numpy as np
 from PIL import ImageGrab
 from cell.commands.terminal import Terminal
 from cell.replay.replay import ReplayOptions, replay
 
-ticks, oranges, places = [0.0], [], []
+ticks, oranges, places, shown = [0.0], [], [], []
 
 def clock():
     return ticks[0]
 
 def wait(seconds):
-    import time
-    time.sleep(0.25)  # the viewer draws on its own thread
-    picture = np.asarray(ImageGrab.grab()).astype(int)
+    # The viewer draws on its own thread: until there is another picture, or the arm stands.
+    deadline = time.monotonic() + 0.25
+    while True:
+        picture = np.asarray(ImageGrab.grab()).astype(int)
+        if time.monotonic() > deadline or not (shown and (picture == shown[-1]).all()):
+            break
+    shown.append(picture)
     red, green, blue = (picture[..., channel] for channel in range(3))
     orange = (red > 90) & (red > 2 * green) & (green > blue)
     oranges.append(int(orange.sum()))
