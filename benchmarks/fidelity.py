@@ -31,10 +31,9 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import Scene, load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import World, compile_world
 from cell.world.triangle_distance import BOX
 from cell.world.triangle_tree import TriangleTree
-from cell.world.world import World
-from cell.world.world import compile as compile_world
 from planner.reach import reach
 from planner.surface.decimate import decimate
 

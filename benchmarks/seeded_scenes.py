@@ -17,8 +17,7 @@ from cell.part.workpiece import Workpiece
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.reach import reach
 from planner.reach.reach import Reach
 from planner.surface.decimate import decimate

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from cell.world.world import World
+from cell.world.model import World
 from planner.surface.mesh import TriangleMesh
 
 Floats = NDArray[np.float64]

@@ -29,7 +29,7 @@ from cell.scene.resolve import Settings
 from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
-from cell.world.world import World
+from cell.world.model import World
 from planner.measurability.matrix import Measurability
 from planner.order.tour import Tour
 from planner.ports import Floats

@@ -35,8 +35,7 @@ from cell.scene.scene import Scene
 from cell.world import clearance
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.measurability import matrix
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Scanner

@@ -23,8 +23,7 @@ from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, artefact_json, understood
 from cell.scene.scene import Scene
 from cell.world import shapes
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.measurability.quality import Limited
 from planner.ports import Floats, Scanner
 from planner.surface.mesh import TriangleMesh

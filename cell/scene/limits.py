@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from cell.errors import SceneError
 from cell.robot.model import AXES, LINKS
 from cell.world import shapes as cell_shapes
+from cell.world.model import World
 from cell.world.own_view import hidden_share
-from cell.world.world import World
 
 _TOUCHING = 1e-6  # m; two shapes that share a face by construction are this deep in each other by rounding
 _MOUNTED = ("base", "pedestal", "floor")

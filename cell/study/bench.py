@@ -24,8 +24,7 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner import cover
 from planner.cover import Cover
 from planner.cover.most_coverage import most_coverage

@@ -12,8 +12,7 @@ from cell.scene.limits import impossible
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 Triple = tuple[float, float, float]
 

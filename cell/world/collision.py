@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cell.world.model import World
 from cell.world.travel import TravelBound
-from cell.world.world import World
 from planner.errors import PlannerError
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cell.world.world import World
+from cell.world.model import World
 from planner.ports import Floats
 
 _GRID = 33  # rays per axis of the field of view, its edges included: 2 deg apart at 60 deg

@@ -9,8 +9,7 @@ import trimesh
 from cell.scene.scene import Scene
 from cell.world.clearance import TOLERANCE, of_motion, tightest_at
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 _SAMPLES = 1500
 SHARE = 0.05  # of the distance, as the documentation promises

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from cell.scene.scene import Scene, pose
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 PART = np.array(trimesh.creation.icosphere(3, 0.12).vertices) * [1.0, 0.6, 1.4]
 ANGLE = st.floats(-180, 180)

@@ -14,8 +14,7 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.limits import impossible
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 FIDELITIES = ("hull", "decomposed", "exact")
 PLACE_MM = (1100.0, 0.0, -100.0)

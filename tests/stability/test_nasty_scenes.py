@@ -9,8 +9,8 @@ import trimesh
 from cell.errors import CellError, SceneError
 from cell.scene.scene import Scene, load_scene
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import compile_world
 from cell.world.solid_hull import MIN_THICKNESS, solid_hull
-from cell.world.world import compile as compile_world
 
 RNG = np.random.default_rng(0)
 BALL = np.array(trimesh.creation.icosphere(3, 0.1).vertices)

@@ -19,9 +19,9 @@ import numpy as np
 from cell.scene.scene import Scene
 from cell.stand_ins import build
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import compile
+from cell.world.model import compile_world
 part = build("petanque")
-world = compile(Scene(), part.vertices, part_faces=part.faces, baseline_mm=100.0)
+world = compile_world(Scene(), part.vertices, part_faces=part.faces, baseline_mm=100.0)
 checker = MujocoCollisionChecker(world)
 print(checker.distance(np.array([[0.0, -1.2, 1.4, 0.0, 0.9, 0.0]])))
 """,

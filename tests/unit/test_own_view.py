@@ -5,8 +5,8 @@ import pytest
 
 from cell.errors import SceneError
 from cell.scene.scene import Scene
+from cell.world.model import compile_world
 from cell.world.own_view import hidden_share
-from cell.world.world import compile as compile_world
 
 PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
 

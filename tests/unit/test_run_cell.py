@@ -18,8 +18,7 @@ from cell.run.record import RunRecord, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.surface.decimate import decimate
 
 SCENE = """

@@ -13,8 +13,7 @@ from cell.robot import model as robot
 from cell.scene.limits import impossible
 from cell.scene.scene import Scene, pose
 from cell.world.files import write_mjcf
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 OFFSET = np.array([3.0, -2.0, 1.0])  # the object frame's origin is far from the part
 PART = np.array(trimesh.creation.icosphere(2, 0.1).vertices) * [1.0, 0.7, 1.5] + OFFSET

@@ -168,7 +168,7 @@ class World(Value):
         return f"{first} with {second}"
 
 
-def compile(  # noqa: A001 - the field's word; callers write world.compile
+def compile_world(
     scene: Scene,
     part_vertices: ArrayLike,
     *,
