@@ -140,7 +140,7 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
         chosen = Scene.model_validate({**table, "plan": {**table.get("plan", {}), "collision": fidelity}})
         started = time.process_time()
         worlds[fidelity] = world = compile_world(
-            chosen, mesh.vertices, part_faces=mesh.faces, baseline_mm=75.0, refuse=False, use_cache=False
+            chosen, mesh.vertices, part_faces=mesh.faces, baseline_mm=75.0, use_cache=False
         )
         setup = time.process_time() - started
         checker = MujocoCollisionChecker(world)

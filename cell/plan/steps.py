@@ -36,6 +36,7 @@ from cell.world import clearance
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from cell.world.possible import require_possible
 from planner.measurability import matrix
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Scanner
@@ -136,6 +137,7 @@ def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
             job.scene, surface.reference.vertices, part_faces=surface.reference.faces, use_cache=run.use_cache,
             baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner), progress=progress,
         )  # fmt: skip
+        require_possible(world)
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)

@@ -206,7 +206,7 @@ def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = (
     Raises:
         FileError: if the run's files are damaged.
     """
-    return compile_world(_scene(run, without), part.vertices, part_faces=part.faces, refuse=False)
+    return compile_world(_scene(run, without), part.vertices, part_faces=part.faces)
 
 
 def _scene(run: RunRecord, without: Collection[str]) -> Scene:

@@ -8,11 +8,11 @@ import numpy as np
 from cell import scanners
 from cell.part import workpiece
 from cell.robot.model import AXES, Dimensions, dimensions
-from cell.scene.limits import impossible
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from cell.world.possible import impossible
 
 Triple = tuple[float, float, float]
 
@@ -142,9 +142,7 @@ def check_scene(scene: Scene) -> CheckResult:
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
     baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
-    world = compile_world(
-        scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm, refuse=False
-    )
+    world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm)
     checker = MujocoCollisionChecker(world)
     contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
     distance, nearest = checker.distance(world.home[None])

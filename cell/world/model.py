@@ -174,23 +174,21 @@ def compile_world(
     *,
     part_faces: ArrayLike | None = None,
     baseline_mm: float | None = None,
-    refuse: bool = True,
     use_cache: bool = True,
     progress: Progress | None = None,
 ) -> World:
-    """Build and compile the model of a scene.
+    """Build and compile the model of a scene; whether the scene can be, `cell.world.possible` judges.
 
     Args:
         scene: what stands in the cell.
         part_vertices: (N, 3) vertices of the part, or of its convex hull [m], object frame.
         part_faces: (F, 3) its triangles, for `plan.collision` other than "hull"; None makes the part its hull.
         baseline_mm: the scanner's baseline where the scene leaves it to the part; the housing is centred over it.
-        refuse: raise for a scene that cannot be (False: `cell check` lists what is wrong instead).
         use_cache: whether convex pieces may be taken from and left in the cache.
         progress: told about the pieces as they are found.
 
     Raises:
-        SceneError: if the part or a fixture has no solid, the baseline is not known, or the scene cannot be.
+        SceneError: if the part or a fixture has no solid, or the baseline is not known.
     """
     baseline = scene.scanner.baseline_mm if scene.scanner.baseline_mm is not None else baseline_mm
     if baseline is None:
@@ -236,7 +234,7 @@ def compile_world(
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
-    world = World(
+    return World(
         scene=scene,
         model=model,
         grown=_compiled(_grown(spec, scene.clearance_mm / 2000.0)),
@@ -258,11 +256,6 @@ def compile_world(
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         pairs=_guarded_pairs(model),
     )
-    if refuse:
-        from cell.scene.limits import require_possible
-
-        require_possible(world)
-    return world
 
 
 def _tree(triangles: TriangleMesh) -> TriangleTree:

@@ -25,9 +25,7 @@ def world(request: pytest.FixtureRequest) -> World:
     """A cup beside the robot, as each fidelity has it."""
     cup = _cup()
     scene = Scene.model_validate({"plan": {"collision": request.param}, "placement": {"position_mm": [1100, 300, 0]}})
-    return compile_world(
-        scene, cup.vertices, part_faces=np.array(cup.faces), baseline_mm=75.0, refuse=False, use_cache=False
-    )
+    return compile_world(scene, cup.vertices, part_faces=np.array(cup.faces), baseline_mm=75.0, use_cache=False)
 
 
 def _via() -> tuple[np.ndarray, np.ndarray]:

@@ -11,10 +11,10 @@ import trimesh
 from cell.errors import SceneError
 from cell.replay.marks import touches
 from cell.robot.kinematics import Kr16Kinematics
-from cell.scene.limits import impossible
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from cell.world.possible import impossible
 
 FIDELITIES = ("hull", "decomposed", "exact")
 PLACE_MM = (1100.0, 0.0, -100.0)
@@ -24,9 +24,7 @@ def _world(mesh: trimesh.Trimesh, collision: str, **tables: object) -> World:
     scene = Scene.model_validate(
         {"plan": {"collision": collision}, "placement": {"position_mm": PLACE_MM}, "post": {"enabled": False}} | tables
     )
-    return compile_world(
-        scene, mesh.vertices, part_faces=np.array(mesh.faces), baseline_mm=75.0, refuse=False, use_cache=False
-    )
+    return compile_world(scene, mesh.vertices, part_faces=np.array(mesh.faces), baseline_mm=75.0, use_cache=False)
 
 
 def _bucket() -> trimesh.Trimesh:
@@ -184,7 +182,7 @@ def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it
 def test_vertices_alone_are_taken_as_their_hull() -> None:
     """There are no triangles to be exact about, and the world says so."""
     ball = trimesh.creation.icosphere(2, 0.1)
-    assert compile_world(Scene(), ball.vertices, baseline_mm=75.0, refuse=False).collision == "hull"
+    assert compile_world(Scene(), ball.vertices, baseline_mm=75.0).collision == "hull"
 
 
 def test_a_fidelity_that_does_not_exist_is_named() -> None:
