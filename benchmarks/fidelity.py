@@ -33,7 +33,7 @@ from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.triangle_distance import BOX
-from cell.world.triangle_tree import TriangleTree
+from cell.world.triangles import TriangleTree
 from planner.reach import reach
 from planner.surface.decimate import decimate
 

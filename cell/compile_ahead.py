@@ -91,7 +91,7 @@ def tours() -> None:
 def distances() -> None:
     """Call the kernels that measure how far the arm is from the part's triangles, and whether it is inside."""
     from cell.world.triangle_distance import BOX
-    from cell.world.triangle_tree import TriangleTree
+    from cell.world.triangles import TriangleTree
     from planner.surface.mesh import TriangleMesh
 
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

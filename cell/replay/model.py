@@ -28,7 +28,7 @@ from planner.values import readonly
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.triangle_tree import TriangleTree
+    from cell.world.triangles import TriangleTree
 
 _DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 POINTS_SHOWN = 6_000
@@ -168,7 +168,7 @@ def _pyramid(base: Floats) -> TriangleMesh:
 
 
 def _tree(part: TriangleMesh) -> TriangleTree:
-    from cell.world.triangle_tree import TriangleTree  # its kernels load numba
+    from cell.world.triangles import TriangleTree  # its kernels load numba
 
     return TriangleTree(part)
 

@@ -8,7 +8,7 @@ MuJoCo's box-box routine finds every overlap, but overlooks 1 in 200 pairs that 
 edge.
 
 Where the part is to be taken as its triangles (`plan.collision = "exact"`), its hull is in both models and only finds
-the pairs to look at; the distance from the triangles decides (`cell.world.triangle_tree`).
+the pairs to look at; the distance from the triangles decides (`cell.world.triangles`).
 
 So `free`, `contacts` and `distance` agree, and depend on the configuration alone.
 """

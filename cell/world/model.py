@@ -26,7 +26,7 @@ from planner.values import Value, readonly
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.triangle_tree import TriangleTree
+    from cell.world.triangles import TriangleTree
 
 Floats = NDArray[np.float64]
 
@@ -259,7 +259,7 @@ def compile_world(
 
 
 def _tree(triangles: TriangleMesh) -> TriangleTree:
-    from cell.world.triangle_tree import TriangleTree  # its kernels load numba
+    from cell.world.triangles import TriangleTree  # its kernels load numba
 
     return TriangleTree(triangles)
 
