@@ -132,10 +132,10 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
 
 def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
     """The cell as MuJoCo checks it."""
-    with run.step("compile the cell") as progress:
+    with run.step("compile the cell"):
         world = compile_world(
-            job.scene, surface.reference.vertices, part_faces=surface.reference.faces, use_cache=run.use_cache,
-            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner), progress=progress,
+            job.scene, surface.reference.vertices, part_faces=surface.reference.faces,
+            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
         )  # fmt: skip
         require_possible(world)
         described = scanners.described(job.scene.scanner.type, job.scanner)

@@ -49,7 +49,7 @@ class RecordedScene:
         scanner: what defines the scanner, its `type` among it.
         max_sigma: limit on the expected standard deviation of a point [m]; None where there is none.
         clearance: distance that a free configuration keeps [m].
-        collision: what the part was to arm and scanner.
+        collision: what the part was to arm and scanner: hull, exact or (earlier versions) decomposed, convex pieces.
         speed: fraction of the axis speeds that the plan was timed with.
         acceleration: the same of the accelerations.
         required_visible: visible coverage that the plan was asked for, fraction.
@@ -58,6 +58,7 @@ class RecordedScene:
         removable: names of the fixtures, and "post": what may be taken out.
         glass: names of the fixtures that hide nothing.
         mesh_files: file of each mesh fixture by its name.
+        as_hulls: names of those that arm and scanner kept clear of as convex hulls.
     """
 
     part_name: str
@@ -76,6 +77,15 @@ class RecordedScene:
     removable: tuple[str, ...]
     glass: tuple[str, ...]
     mesh_files: Mapping[str, str]
+    as_hulls: tuple[str, ...]
+
+    def taken_as_triangles(self) -> list[str]:
+        """What `world_of` takes as its triangles and earlier versions checked otherwise: a sentence, or none."""
+        if self.collision == "hull":
+            return []
+        parts = ["the part as convex pieces"] if self.collision == "decomposed" else []
+        parts += [f"the fixture '{name}' as its convex hull" for name in self.as_hulls]
+        return [f"the plan was checked with {' and '.join(parts)}; true triangles are taken here"] if parts else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,6 +148,7 @@ def read_scene(run: RunRecord) -> RecordedScene:
             removable=tuple(f["name"] for f in fixtures if not f["built_in"] or f["name"] == "post"),
             glass=tuple(f["name"] for f in fixtures if not f["occludes"]),
             mesh_files={f["name"]: f["file"] for f in fixtures if f["shape"] == "mesh"},
+            as_hulls=tuple(f["name"] for f in fixtures if f["shape"] == "mesh" and f.get("collision") != "exact"),
         )
 
 
@@ -196,7 +207,7 @@ def _occluders(run: RunRecord, scene: RecordedScene, model: mujoco.MjModel) -> t
 
 
 def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = ()) -> World:
-    """The cell compiled anew, as it was checked or with something taken out.
+    """The cell compiled anew, as it was checked (but see `taken_as_triangles`) or with something taken out.
 
     Args:
         run: a run folder.
@@ -224,7 +235,7 @@ def _scene(run: RunRecord, without: Collection[str]) -> Scene:
             robot["pedestal_size_mm"] = pedestal["size_mm"][:2]
         content = {
             "clearance_mm": float(resolved["clearance_mm"]),
-            "plan": {"collision": resolved["plan"].get("collision", "hull")},
+            "plan": {"collision": "hull" if resolved["plan"].get("collision", "hull") == "hull" else "exact"},
             "robot": robot,
             "scanner": {"baseline_mm": float(resolved["scanner"].get("baseline_mm", 0.0))},
             "mount": _pose(T_flange_scanner),

@@ -75,6 +75,8 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         candidates = _as_executed(run_reader.candidates(run), plan.views)
         fails, blockers = _failing(run, plan, len(candidates))
         world = world_of(run, cell.reference)
+        for sentence in cell.scene.taken_as_triangles():
+            narrator.note(sentence)
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with narrator.stage("what stays open"):
         samples = held_out(cell.reference, cell.planning, int(run.manifest["seed"]), count)

@@ -16,11 +16,7 @@ from cell.world.possible import impossible
 
 Triple = tuple[float, float, float]
 
-_FIDELITY = {
-    "hull": "its convex hull (hull)",
-    "decomposed": "convex pieces that enclose it (decomposed)",
-    "exact": "its triangles (exact)",
-}
+_FIDELITY = {"hull": "its convex hull (hull)", "exact": "its triangles (exact)"}
 
 _GRID_DEG = 0.5  # of A2 and A3 in the envelope: the wrist's outline is then exact to 0.1 mm
 
@@ -65,7 +61,7 @@ class CheckResult:
         baseline_mm: from source to sensor.
         obstacles: names of everything that arm and tool keep clear of.
         clearance_mm: by how much.
-        collision: what stands for the part: hull, decomposed or exact.
+        collision: what stands for the part: hull or exact.
         guarded_pairs: pairs of shapes that are looked at.
     """
 

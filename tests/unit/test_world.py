@@ -14,6 +14,7 @@ from cell.scene.scene import Scene, pose
 from cell.world.files import write_mjcf
 from cell.world.model import World, compile_world
 from cell.world.possible import impossible, require_possible
+from cell.world.shapes import prepare_robot
 
 OFFSET = np.array([3.0, -2.0, 1.0])  # the object frame's origin is far from the part
 PART = np.array(trimesh.creation.icosphere(2, 0.1).vertices) * [1.0, 0.7, 1.5] + OFFSET
@@ -259,6 +260,14 @@ def test_a_scene_that_cannot_be_is_refused(tables: dict, words: list[str]) -> No
         require_possible(world)
     assert all(word in str(caught.value) for word in words), str(caught.value)
     assert impossible(world)
+
+
+def test_a_link_of_another_shape_than_box_and_cylinder_is_named() -> None:
+    """Their distance from triangles is all that is known."""
+    spec = robot.spec()
+    spec.geom("link_4_wrist").type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    with pytest.raises(SceneError, match="'link_4_wrist' is neither a box nor a cylinder"):
+        prepare_robot(spec)
 
 
 def test_the_baseline_must_be_known() -> None:
