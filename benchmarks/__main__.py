@@ -30,7 +30,7 @@ STUDIES = {
 REGISTRY = {
     **STUDIES,
     "kinematics": "inverse kinematics: poses per second beside the round-trip error",
-    "fidelity": "hull, convex pieces or triangles: contacts missed and false refusals beside time",
+    "fidelity": "hull or triangles: contacts missed and false refusals beside time",
     "collision": "collision checks per second beside disagreements with python-fcl",
     "fill": "seconds to fill the measurability matrix beside the error of predicted coverage",
     "candidates": "candidate generators: seconds, views and coverable area of the plan on every part",

@@ -30,7 +30,7 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import compile as compile_world
+from cell.world.model import compile_world
 from planner import cover
 from planner.cover import Cover
 from planner.measurability import coverage

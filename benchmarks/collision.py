@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from cell.part import workpiece
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 _COUNT = 20_000
 _COMPARED = 1_500

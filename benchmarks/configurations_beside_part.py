@@ -9,7 +9,7 @@ import numpy as np
 from cell.part.workpiece import Workpiece
 from cell.robot.kinematics import Kr16Kinematics
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
+from cell.world.model import World
 from planner.ports import Floats
 from planner.surface.mesh import face_normals
 

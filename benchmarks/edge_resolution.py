@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmarks.seeded_scenes import SeededCell, usable
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import compile as compile_world
+from cell.world.model import compile_world
 from planner.path.certified_edge import certify
 from planner.ports import Floats
 

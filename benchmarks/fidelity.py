@@ -1,10 +1,9 @@
-"""Hull, convex pieces or triangles: what each misses or refuses falsely against triangle-exact truth, and its time.
+"""Hull or triangles: what each misses or refuses falsely against triangle-exact truth, and its time.
 
 Configurations are joint solutions of candidate viewpoints (what `reach` asks about) and of random scanner poses close
 to the surface; kept are those at which nothing but the part can be too near. Truth is python-fcl on the part's true
 triangles: boxes as boxes, cylinders as the prism around and the prism inside them; the few that these two decide
-differently, or that lie within 10 um of the clearance, are left out. Times are processor times of one run; the first
-includes finding the pieces, without cache.
+differently, or that lie within 10 um of the clearance, are left out. Times are processor times of one run.
 """
 
 import tempfile
@@ -31,14 +30,13 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import Scene, load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import World, compile_world
 from cell.world.triangle_distance import BOX
-from cell.world.triangle_tree import TriangleTree
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.triangles import TriangleTree
 from planner.reach import reach
 from planner.surface.decimate import decimate
 
-FIDELITIES = ("hull", "decomposed", "exact")
+FIDELITIES = ("hull", "exact")
 _CANDIDATES, _NEAR = 250, 250  # configurations of each kind, per part
 _SIDES = 96
 _UNDECIDED = 1e-5  # m
@@ -140,9 +138,7 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
         table = scene.model_dump(exclude_unset=True)
         chosen = Scene.model_validate({**table, "plan": {**table.get("plan", {}), "collision": fidelity}})
         started = time.process_time()
-        worlds[fidelity] = world = compile_world(
-            chosen, mesh.vertices, part_faces=mesh.faces, baseline_mm=75.0, refuse=False, use_cache=False
-        )
+        worlds[fidelity] = world = compile_world(chosen, mesh.vertices, part_faces=mesh.faces, baseline_mm=75.0)
         setup = time.process_time() - started
         checker = MujocoCollisionChecker(world)
         checker.distance(world.home[None])
@@ -166,7 +162,6 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
             {
                 "part": name,
                 "collision": fidelity,
-                "shapes": world.entities.count("part"),
                 "configurations": len(q),
                 "truly free": int(truth.sum()),
                 "missed": int((free & ~truth).sum()),
@@ -248,15 +243,15 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    colours = {"hull": "#c4622d", "decomposed": "#8a9a5b", "exact": "#2a6f97"}
+    colours = {"hull": "#c4622d", "exact": "#2a6f97"}
     figure = Figure(figsize=(11, 3.9), dpi=120, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
     names = list(dict.fromkeys(row["part"] for row in rows if row["part"] != "all"))
     for k, fidelity in enumerate(FIDELITIES):
         of = {row["part"]: row for row in rows if row["collision"] == fidelity}
         shares = [100 * of[name]["refused falsely"] / max(1, of[name]["truly free"]) for name in names]
-        at = np.arange(len(names)) + 0.27 * (k - 1)
-        bars = left.bar(at, shares, 0.26, color=colours[fidelity], label=fidelity)
+        at = np.arange(len(names)) + 0.4 * (k - 0.5)
+        bars = left.bar(at, shares, 0.38, color=colours[fidelity], label=fidelity)
         left.bar_label(
             bars,
             [f"{share:.0f}" if share >= 0.5 else "0" if share == 0 else "<1" for share in shares],
@@ -265,7 +260,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
         )
         total = of["all"]
         blocked = total["configurations"] - total["truly free"]
-        row = 2 - k
+        row = 1 - k
         right.barh(row, total["us each"], 0.5, color=colours[fidelity])
         right.text(
             total["us each"] + 0.6, row,
@@ -277,7 +272,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     left.set_xticks(range(len(names)), names, rotation=20, ha="right", fontsize=8)
     left.set_title("free by the true triangles, and refused [%]", fontsize=10, loc="left")
     left.legend(frameon=False, fontsize=9)
-    right.set_yticks([2, 1, 0], FIDELITIES, fontsize=9)
+    right.set_yticks([1, 0], FIDELITIES, fontsize=9)
     right.set_title("time for a check near the part [us]", fontsize=10, loc="left")
     right.set_xlim(0, 2.1 * max(row["us each"] for row in rows if row["part"] == "all"))
     for axis in (left, right):

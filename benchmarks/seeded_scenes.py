@@ -17,8 +17,8 @@ from cell.part.workpiece import Workpiece
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
+from cell.world.possible import require_possible
 from planner.reach import reach
 from planner.reach.reach import Reach
 from planner.surface.decimate import decimate
@@ -72,6 +72,7 @@ def usable(number: int, least: int = 2) -> SeededCell:
         part, planning = _part(scene.part.name)
         try:
             world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=75.0)
+            require_possible(world)
         except SceneError:
             continue
         candidates = optimal_scanning_zone(planning, (_STANDOFF,), tuple(_ROLLS))

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from cell.world.world import World
+from cell.world.model import World
 from planner.surface.mesh import TriangleMesh
 
 Floats = NDArray[np.float64]
@@ -42,7 +42,9 @@ class TriangleCell:
             if name == "part":
                 mesh, T = trimesh.Trimesh(part.vertices, part.faces, process=False), world.T_base_object.copy()
             elif name in world.fixture_meshes:
-                raise ValueError("mesh fixtures are not part of the seeded scenes")
+                triangles, with_part = world.fixture_meshes[name], model.geom_bodyid[geom] != 0
+                mesh = trimesh.Trimesh(triangles.vertices, triangles.faces, process=False)
+                T = world.T_base_object.copy() if with_part else np.eye(4)
             else:
                 mesh, T = _mesh(int(model.geom_type[geom]), model.geom_size[geom], T)
             middle = mesh.bounds.mean(axis=0)
@@ -58,9 +60,7 @@ class TriangleCell:
             self._rest.append(T)
             self._link.append(int(name[5:]) if name.startswith("link_") else 6 if name in ("housing", "bracket") else 0)
         self._names = world.entities
-        part_geoms = [geom for geom, name in enumerate(world.entities) if name == "part"]
-        pairs = {tuple(part_geoms[0] if g in part_geoms else g for g in pair) for pair in world.pairs.tolist()}
-        self._pairs = sorted(pairs)
+        self._pairs = sorted(map(tuple, world.pairs.tolist()))
 
     def _places(self, q: Floats) -> Floats:
         """(N, shapes, 4, 4) poses at (N, 6) joint angles."""

@@ -1,4 +1,4 @@
-"""Where the program keeps what it can make again: matrices, pieces, results of studies, stand-ins, compiled kernels."""
+"""Where the program keeps what it can make again: matrices, results of studies, stand-ins."""
 
 import os
 import sys

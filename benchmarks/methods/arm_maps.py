@@ -16,8 +16,7 @@ from cell.robot import model as robot
 from cell.robot.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.path.certified_edge import certify, quantise
 from planner.path.path import connect
 from planner.ports import Floats

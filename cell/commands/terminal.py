@@ -37,6 +37,9 @@ class Terminal:
         """
         self._errors = Console(stderr=True, highlight=False)
         self._results = self._errors if quiet_stdout else Console(highlight=False)
+        compiling = logging.Handler()
+        compiling.emit = lambda record: self.error(f"note: {record.getMessage()}")  # type: ignore[method-assign]
+        logging.getLogger("planner.compiled").handlers = [compiling]
 
     @contextmanager
     def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:

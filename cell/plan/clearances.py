@@ -14,7 +14,7 @@ def clearance_of(measured: MotionClearance, motion: Motion, collision: str) -> C
     Args:
         measured: of the motion.
         motion: timed.
-        collision: what stood for the part: hull, decomposed or exact.
+        collision: what stood for the part: hull or exact.
     """
     tightest = measured.tightest
     return Clearance(

@@ -29,7 +29,7 @@ from cell.scene.resolve import Settings
 from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
-from cell.world.world import World
+from cell.world.model import World
 from planner.measurability.matrix import Measurability
 from planner.order.tour import Tour
 from planner.ports import Floats
@@ -256,10 +256,11 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
 
 def _fixture(fixture: Fixture, world: World) -> StandingFixture:
     if isinstance(fixture, BoxFixture | CylinderFixture):
-        size_mm, pose, file = list(fixture.size_mm), fixture.T, None
+        size_mm, pose, file, collision = list(fixture.size_mm), fixture.T, None, None
     else:  # its file holds the triangles where the scene's pose has put them
         sides = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
         size_mm, pose, file = [_mm(side) for side in sides], np.eye(4), fixture_file(fixture.name)
+        collision = world.scene.plan.collision
     return StandingFixture(
         name=fixture.name,
         shape=fixture.shape,
@@ -269,6 +270,7 @@ def _fixture(fixture: Fixture, world: World) -> StandingFixture:
         occludes=fixture.occludes,
         built_in=False,
         file=file,
+        collision=collision,
     )
 
 

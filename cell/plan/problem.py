@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cell.plan.request import Request
 from cell.rays.prediction import Prediction
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
+from cell.world.model import World
 from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits, Kinematics
 from planner.reach.reach import Reach

@@ -6,11 +6,7 @@ from cell.plan import request_report
 from cell.plan.clearances import tightest_sentence
 from cell.run.report_json import Report, ReportMotion, ReportSettings
 
-_PART = {
-    "hull": "its convex hull",
-    "decomposed": "convex pieces that enclose it",
-    "exact": "its triangles",
-}
+_PART = {"hull": "its convex hull", "exact": "its triangles"}
 
 
 def markdown(report: Report) -> str:

@@ -35,8 +35,8 @@ from cell.scene.scene import Scene
 from cell.world import clearance
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
+from cell.world.possible import require_possible
 from planner.measurability import matrix
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Scanner
@@ -132,11 +132,12 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
 
 def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
     """The cell as MuJoCo checks it."""
-    with run.step("compile the cell") as progress:
+    with run.step("compile the cell"):
         world = compile_world(
-            job.scene, surface.reference.vertices, part_faces=surface.reference.faces, use_cache=run.use_cache,
-            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner), progress=progress,
+            job.scene, surface.reference.vertices, part_faces=surface.reference.faces,
+            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
         )  # fmt: skip
+        require_possible(world)
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)

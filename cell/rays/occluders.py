@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.model import LINKS
-from cell.world.world import World
+from cell.world.model import World
 from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.values import Value, readonly

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import arm_triangles, caster_of
 from cell.rays.prediction import Prediction
-from cell.world.world import World
+from cell.world.model import World
 from planner.measurability.matrix import Measurability, measured
 from planner.ports import Floats, RayCaster, Scanner
 from planner.reach.reach import Reach

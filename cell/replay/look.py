@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def paint(spec: mujoco.MjSpec) -> None:
 
 
 def part_pieces(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
-    """The shapes that stand for the part: its hull, or its convex pieces."""
+    """The shapes that stand for the part: its hull, or its convex pieces in runs of earlier versions."""
     return [geom for geom in spec.body("object").geoms if _IS_PART.fullmatch(geom.name)]
 
 
@@ -114,23 +115,23 @@ def light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
     spec.stat.extent, spec.stat.center = 2.0, aim
 
 
-def show_surface(spec: mujoco.MjSpec, reference: TriangleMesh) -> None:
-    """The part's true surface in place of its hull."""
+def show_surface(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, hulls: Sequence[mujoco.MjsGeom]) -> None:
+    """A true surface, in the frame of the body that has the convex shapes, in place of these."""
     import mujoco
 
-    shown = decimate(reference, VIEW_FACES) if len(reference.faces) > VIEW_FACES else reference
-    add_mesh(spec, "surface", shown, smooth=True)
-    spec.body("object").add_geom(
-        name="surface",
+    shown = decimate(mesh, VIEW_FACES) if len(mesh.faces) > VIEW_FACES else mesh
+    add_mesh(spec, name, shown, smooth=True)
+    hulls[0].parent.add_geom(
+        name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname="surface",
-        material="surface",
+        meshname=name,
+        material=hulls[0].material,
         group=_VISUAL_GROUP,
         contype=0,
         conaffinity=0,
     )
-    for piece in part_pieces(spec):
-        piece.group = _HIDDEN_GROUP
+    for hull in hulls:
+        hull.group = _HIDDEN_GROUP
 
 
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, *, smooth: bool = False) -> None:

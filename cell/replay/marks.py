@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.replay.model import GLYPH_SHARE, Theatre
-from cell.world.shapes import KIND
 from planner.ports import Floats
 
 if TYPE_CHECKING:
@@ -146,7 +145,7 @@ def add_touches(scene: mujoco.MjvScene, found: Sequence[Touch]) -> None:
 def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
     """What is nearer than the clearance at the pose of `data`, nearest first; looks with the checked shapes.
 
-    Where the part was checked as its triangles, its hull in the model only finds the shapes to look at.
+    Of what was checked as its triangles, the hull in the model only finds the shapes to look at.
     """
     import mujoco
 
@@ -155,26 +154,17 @@ def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
     for contact in data.contact[: data.ncon]:
         names = " with ".join(theatre.entities[geom] for geom in sorted(contact.geom, reverse=True))
         distance, position = float(contact.dist), contact.pos
-        pieces = [theatre.entities[geom] for geom in contact.geom]
-        if theatre.part_tree is not None and "part" in pieces:
-            body = int(contact.geom[1 - pieces.index("part")])
-            distance, position = _from_triangles(theatre, data, body)
+        for geom, mesh in (contact.geom, contact.geom[::-1]):
+            if mesh in theatre.trees:
+                points = np.zeros((2, 3))
+                distance = theatre.trees[mesh].from_geom(
+                    theatre.model, data, geom, mesh, theatre.clearance, points=points
+                )
+                position = points.mean(axis=0)
         if distance < theatre.clearance and (names not in found or distance < found[names].distance):
             x, y, z = (float(value) for value in position)
             found[names] = Touch(names, distance, (x, y, z))
     return tuple(sorted(found.values(), key=lambda touch: touch.distance))
-
-
-def _from_triangles(theatre: Theatre, data: mujoco.MjData, geom: int) -> tuple[float, Floats]:
-    """Distance of a shape from the part's triangles [m], `clearance` where it is more, and the place between them."""
-    model, part = theatre.model, theatre.model.body("object").id
-    points = np.zeros((2, 3))
-    assert theatre.part_tree is not None
-    distance = theatre.part_tree.distance(
-        KIND[int(model.geom_type[geom])], model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom],
-        data.xpos[part], data.xmat[part], theatre.clearance, points=points,
-    )  # fmt: skip
-    return distance, points.mean(axis=0)
 
 
 def _geom(

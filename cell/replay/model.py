@@ -1,14 +1,14 @@
 """The model that is looked at: the checked cell of a run folder, dressed for the eye.
 
 Made from the run's `cell.xml`, whose shapes, poses, joints and collision pairs stay as they were checked: colours,
-light, floor pattern and sky are added, the part's true surface (`reference.ply`) stands where its hull stands, and all
-that is added takes no part in collisions. The part's hull moves to a hidden group (key 4 in the viewer shows it). World
-frame = base frame, metres.
+light, floor pattern and sky are added, the true surfaces of part (`reference.ply`) and mesh fixtures stand where their
+hulls stand, and all that is added takes no part in collisions. The hulls move to a hidden group (key 4 in the viewer
+shows it). World frame = base frame, metres.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ from cell.robot import model as robot
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene
+from cell.world.model import trees_of
 from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.values import readonly
@@ -28,7 +29,7 @@ from planner.values import readonly
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.triangle_tree import TriangleTree
+    from cell.world.triangles import TriangleTree
 
 _DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 POINTS_SHOWN = 6_000
@@ -55,7 +56,7 @@ class Theatre:
         cloud_mesh: number of the mesh of each scan's points, object frame, by scan; -1 for a scan without points.
         entities: for each geom, the name a reader knows ("link_4", "housing", "part").
         clearance: distance that a free configuration keeps [m].
-        part_tree: the part's triangles where it was checked as these; the model holds its hull then.
+        trees: true triangles by the geom whose hull is in the model, for what was checked as these.
     """
 
     model: mujoco.MjModel
@@ -70,7 +71,7 @@ class Theatre:
     cloud_mesh: tuple[int, ...]
     entities: tuple[str, ...]
     clearance: float
-    part_tree: TriangleTree | None = None
+    trees: Mapping[int, TriangleTree]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "home", readonly("home", self.home, (6,)))
@@ -114,7 +115,13 @@ def dress(
     paint(spec)
     light(spec, centre, size)
     radius = reference.diagonal / 2
-    show_surface(spec, reference)
+    show_surface(spec, "surface", reference, part_pieces(spec))
+    exact = [fixture for fixture in scene.fixtures if fixture.collision == "exact"]
+    checked = {fixture.name: run_reader.mesh(run, fixture.file) for fixture in exact if fixture.file is not None}
+    for name, mesh in checked.items():
+        show_surface(spec, f"{name}_surface", mesh, [spec.geom(name)])
+    if scene.plan.collision == "exact":
+        checked["part"] = reference
     add_mesh(spec, "frustum", corners)
     add_mesh(spec, "glyph", _pyramid(GLYPH_SHARE * corners.vertices[4:]))
     for number, points in enumerate(clouds):
@@ -136,7 +143,7 @@ def dress(
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
-        part_tree=_tree(reference) if scene.plan.collision == "exact" else None,
+        trees=trees_of(model, checked),
     )
 
 
@@ -165,12 +172,6 @@ def _pyramid(base: Floats) -> TriangleMesh:
     """Tip in the origin, over a base of four corners (4, 3)."""
     faces = [[0, 1 + (i + 1) % 4, 1 + i] for i in range(4)] + [[1, 2, 3], [1, 3, 4]]
     return TriangleMesh(np.concatenate([np.zeros((1, 3)), base]), np.array(faces))
-
-
-def _tree(part: TriangleMesh) -> TriangleTree:
-    from cell.world.triangle_tree import TriangleTree  # its kernels load numba
-
-    return TriangleTree(part)
 
 
 def _specks(points: Floats, size: float) -> TriangleMesh:

@@ -24,8 +24,7 @@ from cell.run.record import RunRecord, artefact, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
 from cell.scene.scene import Scene
 from cell.world import shapes
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.measurability.quality import Limited
 from planner.ports import Floats, Scanner
 from planner.surface.mesh import TriangleMesh
@@ -67,6 +66,16 @@ class RunCell:
         T_base_scanner = self.kinematics.forward(np.asarray(q)[None])[0] @ self.scene.T_flange_scanner
         T: Floats = np.linalg.inv(self.scene.T_base_object) @ T_base_scanner
         return T
+
+
+def taken_as_triangles(scene: ResolvedScene) -> list[str]:
+    """What `world_of` takes as its triangles and earlier versions checked otherwise: a sentence, or none."""
+    if scene.plan.collision == "hull":
+        return []
+    parts = ["the part as convex pieces"] if scene.plan.collision == "decomposed" else []
+    hulls = [fixture.name for fixture in scene.fixtures if fixture.file is not None and fixture.collision != "exact"]
+    parts += [f"the fixture '{name}' as its convex hull" for name in hulls]
+    return [f"the plan was checked with {' and '.join(parts)}; true triangles are taken here"] if parts else []
 
 
 def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
@@ -123,7 +132,7 @@ def _occluders(run: RunRecord, scene: ResolvedScene, model: mujoco.MjModel) -> t
 
 
 def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = ()) -> World:
-    """The cell compiled anew, as it was checked or with something taken out.
+    """The cell compiled anew, as it was checked (but see `taken_as_triangles`) or with something taken out.
 
     Args:
         run: a run folder.
@@ -133,7 +142,7 @@ def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = (
     Raises:
         FileError: if the run's files are damaged.
     """
-    return compile_world(_scene(run, without), part.vertices, part_faces=part.faces, refuse=False)
+    return compile_world(_scene(run, without), part.vertices, part_faces=part.faces)
 
 
 def _scene(run: RunRecord, without: Collection[str]) -> Scene:
@@ -147,7 +156,7 @@ def _scene(run: RunRecord, without: Collection[str]) -> Scene:
         return Scene.model_validate(
             {
                 "clearance_mm": resolved.clearance_mm,
-                "plan": {"collision": resolved.plan.collision},
+                "plan": {"collision": "hull" if resolved.plan.collision == "hull" else "exact"},
                 "robot": {
                     "home_deg": resolved.home_deg,
                     "pedestal_height_mm": 0.0 if pedestal is None else pedestal.size_mm[2],

@@ -42,6 +42,9 @@ class StandingFixture(JsonTable):
     occludes: bool = Field(description="whether it stands in the way of rays")
     built_in: bool = Field(description="whether it is post, pedestal or floor")
     file: str | None = optional("the triangles of a mesh, mm, in the frame that it is attached to")
+    collision: Literal["hull", "exact"] | None = optional(
+        "what a mesh was to the collision check: exactly its triangles, or its hull; older runs do not say it: its hull"
+    )
 
 
 class ResolvedPlan(PlanKeys):
@@ -49,7 +52,7 @@ class ResolvedPlan(PlanKeys):
 
     model_config = ConfigDict(extra="ignore", defer_build=True)
 
-    collision: Literal["hull", "decomposed", "exact"] = Field(
+    collision: Literal["hull", "decomposed", "exact"] = Field(  # type: ignore[assignment] # runs of earlier versions
         default="hull", description="what the part was to the collision check; older runs do not say it: its hull"
     )
     planning_faces: int | None = Field(default=None, description="of planning.ply, what came out for `faces`")

@@ -13,7 +13,7 @@ from cell.narrator import Narrator
 from cell.plant import factory
 from cell.run import process
 from cell.run import reader as run_reader
-from cell.run.cell import RunCell, read_cell
+from cell.run.cell import RunCell, read_cell, taken_as_triangles
 from cell.run.executions import RecordedExecution, read_execution
 from cell.run.record import RunRecord, open_finished, understood
 from cell.scan import driver as scan_driver
@@ -115,7 +115,7 @@ def resume(
                 _allowed_speed(driver, settled, cell, ask)
             state = safety.ready(driver, reset=settled.reset, stop_first=True)
             rest = rest_of(legs, done, state, run, motion, seed)
-            for sentence in _told(rest, len(done)):
+            for sentence in _told(rest, len(done), cell):
                 narrator.note(sentence)
             speed = _allowed_speed(driver, settled, cell, ask)  # whoever agrees has read which way the arm goes
             execute.require_drivable(rest.legs, driver, speed)
@@ -143,7 +143,7 @@ def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
 _NAMED = 10  # views named in a sentence
 
 
-def _told(rest: Rest, done: int) -> Iterator[str]:
+def _told(rest: Rest, done: int, cell: RunCell) -> Iterator[str]:
     """What a resumed execution is going to do."""
     left = ", ".join(str(stop) for stop in rest.stops[:_NAMED]) + (", ..." if len(rest.stops) > _NAMED else "")
     yield f"{done} views are scanned already; {len(rest.stops)} are left" + (f" ({left})" if left else "")
@@ -153,6 +153,7 @@ def _told(rest: Rest, done: int) -> Iterator[str]:
             f"the arm does not stand where the plan goes on; a new way to {goal} was planned: {len(rest.way.via) - 1} "  # type: ignore[arg-type]
             f"moves, nearest {1000 * rest.way.clearance:.1f} mm ({rest.way.between})"
         )
+        yield from taken_as_triangles(cell.scene)
 
 
 def _allowed_speed(driver: Driver, options: ScanOptions, cell: RunCell, ask: safety.Ask | None) -> float:

@@ -241,7 +241,7 @@ class CylinderFixture(_Fixture):
 
 
 class MeshFixture(_Fixture):
-    """A mesh file: its true triangles occlude, its convex hull collides."""
+    """A mesh file: its true triangles occlude, and collide unless `plan.collision` is "hull"."""
 
     shape: Literal["mesh"]
     path: str

@@ -24,8 +24,8 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
+from cell.world.possible import require_possible
 from planner import cover
 from planner.cover import Cover
 from planner.cover.most_coverage import most_coverage
@@ -128,7 +128,9 @@ class Bench:
         """The compiled cell; another placement needs no other."""
         baseline = scanners.baseline_mm(self.settings.scanner, self.scanner)
         part = self.part.reference
-        return compile_world(self.scene, part.vertices, part_faces=part.faces, baseline_mm=baseline)
+        world = compile_world(self.scene, part.vertices, part_faces=part.faces, baseline_mm=baseline)
+        require_possible(world)
+        return world
 
     @cached_property
     def kinematics(self) -> Kr16Kinematics:

@@ -18,7 +18,7 @@ from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run.cell import RunCell
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
+from cell.world.model import World
 from planner.measurability.quality import Limited
 from planner.ports import Floats, RayCaster, Scanner
 from planner.reach import reach

@@ -19,7 +19,7 @@ from cell.narrator import Narrator
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
-from cell.run.cell import read_cell, world_of
+from cell.run.cell import read_cell, taken_as_triangles, world_of
 from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import RunRecord, open_finished, understood
 from cell.why import files as why_files
@@ -75,6 +75,8 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         candidates = _as_executed(run_reader.candidates(run), plan.views)
         fails, blockers = _failing(run, plan, len(candidates))
         world = world_of(run, cell.reference)
+        for sentence in taken_as_triangles(cell.scene):
+            narrator.note(sentence)
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with narrator.stage("what stays open"):
         samples = held_out(cell.reference, cell.planning, int(run.manifest["seed"]), count)

@@ -8,20 +8,15 @@ import numpy as np
 from cell import scanners
 from cell.part import workpiece
 from cell.robot.model import AXES, Dimensions, dimensions
-from cell.scene.limits import impossible
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
+from cell.world.possible import impossible
 
 Triple = tuple[float, float, float]
 
-_FIDELITY = {
-    "hull": "its convex hull (hull)",
-    "decomposed": "convex pieces that enclose it (decomposed)",
-    "exact": "its triangles (exact)",
-}
+_FIDELITY = {"hull": "its convex hull (hull)", "exact": "its triangles (exact)"}
 
 _GRID_DEG = 0.5  # of A2 and A3 in the envelope: the wrist's outline is then exact to 0.1 mm
 
@@ -66,7 +61,7 @@ class CheckResult:
         baseline_mm: from source to sensor.
         obstacles: names of everything that arm and tool keep clear of.
         clearance_mm: by how much.
-        collision: what stands for the part: hull, decomposed or exact.
+        collision: what stands for the part: hull or exact.
         guarded_pairs: pairs of shapes that are looked at.
     """
 
@@ -143,9 +138,7 @@ def check_scene(scene: Scene) -> CheckResult:
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
     baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
-    world = compile_world(
-        scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm, refuse=False
-    )
+    world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm)
     checker = MujocoCollisionChecker(world)
     contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
     distance, nearest = checker.distance(world.home[None])

@@ -8,7 +8,7 @@ MuJoCo's box-box routine finds every overlap, but overlooks 1 in 200 pairs that 
 edge.
 
 Where the part is to be taken as its triangles (`plan.collision = "exact"`), its hull is in both models and only finds
-the pairs to look at; the distance from the triangles decides (`cell.world.triangle_tree`).
+the pairs to look at; the distance from the triangles decides (`cell.world.triangles`).
 
 So `free`, `contacts` and `distance` agree, and depend on the configuration alone.
 """
@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cell.world.model import World
 from cell.world.travel import TravelBound
-from cell.world.world import World
 from planner.errors import PlannerError
 
 if TYPE_CHECKING:

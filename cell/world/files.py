@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cell.world.model import World
 from cell.world.shapes import quaternion
-from cell.world.world import World
 from planner.values import readonly
 
 FILE_NAME = "cell.xml"

@@ -6,7 +6,7 @@ Which pairs are guarded, and why the others are not:
 | --- | --- |
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
 | link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 turns above both without ever coming down |
-| base with anything that stands still | no: neither moves; `cell.scene.limits` looks once, when the scene is built |
+| base with anything that stands still | no: neither moves; `cell.world.possible` looks once |
 | links among themselves | as models/kr16.xml says: neighbours share a bearing |
 | bracket, housing with base, link_1..link_3 | yes |
 | bracket, housing with link_4 | yes, unless they keep apart whatever A5 and A6 are |
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene
 from cell.world.solid_hull import solid_hull
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
     import mujoco
 
 Floats = NDArray[np.float64]
-
-KIND = {6: 0, 5: 1}
-"""MuJoCo's type of a moving shape to the kind of `cell.world.triangle_distance`; models/kr16.xml has no other."""
 
 POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""
@@ -60,7 +58,11 @@ _APART = 0.01  # m
 
 
 def prepare_robot(spec: mujoco.MjSpec) -> None:
-    """Let the links meet what the table of this module pairs them with."""
+    """Let the links meet what the table of this module pairs them with.
+
+    Raises:
+        SceneError: if a shape of a link is of a kind whose distance from triangles is not known.
+    """
     import mujoco
 
     # Only the pairs that the table above switches off are off: not what the engine takes for parent and child.
@@ -68,6 +70,8 @@ def prepare_robot(spec: mujoco.MjSpec) -> None:
     spec.modelname = "scan_cell"
     for link, meets in _LINK_MEETS.items():
         for geom in spec.body(link).geoms:
+            if geom.type not in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER):
+                raise SceneError(f"the robot model's shape '{geom.name}' is neither a box nor a cylinder; make it one")
             geom.conaffinity |= meets
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.robot.model import AXES
-from cell.world.world import World
+from cell.world.model import World
 
 if TYPE_CHECKING:
     import mujoco

@@ -10,7 +10,7 @@ is what is returned, so a walk that is cut short or stalls on a degenerate simpl
 nearest point of a simplex is looked for among all its faces: slower than Johnson's recursion by a little, and without
 its cases where cancelled digits choose the wrong face.
 
-`nearest_triangle` walks through the tree that `cell.world.triangle_tree` builds.
+`nearest_triangle` walks through the tree that `cell.world.triangles` builds.
 
 These are kernels: import this module only where they are used (`planner.compiled`). They are written number by number,
 because arrays made inside a kernel take most of its time, and array expressions most of the time to compile it. One

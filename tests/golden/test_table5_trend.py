@@ -7,7 +7,7 @@ from cell.part import workpiece
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import compile as compile_world
+from cell.world.model import compile_world
 from planner.reach import reach
 from planner.surface.decimate import decimate
 from planner.viewpoints.zone import optimal_scanning_zone

@@ -9,8 +9,7 @@ import trimesh
 from cell.scene.scene import Scene
 from cell.world.clearance import TOLERANCE, of_motion, tightest_at
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 _SAMPLES = 1500
 SHARE = 0.05  # of the distance, as the documentation promises
@@ -21,14 +20,19 @@ def _cup() -> trimesh.Trimesh:
     return trimesh.creation.revolve(np.array(outline), sections=40)
 
 
-@pytest.fixture(scope="module", params=["hull", "decomposed", "exact"])
-def world(request: pytest.FixtureRequest) -> World:
-    """A cup beside the robot, as each fidelity has it."""
-    cup = _cup()
-    scene = Scene.model_validate({"plan": {"collision": request.param}, "placement": {"position_mm": [1100, 300, 0]}})
-    return compile_world(
-        scene, cup.vertices, part_faces=np.array(cup.faces), baseline_mm=75.0, refuse=False, use_cache=False
-    )
+@pytest.fixture(scope="module", params=["hull", "exact", "base", "object"])
+def world(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> World:
+    """A cup beside the robot, as each fidelity has it, or as a mesh fixture, the part being a cube in it."""
+    cup, tables = _cup(), {"placement": {"position_mm": [1100, 300, 0]}, "plan": {"collision": "exact"}}
+    if request.param in ("base", "object"):
+        path = tmp_path_factory.mktemp("cup") / "cup.stl"
+        cup.apply_translation((0, 0, -0.15)).export(path)
+        fixture = {"name": "cup", "shape": "mesh", "path": str(path), "units": "m", "attached_to": request.param}
+        tables["fixtures"] = [fixture | ({} if request.param == "object" else tables["placement"])]
+        cup = trimesh.creation.box((0.05, 0.05, 0.05))
+    else:
+        tables["plan"] = {"collision": request.param}
+    return compile_world(Scene.model_validate(tables), cup.vertices, part_faces=np.array(cup.faces), baseline_mm=75.0)
 
 
 def _via() -> tuple[np.ndarray, np.ndarray]:

@@ -12,8 +12,7 @@ import trimesh
 
 from cell.scene.scene import Scene, pose
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 PART = np.array(trimesh.creation.icosphere(2, 0.12).vertices) * [1.0, 0.5, 1.3] + [0.4, 0.0, -0.2]
 REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)

@@ -17,8 +17,8 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world import triangle_distance as gjk
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.triangle_tree import TriangleTree
-from cell.world.world import compile as compile_world
+from cell.world.model import compile_world
+from cell.world.triangles import TriangleTree
 from planner.path.path import connect
 from planner.surface.mesh import TriangleMesh
 

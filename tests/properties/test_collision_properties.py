@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from cell.scene.scene import Scene, pose
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 
 PART = np.array(trimesh.creation.icosphere(3, 0.12).vertices) * [1.0, 0.6, 1.4]
 ANGLE = st.floats(-180, 180)
@@ -42,7 +41,7 @@ def test_a_new_placement_is_a_recompiled_model(world: World, place: tuple, abc: 
     """Moving the mocap bodies gives the verdicts and distances of a model compiled for that placement."""
     T = world.placed(pose(place, abc))
     scene = Scene.model_validate({"placement": {"position_mm": place, "abc_deg": abc}})
-    recompiled = MujocoCollisionChecker(compile_world(scene, PART, baseline_mm=75.0, refuse=False))
+    recompiled = MujocoCollisionChecker(compile_world(scene, PART, baseline_mm=75.0))
     moved = MujocoCollisionChecker(world, T)
     q = _near_the_part(world, T, 120, seed=1)
     assert np.array_equal(moved.free(q), recompiled.free(q))
@@ -66,7 +65,7 @@ def test_a_fixture_never_frees_a_configuration(
     """More obstacles: a subset of the free configurations, and no distance grows."""
     fixture = {"name": "f", "shape": shape, "size_mm": size if shape == "box" else size[:2],
                "position_mm": place, "abc_deg": abc, "attached_to": attached_to}  # fmt: skip
-    crowded = compile_world(Scene.model_validate({"fixtures": [fixture]}), PART, baseline_mm=75.0, refuse=False)
+    crowded = compile_world(Scene.model_validate({"fixtures": [fixture]}), PART, baseline_mm=75.0)
     q = np.random.default_rng(3).uniform(world.limits.lower, world.limits.upper, (1500, 6))
     before, after = MujocoCollisionChecker(world), MujocoCollisionChecker(crowded)
     assert not (after.free(q) & ~before.free(q)).any()

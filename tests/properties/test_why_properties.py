@@ -20,8 +20,7 @@ from cell.scene.scene import Scene, load_scene
 from cell.why import explain as why
 from cell.why import files as why_files
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.measurability import coverage
 from planner.reach import reach
 from planner.viewpoints.viewpoints import Viewpoints

@@ -1,4 +1,4 @@
-"""Parts on which hull, pieces and triangles differ, or on which a decomposition may fail, by name."""
+"""Parts on which hull and triangles differ, or on which a tree of triangles may fail, by name."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -11,13 +11,12 @@ import trimesh
 from cell.errors import SceneError
 from cell.replay.marks import touches
 from cell.robot.kinematics import Kr16Kinematics
-from cell.scene.limits import impossible
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
+from cell.world.possible import impossible
 
-FIDELITIES = ("hull", "decomposed", "exact")
+FIDELITIES = ("hull", "exact")
 PLACE_MM = (1100.0, 0.0, -100.0)
 
 
@@ -25,9 +24,7 @@ def _world(mesh: trimesh.Trimesh, collision: str, **tables: object) -> World:
     scene = Scene.model_validate(
         {"plan": {"collision": collision}, "placement": {"position_mm": PLACE_MM}, "post": {"enabled": False}} | tables
     )
-    return compile_world(
-        scene, mesh.vertices, part_faces=np.array(mesh.faces), baseline_mm=75.0, refuse=False, use_cache=False
-    )
+    return compile_world(scene, mesh.vertices, part_faces=np.array(mesh.faces), baseline_mm=75.0)
 
 
 def _bucket() -> trimesh.Trimesh:
@@ -53,8 +50,8 @@ def buckets() -> dict[str, World]:
     return {collision: _world(_bucket(), collision) for collision in FIDELITIES}
 
 
-def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_pieces_and_triangles(buckets: dict[str, World]) -> None:
-    """The scanner looks from 120 mm below the rim; at 60 mm beside the wall none of them lets it."""
+def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_the_triangles(buckets: dict[str, World]) -> None:
+    """The scanner looks from 120 mm below the rim; at 60 mm beside the wall neither lets it."""
     verdicts = {}
     for collision, world in buckets.items():
         q = _looking_down(world, 0.12)
@@ -66,13 +63,11 @@ def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_pieces_and_triangles(bu
         shifted = MujocoCollisionChecker(world, world.T_base_object + np.outer([0.2, 0, 0, 0], [0, 0, 0, 1]))
         assert not shifted.free(q).any()
     assert not verdicts["hull"].any()
-    assert verdicts["decomposed"].any()
     assert verdicts["exact"].any()
-    assert (verdicts["exact"] | ~verdicts["decomposed"]).all()
 
 
-def test_distances_grow_from_hull_to_pieces_to_triangles(buckets: dict[str, World]) -> None:
-    """Each encloses the next, so it is nowhere farther; configurations in and about the bucket."""
+def test_distances_grow_from_hull_to_triangles(buckets: dict[str, World]) -> None:
+    """The hull encloses the triangles, so it is nowhere farther; configurations in and about the bucket."""
     rng = np.random.default_rng(0)
     base = np.concatenate([_looking_down(buckets["hull"], depth) for depth in (-0.1, 0.0, 0.1, 0.2)])
     q = np.clip(
@@ -80,8 +75,7 @@ def test_distances_grow_from_hull_to_pieces_to_triangles(buckets: dict[str, Worl
         buckets["hull"].limits.lower, buckets["hull"].limits.upper,
     )  # fmt: skip
     by = {name: np.maximum(MujocoCollisionChecker(world).distance(q)[0], 0.0) for name, world in buckets.items()}
-    assert (by["hull"] <= by["decomposed"] + 1e-6).all()
-    assert (by["decomposed"] <= by["exact"] + 1e-6).all()
+    assert (by["hull"] <= by["exact"] + 1e-6).all()
     assert (by["exact"] > by["hull"] + 0.005).any()
 
 
@@ -108,11 +102,9 @@ def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict
     data = world.data()
     data.qpos[:] = q
     mujoco.mj_kinematics(world.model, data)
-    theatre = SimpleNamespace(
-        model=world.model, entities=world.entities, clearance=world.clearance, part_tree=world.part_tree
-    )
+    theatre = SimpleNamespace(model=world.model, entities=world.entities, clearance=world.clearance, trees=world.trees)
     assert touches(theatre, data) == ()
-    theatre.part_tree = None
+    theatre.trees = {}
     assert any("part" in touch.names for touch in touches(theatre, data))
 
 
@@ -185,12 +177,14 @@ def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it
 def test_vertices_alone_are_taken_as_their_hull() -> None:
     """There are no triangles to be exact about, and the world says so."""
     ball = trimesh.creation.icosphere(2, 0.1)
-    assert compile_world(Scene(), ball.vertices, baseline_mm=75.0, refuse=False).collision == "hull"
+    assert compile_world(Scene(), ball.vertices, baseline_mm=75.0).collision == "hull"
 
 
 def test_a_fidelity_that_does_not_exist_is_named() -> None:
     """With what there is; and a part without a finite vertex is refused before its triangles are looked at."""
-    with pytest.raises(ValueError, match="'hull', 'decomposed' or 'exact'"):
+    with pytest.raises(ValueError, match="'hull' or 'exact'"):
         Scene.model_validate({"plan": {"collision": "convex"}})
+    with pytest.raises(ValueError, match=r"'decomposed', which is gone.*choose 'exact'"):
+        Scene.model_validate({"plan": {"collision": "decomposed"}})
     with pytest.raises(SceneError, match="no finite vertices"):
         _world(trimesh.Trimesh([[np.nan] * 3] * 3, [[0, 1, 2]], process=False), "exact")

@@ -8,8 +8,7 @@ import pytest
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.order.tour import DropReason, plan_motion
 from planner.order.visits import Visits
 from planner.path.certified_edge import STEP, along, certify, quantise

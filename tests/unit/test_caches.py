@@ -11,12 +11,12 @@ from cell import caches
 @pytest.mark.parametrize(
     ("platform", "environment", "below"),
     [
-        ("linux", {}, ".cache/scan-cell/pieces"),
-        ("darwin", {}, "Library/Caches/scan-cell/pieces"),
-        ("win32", {}, "AppData/Local/scan-cell/pieces"),
-        ("win32", {"LOCALAPPDATA": "{home}/elsewhere"}, "elsewhere/scan-cell/pieces"),
-        ("linux", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/pieces"),
-        ("win32", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/pieces"),
+        ("linux", {}, ".cache/scan-cell/matrices"),
+        ("darwin", {}, "Library/Caches/scan-cell/matrices"),
+        ("win32", {}, "AppData/Local/scan-cell/matrices"),
+        ("win32", {"LOCALAPPDATA": "{home}/elsewhere"}, "elsewhere/scan-cell/matrices"),
+        ("linux", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/matrices"),
+        ("win32", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/matrices"),
     ],
 )
 def test_the_folder_is_where_the_system_keeps_caches_unless_named(platform, environment, below, tmp_path, monkeypatch):
@@ -27,4 +27,4 @@ def test_the_folder_is_where_the_system_keeps_caches_unless_named(platform, envi
         monkeypatch.delenv(name, raising=False)
     for name, value in environment.items():
         monkeypatch.setenv(name, value.format(home=tmp_path))
-    assert caches.folder("pieces") == tmp_path / below
+    assert caches.folder("matrices") == tmp_path / below

@@ -7,8 +7,7 @@ import trimesh
 
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.errors import PlannerError
 
 PART = np.array(trimesh.creation.icosphere(3, 0.12).vertices)

@@ -1,9 +1,12 @@
 """The scene of a run folder read back: what stands between scanner and part is what stood there in the plan."""
 
+import json
+import shutil
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -12,14 +15,15 @@ from cell.errors import FileError, UsageError
 from cell.part import workpiece
 from cell.plan import files as plan_files
 from cell.rays.occluders import occluder_triangles
-from cell.run.cell import read_cell
+from cell.replay.model import dress
+from cell.run import reader as run_reader
+from cell.run.cell import read_cell, taken_as_triangles, world_of
 from cell.run.folder import RunFolder
 from cell.run.record import RunRecord, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.surface.decimate import decimate
 
 SCENE = """
@@ -93,8 +97,6 @@ def test_scanner_and_poses_are_the_plans(written: tuple[RunRecord, World]) -> No
     run, world = written
     scene = read_cell(run)
     assert scene.scanner.parameters() == scene.scanner_keys.as_json()
-    import mujoco
-
     q = world.home + 0.2
     data = world.data()
     data.qpos[:] = q
@@ -116,11 +118,71 @@ def test_the_resolution_can_be_another(written: tuple[RunRecord, World]) -> None
 
 def test_a_changed_cell_is_refused(written: tuple[RunRecord, World], tmp_path: Path) -> None:
     """An edited cell.xml is not what was checked."""
-    import shutil
-
     copy = tmp_path / "run"
     shutil.copytree(written[0].folder, copy)
     text = (copy / "cell.xml").read_text()
     (copy / "cell.xml").write_text(text.replace("scan_cell", "scam_cell"))
     with pytest.raises(FileError, match="changed or damaged"):
         read_cell(open_run(copy))
+
+
+def _as_earlier(run: RunRecord, to: Path, collision: str) -> RunRecord:
+    """A copy as written by a version that took mesh fixtures as their hulls."""
+    copy = Path(shutil.copytree(run.folder, to))
+    resolved = json.loads((copy / "scene.resolved.json").read_text())
+    resolved["plan"]["collision"] = collision
+    for fixture in resolved["fixtures"]:
+        fixture.pop("collision", None)
+    (copy / "scene.resolved.json").write_text(json.dumps(resolved))
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["artefacts"].pop("scene.resolved.json")
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    return open_run(copy)
+
+
+@pytest.mark.parametrize(
+    ("collision", "triangles", "said"),
+    [
+        ("decomposed", {"part", "horn"}, "the part as convex pieces and the fixture 'horn' as its convex hull; true"),
+        ("exact", {"part", "horn"}, "checked with the fixture 'horn' as its convex hull; true triangles are taken"),
+        ("hull", set(), None),
+    ],
+)
+def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said(
+    written: tuple[RunRecord, World], tmp_path: Path, collision: str, triangles: set[str], said: str | None
+) -> None:
+    """Convex pieces and hulls of mesh fixtures are gone; a run by hulls stays one. Replay judges as it was checked."""
+    earlier = _as_earlier(written[0], tmp_path / "run", collision)
+    part, scene = run_reader.mesh(earlier, "reference.ply"), run_reader.scene(earlier)
+    again = world_of(earlier, part)
+    assert {again.entities[geom] for geom in again.trees} == triangles
+    assert (said is None) == (taken_as_triangles(scene) == [])
+    assert all(said in sentence for sentence in taken_as_triangles(scene) if said)
+    theatre = dress(earlier, scene, part)
+    assert {theatre.entities[geom] for geom in theatre.trees} == ({"part"} if collision == "exact" else set())
+    assert "horn_surface" not in theatre.entities
+
+
+def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tuple[RunRecord, World]) -> None:
+    """And judged by these, in the frame of the body that it is attached to."""
+    run, world = written
+    part, scene = run_reader.mesh(run, "reference.ply"), run_reader.scene(run)
+    again = world_of(run, part)
+    assert {world.entities[geom] for geom in world.trees} == {"horn"}  # compiled from the part's vertices alone
+    assert {again.entities[geom] for geom in again.trees} == {"part", "horn"}
+    assert taken_as_triangles(scene) == []
+    theatre = dress(run, scene, part)
+    assert {theatre.entities[geom] for geom in theatre.trees} == {"part", "horn"}
+    assert theatre.model.geom("horn_surface").bodyid == theatre.model.geom("horn").bodyid
+    np.testing.assert_allclose(_extent(theatre.model, "horn_surface"), _extent(theatre.model, "horn"), atol=1e-6)
+
+
+def _extent(model: mujoco.MjModel, name: str) -> np.ndarray:
+    """Lowest and highest corner of a geom's mesh in the frame of its body."""
+    geom = model.geom(name)
+    mesh = model.mesh(geom.dataid[0])
+    vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
+    R = np.empty(9)
+    mujoco.mju_quat2Mat(R, geom.quat)
+    placed = vertices @ R.reshape(3, 3).T + geom.pos
+    return np.stack([placed.min(axis=0), placed.max(axis=0)])

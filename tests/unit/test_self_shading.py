@@ -11,8 +11,7 @@ from cell.rays.self_shading import SHADED_SHARE, Look, OwnArm, visible_with_arm
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import Scene
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
 from planner.measurability.matrix import Measurability, fill
 from planner.reach.reach import Reach, Verdict
 from planner.surface.mesh import TriangleMesh

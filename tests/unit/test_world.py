@@ -10,11 +10,11 @@ import trimesh
 from cell.errors import SceneError
 from cell.rays.occluders import Occluder, arm_triangles, occluder_triangles
 from cell.robot import model as robot
-from cell.scene.limits import impossible
 from cell.scene.scene import Scene, pose
 from cell.world.files import write_mjcf
-from cell.world.world import World
-from cell.world.world import compile as compile_world
+from cell.world.model import World, compile_world
+from cell.world.possible import impossible, require_possible
+from cell.world.shapes import prepare_robot
 
 OFFSET = np.array([3.0, -2.0, 1.0])  # the object frame's origin is far from the part
 PART = np.array(trimesh.creation.icosphere(2, 0.1).vertices) * [1.0, 0.7, 1.5] + OFFSET
@@ -150,7 +150,7 @@ def test_the_housing_is_guarded_against_the_hand_where_the_mount_lets_them_meet(
     """A scanner folded back over the hand meets link_5; the default one never does and is not looked at."""
 
     def guards_hand(mount: dict) -> bool:
-        world = compile_world(_scene(mount=mount), PART, baseline_mm=75.0, refuse=False)
+        world = compile_world(_scene(mount=mount), PART, baseline_mm=75.0)
         return any({world.entities[a], world.entities[b]} == {"housing", "link_5"} for a, b in world.pairs)
 
     assert not guards_hand({})
@@ -255,10 +255,19 @@ def test_the_arm_s_triangles_are_its_shapes_without_the_housing(world: World) ->
 )  # fmt: skip
 def test_a_scene_that_cannot_be_is_refused(tables: dict, words: list[str]) -> None:
     """One sentence that says what is wrong and what to change."""
+    world = compile_world(_scene(**tables), PART, baseline_mm=75.0)
     with pytest.raises(SceneError) as caught:
-        compile_world(_scene(**tables), PART, baseline_mm=75.0)
+        require_possible(world)
     assert all(word in str(caught.value) for word in words), str(caught.value)
-    assert impossible(compile_world(_scene(**tables), PART, baseline_mm=75.0, refuse=False))
+    assert impossible(world)
+
+
+def test_a_link_of_another_shape_than_box_and_cylinder_is_named() -> None:
+    """Their distance from triangles is all that is known."""
+    spec = robot.spec()
+    spec.geom("link_4_wrist").type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    with pytest.raises(SceneError, match="'link_4_wrist' is neither a box nor a cylinder"):
+        prepare_robot(spec)
 
 
 def test_the_baseline_must_be_known() -> None:

@@ -7,6 +7,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,14 +20,14 @@ from cell.robot import model as robot
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
-from planner.ports import JointLimits, Progress
+from planner.ports import JointLimits
 from planner.surface.mesh import TriangleMesh
 from planner.values import Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.triangle_tree import TriangleTree
+    from cell.world.triangles import TriangleTree
 
 Floats = NDArray[np.float64]
 
@@ -53,8 +54,9 @@ class World(Value):
         limits: of the axes, at full speed and acceleration.
         clearance: distance that a free configuration keeps [m].
         part_hull: convex hull of the part, object frame [m].
-        collision: what stands for the part: "hull", "decomposed" (convex pieces) or "exact" (its triangles).
-        part_tree: the part's triangles where collision is "exact"; its hull is in the model then, as a filter.
+        collision: what stands for the part: "hull" or "exact" (its triangles).
+        trees: true triangles that decide, by the geom whose hull in the model is only a filter then: the part and the
+            mesh fixtures where the scene's collision is "exact".
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
         entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
         pairs: (P, 2) geom ids of every guarded pair.
@@ -74,7 +76,7 @@ class World(Value):
     clearance: float
     part_hull: TriangleMesh
     collision: str
-    part_tree: TriangleTree | None
+    trees: Mapping[int, TriangleTree]
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
     pairs: Annotated[NDArray[np.int32], "P 2"]
@@ -126,7 +128,7 @@ class World(Value):
         any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:
-        """Distance of two geoms in a state of `model`, the part as `collision` says.
+        """Distance of two geoms in a state of `model`, of their triangles where `trees` has them.
 
         Args:
             data: kinematics up to date.
@@ -146,17 +148,13 @@ class World(Value):
         measured = float(mujoco.mj_geomDistance(self.model, data, a, b, reach, ends))
         if ends is not None and points is not None:
             points[:] = ends.reshape(2, 3)
-        part_first = self.entities[a] == "part"
-        if self.part_tree is None or measured >= reach or not (part_first or self.entities[b] == "part"):
+        mesh, shape = (a, b) if a in self.trees else (b, a)
+        if mesh not in self.trees or measured >= reach:
             return measured
-        body = b if part_first else a
-        part = int(self.model.geom_bodyid[a if part_first else b])
-        exact = self.part_tree.distance(
-            cell_shapes.KIND[int(self.model.geom_type[body])], self.model.geom_size[body], data.geom_xpos[body],
-            data.geom_xmat[body], data.xpos[part], data.xmat[part], max(reach, _APART),
-            any_nearer=any_nearer, points=points,
-        )  # fmt: skip
-        if points is not None and part_first:
+        exact = self.trees[mesh].from_geom(
+            self.model, data, shape, mesh, max(reach, _APART), any_nearer=any_nearer, points=points
+        )
+        if points is not None and mesh == a:
             points[:] = points[::-1].copy()
         # A surface has no depth: that of the hull stands for it.
         return min(exact, reach) if exact > 0 else min(exact, measured)
@@ -168,29 +166,23 @@ class World(Value):
         return f"{first} with {second}"
 
 
-def compile(  # noqa: A001 - the field's word; callers write world.compile
+def compile_world(
     scene: Scene,
     part_vertices: ArrayLike,
     *,
     part_faces: ArrayLike | None = None,
     baseline_mm: float | None = None,
-    refuse: bool = True,
-    use_cache: bool = True,
-    progress: Progress | None = None,
 ) -> World:
-    """Build and compile the model of a scene.
+    """Build and compile the model of a scene; whether the scene can be, `cell.world.possible` judges.
 
     Args:
         scene: what stands in the cell.
         part_vertices: (N, 3) vertices of the part, or of its convex hull [m], object frame.
-        part_faces: (F, 3) its triangles, for `plan.collision` other than "hull"; None makes the part its hull.
+        part_faces: (F, 3) its triangles, for `plan.collision = "exact"`; None makes the part its hull.
         baseline_mm: the scanner's baseline where the scene leaves it to the part; the housing is centred over it.
-        refuse: raise for a scene that cannot be (False: `cell check` lists what is wrong instead).
-        use_cache: whether convex pieces may be taken from and left in the cache.
-        progress: told about the pieces as they are found.
 
     Raises:
-        SceneError: if the part or a fixture has no solid, the baseline is not known, or the scene cannot be.
+        SceneError: if the part or a fixture has no solid, or the baseline is not known.
     """
     baseline = scene.scanner.baseline_mm if scene.scanner.baseline_mm is not None else baseline_mm
     if baseline is None:
@@ -198,7 +190,7 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
     vertices = np.asarray(part_vertices, dtype=np.float64)
     hull = solid_hull(vertices)
     collision = scene.plan.collision if part_faces is not None else "hull"
-    triangles = None if part_faces is None else TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))
+    part = {} if part_faces is None else {"part": TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))}
     T_object_centre = np.eye(4)
     T_object_centre[:3, 3] = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     T_flange_scanner = scene.mount.T
@@ -212,15 +204,7 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
     cell_shapes.add_ground(spec, scene)
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
     post_body = spec.worldbody.add_body(name="post", mocap=True)
-    pieces = [hull]
-    if triangles is not None and collision == "decomposed":
-        from cell.world.decomposition import enclosing_pieces
-
-        pieces = list(enclosing_pieces(triangles, use_cache=use_cache, progress=progress))
-    for number, piece in enumerate(pieces):
-        name = "part" if number == 0 else f"part_{number + 1}"
-        cell_shapes.add_mesh(spec, placed_body, name, piece)
-        entities[name] = "part"
+    cell_shapes.add_mesh(spec, placed_body, "part", hull)
     if scene.post.enabled:
         radius = scene.post.diameter_mm / 2000.0
         cell_shapes.add_cylinder(
@@ -236,7 +220,7 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
-    world = World(
+    return World(
         scene=scene,
         model=model,
         grown=_compiled(_grown(spec, scene.clearance_mm / 2000.0)),
@@ -253,22 +237,20 @@ def compile(  # noqa: A001 - the field's word; callers write world.compile
         clearance=scene.clearance_mm / 1000.0,
         part_hull=hull,
         collision=collision,
-        part_tree=_tree(triangles) if triangles is not None and collision == "exact" else None,
+        trees=trees_of(model, {**fixture_meshes, **part}) if scene.plan.collision == "exact" else {},
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         pairs=_guarded_pairs(model),
     )
-    if refuse:
-        from cell.scene.limits import require_possible
-
-        require_possible(world)
-    return world
 
 
-def _tree(triangles: TriangleMesh) -> TriangleTree:
-    from cell.world.triangle_tree import TriangleTree  # its kernels load numba
+def trees_of(model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh]) -> dict[int, TriangleTree]:
+    """True triangles in the frame of their body, by the geom of that name that stands for them in a model."""
+    if not meshes:
+        return {}
+    from cell.world.triangles import TriangleTree  # its kernels load numba
 
-    return TriangleTree(triangles)
+    return {model.geom(name).id: TriangleTree(mesh) for name, mesh in meshes.items()}
 
 
 def _require_new_names(scene: Scene, taken: set[str]) -> None:

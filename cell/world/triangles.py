@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.crossings import crossings
-from cell.world.decomposition import is_closed
-from cell.world.triangle_distance import nearest_triangle
+from cell.world.triangle_distance import BOX, CYLINDER, nearest_triangle
 from planner.surface.mesh import TriangleMesh
 
 if TYPE_CHECKING:
+    import mujoco
+
     from planner.ports import Floats
+
+_KIND = {6: BOX, 5: CYLINDER}  # by MuJoCo's type of a shape; models/kr16.xml, scanner and pedestal have no other
 
 _LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
 
@@ -32,7 +35,7 @@ class TriangleTree:
     """A mesh that answers how far it is from a body; never changed, so that checkers share it.
 
     Attributes:
-        closed: whether every edge joins two faces, so that there is an inside.
+        closed: whether every edge joins two faces, or four where bodies meet, so that there is an inside.
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:
@@ -60,6 +63,34 @@ class TriangleTree:
         bounds[0] = bounds[1]
         self._bounds: Floats = bounds
         self.closed = is_closed(mesh)
+
+    def from_geom(
+        self,
+        model: "mujoco.MjModel",
+        data: "mujoco.MjData",
+        geom: int,
+        mesh: int,
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: "Floats | None" = None,
+    ) -> float:
+        """Distance of a shape of a model from the triangles, where another geom has them; see `distance`.
+
+        Args:
+            model: that the geoms are of.
+            data: its state, kinematics up to date.
+            geom: a box or a cylinder.
+            mesh: the geom that stands for the triangles, which are in the frame of its body.
+            reach: nothing beyond is looked for [m].
+            any_nearer: stop at the first triangle nearer than `reach`.
+            points: (2, 3) is overwritten with the nearest points of shape and triangles, base frame [m].
+        """
+        body = int(model.geom_bodyid[mesh])
+        return self.distance(
+            _KIND[int(model.geom_type[geom])], model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom],
+            data.xpos[body], data.xmat[body], reach, any_nearer=any_nearer, points=points,
+        )  # fmt: skip
 
     def distance(
         self,
@@ -107,6 +138,15 @@ class TriangleTree:
             return False
         odd = [crossings(local, ray, self._triangles, self._first, self._bounds) % 2 for ray in _RAYS]
         return sum(odd) >= 2
+
+
+def is_closed(mesh: TriangleMesh) -> bool:
+    """Whether every edge of a mesh is shared by an even number of faces, so that a ray tells inside from outside."""
+    faces = mesh.faces.astype(np.int64)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]  # of faces that are collapsed to a line
+    counts = np.unique(edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1], return_counts=True)[1]
+    return bool((counts % 2 == 0).all())
 
 
 def _morton(points: "Floats") -> NDArray[np.uint64]:

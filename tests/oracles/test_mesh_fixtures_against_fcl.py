@@ -1,0 +1,194 @@
+"""Mesh fixtures collide as their triangles: a U-shaped bracket judged by python-fcl on the same triangles.
+
+Boxes are fcl's own; cylinders lie between the prism around and the prism inside them, and what these two decide
+differently, or lies within 10 um of the clearance, is left out.
+"""
+
+from pathlib import Path
+
+import fcl
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.triangle_cell import TriangleCell
+from cell.rays.occluders import occluder_triangles
+from cell.robot.frames import pose_from_kuka_abc
+from cell.robot.kinematics import Kr16Kinematics
+from cell.scene.scene import Scene
+from cell.world.clearance import of_motion
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import World, compile_world
+from cell.world.possible import impossible
+from planner.path.path import connect
+from planner.ports import Floats
+from planner.reach import reach
+from planner.surface.mesh import TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints
+
+MIDDLE = np.array([1.2, 0.1, 0.1])
+ABC_DEG = (25.0, 10.0, -5.0)
+R = pose_from_kuka_abc(np.zeros(3), np.radians(ABC_DEG))[:3, :3]
+ABOVE = 0.35  # m, the bracket over the part
+UNDECIDED = 1e-5  # m
+SIDES = 96
+PART = trimesh.creation.box((0.1, 0.1, 0.1))
+
+
+def _bracket() -> trimesh.Trimesh:
+    """A floor and two walls of 20 mm, 620 mm apart, open above and to two sides [mm]; welded where they meet."""
+    floor = trimesh.creation.box((660, 400, 20)).apply_translation((0, 0, -190))
+    walls = [trimesh.creation.box((20, 400, 360)).apply_translation((x, 0, 0)) for x in (-320, 320)]
+    return trimesh.util.concatenate([floor, *walls]).subdivide().subdivide()
+
+
+def _world(path: Path, attached_to: str | None, collision: str) -> World:
+    """The part under the bracket, which stands at one place whatever it is attached to; None: no bracket."""
+    bracket = {"name": "bracket U", "shape": "mesh", "path": str(path), "units": "mm", "attached_to": attached_to,
+               "position_mm": [0.0, 0.0, 1000 * ABOVE] if attached_to == "object" else (1000 * MIDDLE).tolist(),
+               "abc_deg": [0.0] * 3 if attached_to == "object" else ABC_DEG}  # fmt: skip
+    scene = Scene.model_validate(
+        {
+            "placement": {"position_mm": (1000 * (MIDDLE - ABOVE * R[:, 2])).tolist(), "abc_deg": ABC_DEG},
+            "post": {"enabled": False},
+            "plan": {"collision": collision},
+            "fixtures": [] if attached_to is None else [bracket],
+        }
+    )
+    return compile_world(scene, PART.vertices, part_faces=np.array(PART.faces), baseline_mm=75.0)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bracket's file."""
+    file = tmp_path_factory.mktemp("fixture") / "bracket.stl"
+    _bracket().export(file)
+    return file
+
+
+@pytest.fixture(scope="module", params=["base", "object"])
+def worlds(request: pytest.FixtureRequest, path: Path) -> dict[str, World]:
+    """The bracket attached to base or to the part, as hull and as triangles."""
+    return {name: _world(path, request.param, name) for name in ("hull", "exact")}
+
+
+def _solutions(world: World, T_base_scanner: Floats) -> Floats:
+    q = Kr16Kinematics.from_model(world.model).inverse(T_base_scanner @ np.linalg.inv(world.T_flange_scanner))
+    q = q.reshape(-1, 6)
+    q = q[np.isfinite(q).all(axis=1)]
+    return np.asarray(q[((q >= world.limits.lower) & (q <= world.limits.upper)).all(axis=1)])
+
+
+def _scanner_poses(count: int, rng: np.random.Generator) -> Floats:
+    """(count, 4, 4) the scanner in and about the bracket, looking down more or less."""
+    T = np.tile(np.eye(4), (count, 1, 1))
+    for pose in T:
+        z = np.array([0.0, 0.0, -1.0]) + rng.normal(0, 0.5, 3)
+        z /= np.linalg.norm(z)
+        x = np.cross(rng.normal(size=3), z)
+        x /= np.linalg.norm(x)
+        pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+        pose[:3, 3] = MIDDLE + rng.uniform((-0.35, -0.35, -0.15), (0.35, 0.35, 0.4))
+    return T
+
+
+def _bvh(vertices: Floats, faces: np.ndarray) -> fcl.BVHModel:
+    model = fcl.BVHModel()
+    model.beginModel(len(vertices), len(faces))
+    model.addSubModel(np.array(vertices), np.array(faces))
+    model.endModel()
+    return model
+
+
+def _gaps(world: World, q: Floats) -> Floats:
+    """(N, 2) distance of the nearest moving shape from the bracket [m]: at least, at most."""
+    placed = next(o for o in occluder_triangles(world, frame="base") if o.name == "bracket U")
+    bracket = fcl.CollisionObject(_bvh(placed.vertices, placed.faces))
+    model, data = world.model, world.data()
+    fixture = model.geom("bracket U").id
+    shapes = {}
+    for geom in {int(g) for pair in world.pairs.tolist() if fixture in pair for g in pair} - {fixture}:
+        size = model.geom_size[geom]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+            shapes[geom] = [fcl.CollisionObject(fcl.Box(*(2 * size)))] * 2
+        else:
+            prisms = [
+                trimesh.creation.cylinder(r, 2 * size[1], sections=SIDES)
+                for r in (size[0] / np.cos(np.pi / SIDES), size[0])
+            ]
+            shapes[geom] = [fcl.CollisionObject(_bvh(prism.vertices, prism.faces)) for prism in prisms]
+    found = np.full((len(q), 2), 1.0)
+    reach = float(np.linalg.norm(placed.vertices - MIDDLE, axis=1).max())
+    for k, configuration in enumerate(q):
+        data.qpos[:] = configuration
+        mujoco.mj_kinematics(model, data)
+        for geom, pair in shapes.items():
+            position, turn = data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy()
+            if np.linalg.norm(position - MIDDLE) - model.geom_rbound[geom] - reach > 2 * world.clearance:
+                continue
+            for side, shape in enumerate(pair):
+                shape.setTransform(fcl.Transform(turn, position))
+                gap = 0.0 if fcl.collide(shape, bracket) else fcl.distance(shape, bracket)
+                found[k, side] = min(found[k, side], gap)
+    return found
+
+
+def test_no_contact_is_missed_and_nothing_is_refused_falsely(worlds: dict[str, World], path: Path) -> None:
+    """Thousands of configurations in and about the bracket, clear of everything else; its hull refuses many of them."""
+    world = worlds["exact"]
+    q = _solutions(world, _scanner_poses(1000, np.random.default_rng(0)))
+    q = q[MujocoCollisionChecker(_world(path, None, "exact")).free(q)][:1500]
+    low, high = _gaps(world, q).T
+    free, blocked = low >= world.clearance + UNDECIDED, high < world.clearance - UNDECIDED
+    assert (free | blocked).mean() > 0.98
+    assert free.sum() > 400
+    assert blocked.sum() > 400
+    judged = MujocoCollisionChecker(world).free(q)
+    assert (judged & blocked).sum() == 0
+    assert (~judged & free).sum() == 0
+    of_hull = MujocoCollisionChecker(worlds["hull"]).free(q)
+    assert (of_hull & blocked).sum() == 0
+    assert (~of_hull & free).sum() > 200
+
+
+def test_a_view_in_the_bracket_is_reached_on_a_way_that_touches_nothing(worlds: dict[str, World]) -> None:
+    """Reach, path and clearance of a view that the hull refuses; python-fcl on all triangles along the way there."""
+    T = np.eye(4)
+    T[:3, :3] = R @ np.diag([1.0, -1.0, -1.0])
+    T[:3, 3] = MIDDLE + T[:3, :3] @ np.array([0.0, 0.0, -0.09])
+    found = {}
+    for name, world in worlds.items():
+        one = Viewpoints(np.linalg.inv(world.T_base_object) @ T[None, None], np.zeros(1), np.full(1, 0.3), np.zeros(1))
+        found[name] = reach.solve(
+            one, world.T_base_object, world.T_flange_scanner, Kr16Kinematics.from_model(world.model),
+            MujocoCollisionChecker(world),
+        )  # fmt: skip
+    assert not found["hull"].reachable.any()
+    assert found["hull"].blocker[0].endswith("with bracket U")
+    assert found["exact"].reachable.all()
+    world = worlds["exact"]
+    assert impossible(world) == []
+    checker = MujocoCollisionChecker(world)
+    way = connect(world.home, found["exact"].q[0], checker, world.limits, np.random.default_rng(0))
+    assert way.via is not None
+    measured = of_motion(checker, way.via, np.zeros(len(way.via), dtype=int), 1)
+    assert measured.at_least[0] > 0
+    judge = TriangleCell(world, TriangleMesh(np.array(PART.vertices), np.array(PART.faces, dtype=np.int32)))
+    dense = np.concatenate([np.linspace(a, b, 400) for a, b in zip(way.via[:-1], way.via[1:], strict=True)])
+    assert judge.contacts(dense) == {}
+    assert judge.nearest(dense) >= min(measured.distance[0], 0.05) - 1e-3
+
+
+def test_bodies_that_meet_along_an_edge_have_an_inside(tmp_path: Path) -> None:
+    """Two blocks that share an edge are solid: the housing inside one of them is in contact, touching no triangle."""
+    blocks = [trimesh.creation.box((900, 900, 900)).apply_translation((x, x, 0)) for x in (0, 900)]
+    file = tmp_path / "blocks.stl"
+    trimesh.util.concatenate(blocks).export(file)
+    fixture = {"name": "blocks", "shape": "mesh", "path": str(file), "units": "mm", "position_mm": [3000, 0, 1000]}
+    world = compile_world(Scene.model_validate({"fixtures": [fixture]}), PART.vertices, baseline_mm=75.0)
+    data, geom = world.data(), world.model.geom("blocks").id
+    housing = world.model.geom("housing").id
+    for shift, sign in ((0.0, -1), (0.9, -1), (-0.9, 1)):
+        data.geom_xpos[housing] = [3.0 + shift, shift, 1.0]
+        assert np.sign(world.distance(data, housing, geom, 1.0)) == sign

@@ -1,0 +1,44 @@
+"""Kernels are compiled once, and the person who waits for it is told."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import planner
+
+_CALL = """
+import numpy as np
+from cell.commands.terminal import Terminal
+Terminal()
+from cell.world.crossings import crossings
+first, bounds = np.array([0, 1]), np.zeros((2, 3, 3))
+crossings(np.zeros(3), np.ones(3), np.zeros((1, 3, 3)), first, bounds)
+"""
+
+
+def test_who_waits_for_a_kernel_to_be_compiled_is_told_once(tmp_path):
+    """A second process finds it compiled and says nothing; several kernels are one note."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run([sys.executable, "-c", _CALL], env=environment, check=True, capture_output=True).stderr
+        for _ in range(2)
+    ]
+    assert said[0].count(b"note: inner loops are compiled") == 1
+    assert said[1] == b""
+
+
+def test_a_kernel_calls_only_kernels_of_its_own_file():
+    """Numba would not notice that a kernel of another file has changed."""
+    root = Path(planner.__file__).parents[1]
+    kernels = {}
+    for folder in ("cell", "planner"):
+        for path in (root / folder).rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            if "\n@compiled\n" in text:
+                kernels[".".join(path.relative_to(root).with_suffix("").parts)] = ast.parse(text)
+    assert len(kernels) >= 6
+    for name, tree in kernels.items():
+        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        assert not imported & kernels.keys(), name
