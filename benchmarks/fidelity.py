@@ -37,6 +37,7 @@ from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.reach import reach
 from planner.surface.decimate import decimate
+from planner.values import Floats
 
 FIDELITIES = ("hull", "decomposed", "exact")
 _CANDIDATES, _NEAR = 250, 250  # configurations of each kind, per part
@@ -44,8 +45,6 @@ _SIDES = 96
 _UNDECIDED = 1e-5  # m
 _REPEATS = 3
 _TREE_POSES = 400
-
-Floats = NDArray[np.float64]
 
 
 def run() -> list[dict[str, Any]]:

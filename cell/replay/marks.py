@@ -15,7 +15,7 @@ import numpy as np
 
 from cell.replay.model import GLYPH_SHARE, Theatre
 from cell.world.shapes import KIND
-from planner.ports import Floats
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco

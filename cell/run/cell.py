@@ -27,8 +27,9 @@ from cell.world import shapes
 from cell.world.world import World
 from cell.world.world import compile as compile_world
 from planner.measurability.quality import Limited
-from planner.ports import Floats, Scanner
+from planner.ports import Scanner
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco

@@ -15,15 +15,13 @@ the number of triangles. Object frame, metres.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from cell.world import piece_cache
 from cell.world.solid_hull import solid_hull
 from planner.ports import Progress
 from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
-
-Floats = NDArray[np.float64]
+from planner.values import Floats
 
 TOLERANCE = 0.004
 """Cutting ends where no hull stands out farther from the surface than this [m]."""

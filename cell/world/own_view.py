@@ -3,7 +3,7 @@
 import numpy as np
 
 from cell.world.world import World
-from planner.ports import Floats
+from planner.values import Floats
 
 _GRID = 33  # rays per axis of the field of view, its edges included: 2 deg apart at 60 deg
 _SKIN = 1e-6  # m; a housing whose front face lies in the source's plane is not in the way

@@ -24,17 +24,16 @@ import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cell.robot import model as robot
 from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene
 from cell.world.solid_hull import solid_hull
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-Floats = NDArray[np.float64]
 
 KIND = {6: 0, 5: 1}
 """MuJoCo's type of a moving shape to the kind of `cell.world.triangle_distance`; models/kr16.xml has no other."""

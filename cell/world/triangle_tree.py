@@ -9,8 +9,6 @@ A surface has no depth: bodies that touch or cut it are 0 apart. Where the mesh 
 inside is found by counting crossings of a ray, and its distance is negative. Lengths in metres.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,9 +16,7 @@ from cell.world.crossings import crossings
 from cell.world.decomposition import is_closed
 from cell.world.triangle_distance import nearest_triangle
 from planner.surface.mesh import TriangleMesh
-
-if TYPE_CHECKING:
-    from planner.ports import Floats
+from planner.values import Floats
 
 _LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
 
@@ -64,15 +60,15 @@ class TriangleTree:
     def distance(
         self,
         kind: int,
-        size: "Floats",
-        position: "Floats",
-        rotation: "Floats",
-        part_position: "Floats",
-        part_rotation: "Floats",
+        size: Floats,
+        position: Floats,
+        rotation: Floats,
+        part_position: Floats,
+        part_rotation: Floats,
         reach: float,
         *,
         any_nearer: bool = False,
-        points: "Floats | None" = None,
+        points: Floats | None = None,
     ) -> float:
         """Distance of a body from the part.
 
@@ -100,7 +96,7 @@ class TriangleTree:
             return -measured
         return float(measured)
 
-    def _inside(self, local: "Floats") -> bool:
+    def _inside(self, local: Floats) -> bool:
         """Whether a point off the surface, object frame, is inside the closed mesh: most of three rays say so."""
         low, high = self._bounds[1, 0], self._bounds[1, 1]
         if (local < low).any() or (local > high).any():
@@ -109,7 +105,7 @@ class TriangleTree:
         return sum(odd) >= 2
 
 
-def _morton(points: "Floats") -> NDArray[np.uint64]:
+def _morton(points: Floats) -> NDArray[np.uint64]:
     """(N,) place of each point on Morton's curve, 21 bits an axis."""
     low = points.min(axis=0)
     span = max(float(np.ptp(points, axis=0).max()), 1e-300)
