@@ -12,10 +12,10 @@ import numpy as np
 
 from cell.part.workpiece import load
 from cell.reconstruction.deviation import area_samples
-from planner.ports import Floats
 from planner.surface.closest import NearestSurface
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 
 FACES = (5_000, 20_000, 80_000, None)
 NEAR, FAR, JUDGED = 100_000, 20_000, 100

@@ -10,8 +10,8 @@ from cell.part.workpiece import Workpiece
 from cell.robot.kinematics import Kr16Kinematics
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
-from planner.ports import Floats
 from planner.surface.mesh import face_normals
+from planner.values import Floats
 
 _APART_M = 50.0  # where the part is put so that only the rest of the cell counts
 _TILT = 0.4  # of the viewing axis against the normal, one sigma and component

@@ -17,7 +17,7 @@ from benchmarks.seeded_scenes import SeededCell, usable
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from planner.path.certified_edge import certify
-from planner.ports import Floats
+from planner.values import Floats
 
 _SCENES, _MOVES = 4, 60
 _TRUTH = 1e-3  # m of travel

@@ -35,6 +35,7 @@ from cell.world.triangle_distance import BOX
 from cell.world.triangles import TriangleTree
 from planner.reach import reach
 from planner.surface.decimate import decimate
+from planner.values import Floats
 
 FIDELITIES = ("hull", "exact")
 _CANDIDATES, _NEAR = 250, 250  # configurations of each kind, per part
@@ -42,8 +43,6 @@ _SIDES = 96
 _UNDECIDED = 1e-5  # m
 _REPEATS = 3
 _TREE_POSES = 400
-
-Floats = NDArray[np.float64]
 
 
 def run() -> list[dict[str, Any]]:

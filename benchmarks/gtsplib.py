@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from planner.values import Floats, Ints
 
 _PI = 3.141592  # as TSPLIB has it: its distances depend on it
 
@@ -26,9 +25,9 @@ class Gtsp:
 
     name: str
     cost: Floats
-    sets: list[NDArray[np.int64]]
+    sets: list[Ints]
 
-    def sorted_by_cluster(self) -> tuple[Floats, NDArray[np.int64]]:
+    def sorted_by_cluster(self) -> tuple[Floats, Ints]:
         """The costs with nodes numbered cluster by cluster, and (m + 1,) first node of each cluster."""
         nodes = np.concatenate(self.sets)
         return np.ascontiguousarray(self.cost[np.ix_(nodes, nodes)]), np.cumsum([0, *map(len, self.sets)])

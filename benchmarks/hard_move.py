@@ -18,7 +18,7 @@ from cell.robot.model import load
 from drivers.controller import SETTLE_LIMIT
 from drivers.limits import kr16
 from drivers.profile import Reference, interpolate
-from planner.ports import Floats
+from planner.values import Floats
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 MOVE = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])

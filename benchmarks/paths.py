@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.seeded_scenes import SeededCell, usable
 from planner.path.certified_edge import certify
 from planner.path.path import PathStatus, connect, path_time
-from planner.ports import Floats
+from planner.values import Floats
 
 _LONG = 1_000_000  # checks
 _SECONDS = 60.0

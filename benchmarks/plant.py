@@ -38,7 +38,7 @@ from cell.run.record import RunRecord, open_run
 from cell.scan import driver as scan_driver
 from cell.scan import execute
 from cell.scan.options import ScanOptions
-from planner.ports import Floats
+from planner.values import Floats
 
 URL = "sim://?plant=mujoco"
 TIME_STEPS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.rays.embree import HAIR, EmbreeRayCaster
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh, face_normals
+from planner.values import Floats
 
 RAYS = int(os.environ.get("SCAN_CELL_RAYS", "1000000"))
 _BLOCK = 4000

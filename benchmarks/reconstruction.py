@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.eight_scans import eight_scans, noisy
@@ -26,8 +25,7 @@ from cell.reconstruction.reconstruct import REACH, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
-
-Floats = NDArray[np.float64]
+from planner.values import Floats
 
 GRIDS = (0.8, 1.25, 2.0, 3.0, 5.0)
 NOISES_UM = (0.0, 30.0, 100.0)

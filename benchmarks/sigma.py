@@ -21,10 +21,10 @@ from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from planner.measurability.matrix import fill
 from planner.measurability.quality import sigma_layer
-from planner.ports import Floats
 from planner.surface.decimate import decimate
 from planner.surface.mesh import face_normals
 from planner.surface.sample import sample
+from planner.values import Floats
 from planner.viewpoints.zone import optimal_scanning_zone
 
 PARTS = ("mseke", "mug", "humerus")

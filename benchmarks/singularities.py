@@ -9,12 +9,10 @@ kinematics there is a map of `python -m benchmarks stability ik`.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cell.robot.kinematics import Kr16Kinematics
-
-Floats = NDArray[np.float64]
+from planner.values import Floats
 
 _TOOL, _SPEED = 0.12, 0.1  # m, m/s
 _DISTANCES = 10.0 ** np.arange(-5.0, 0.01, 0.25)  # nearer, the differences lose their digits

@@ -12,8 +12,9 @@ import numpy as np
 import ruckig
 
 from cell.robot import model as robot
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
 from planner.timing.motion import jerk_free, move_time
+from planner.values import Floats
 
 _REPEATS, _COMPARED = 5, 500
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from cell.world.model import World
 from planner.surface.mesh import TriangleMesh
-
-Floats = NDArray[np.float64]
+from planner.values import Floats, Ints
 
 _SIDES = 96
 
@@ -95,7 +94,7 @@ class TriangleCell:
                     best = min(best, fcl.distance(self._placed(a, places[i, a]), self._placed(b, places[i, b])))
         return float(best)
 
-    def _near(self, q: Floats, reach: float) -> Iterator[tuple[Floats, int, int, NDArray[np.int64]]]:
+    def _near(self, q: Floats, reach: float) -> Iterator[tuple[Floats, int, int, Ints]]:
         """Pairs with the configurations at which neither their spheres nor the faces of their boxes part them."""
         for start in range(0, len(q), 2000):
             places = self._places(q[start : start + 2000])

@@ -12,9 +12,7 @@ from typing import Annotated, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.values import Value
-
-Floats = NDArray[np.float64]
+from planner.values import Bools, Floats, Ints32, Value
 
 Progress = Callable[[int, int], None]
 """Told `(done, total)` while something long goes on; what it raises ends the work."""
@@ -69,7 +67,7 @@ class Hits(Value):
         distance: (N,) distance along the unit direction [m], inf where the ray meets nothing.
     """
 
-    face: Annotated[NDArray[np.int32], "N"]
+    face: Annotated[Ints32, "N"]
     distance: Annotated[Floats, "N"]
 
 
@@ -85,7 +83,7 @@ class RayCaster(Protocol):
         """
         ...
 
-    def blocked(self, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
+    def blocked(self, origins: Floats, targets: Floats) -> Bools:
         """Whether any triangle stands between origin and target.
 
         The segment ends a documented hair short of the target, so that the surface on which the target lies does not
@@ -212,7 +210,7 @@ class CollisionChecker(Protocol):
         """Distance [m] that a free configuration keeps from everything it must not touch."""
         ...
 
-    def free(self, q: Floats) -> NDArray[np.bool_]:
+    def free(self, q: Floats) -> Bools:
         """Whether every guarded pair is at least the clearance apart.
 
         Args:

@@ -19,9 +19,9 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.path.certified_edge import certify, quantise
 from planner.path.path import connect
-from planner.ports import Floats
 from planner.reach.reach import Verdict
 from planner.reach.setpoints import STEPS_PER_DEGREE, setpoints
+from planner.values import Floats
 
 _HALF_STEP = np.radians(0.5 / STEPS_PER_DEGREE)
 _INNER = 0.95  # of the joint range: questions about singularities and edges keep off the limits

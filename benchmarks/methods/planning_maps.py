@@ -25,10 +25,10 @@ from planner import cover
 from planner.cover import CoverStatus
 from planner.measurability import coverage
 from planner.measurability.matrix import fill, measured
-from planner.ports import Floats
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh, face_normals
 from planner.surface.sample import SurfaceSamples, sample
+from planner.values import Floats
 from planner.viewpoints.lines_of_sight import Targets, in_view
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.viewpoints.zone import optimal_scanning_zone

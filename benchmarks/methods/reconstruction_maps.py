@@ -17,9 +17,9 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
-from planner.ports import Floats
 from planner.surface.closest import NearestSurface
 from planner.surface.sample import sample
+from planner.values import Floats
 
 _FINEST_DEG = 1.0
 _NEAR = 0.01  # of the diagonal: surface so near to a place counts as found there

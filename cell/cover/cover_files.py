@@ -20,11 +20,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
-
-Ints = NDArray[np.int64]
+from planner.values import Ints
 
 LARGEST = 100_000_000
 """Rows or columns of a file; more is a sign of another kind of file, and would only fill the memory."""

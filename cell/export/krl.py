@@ -33,8 +33,8 @@ from cell.export.krl_routines import BEGIN, ROUTINES
 from cell.export.program import Kind, Program, Sweep, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
 from planner.path.sweeps.line import rotation_vectors
-from planner.ports import Floats
 from planner.reach.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
+from planner.values import Floats
 
 _EXTERNAL = ",E1 0,E2 0,E3 0,E4 0,E5 0,E6 0"
 _AT_STOP_DEG = 0.1  # an axis farther from the last stop is not there: the program halts

@@ -23,10 +23,10 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from cell.run.record import artefact, open_finished, understood
 from planner.path.sweeps.line import rotation_vectors
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.timing.motion import Motion
-from planner.values import Value
+from planner.values import Floats, Value
 
 LONGEST_NAME = 24
 """Characters of a name in KRL."""

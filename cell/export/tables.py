@@ -13,7 +13,7 @@ import numpy as np
 from cell.export.program import Program, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
 from cell.run.folder import SCHEMA
-from planner.ports import Floats
+from planner.values import Floats
 
 _DIGITS = 6
 _AXES = tuple(f"A{axis}_deg" for axis in range(1, 7))

@@ -11,12 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.errors import FileError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from planner.values import Floats, Ints
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
 

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from cell.errors import FileError, UsageError
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
 from planner.surface.mesh import TriangleMesh
-from planner.values import Value, freeze
+from planner.values import Floats, Value, freeze
 
 __all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "load"]
-
-Floats = NDArray[np.float64]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Metres in one unit of the file."""

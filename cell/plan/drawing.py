@@ -9,9 +9,9 @@ from cell.plan.view_plan import ConnectedPlan
 from cell.robot.model import dimensions
 from cell.run.folder import RunFolder
 from cell.world.model import World
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
+from planner.values import Floats
 
 
 def draw_views(

@@ -32,10 +32,10 @@ from cell.world.files import write_mjcf
 from cell.world.model import World
 from planner.measurability.matrix import Measurability
 from planner.order.tour import Tour
-from planner.ports import Floats
 from planner.reach.reach import Reach
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
+from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
 

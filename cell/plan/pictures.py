@@ -16,9 +16,9 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import ArrayLike, NDArray
 
-from planner.ports import Floats
 from planner.reach.reach import Verdict
 from planner.surface.mesh import TriangleMesh, face_normals
+from planner.values import Floats
 
 _UNSEEN = "#b03a2e"
 _UNKNOWN = (0.75, 0.75, 0.75)

@@ -20,9 +20,10 @@ from planner.measurability.pose_ensemble import (
     probability_layer,
     times_measured,
 )
-from planner.ports import Floats, Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.reach.reach import Reach
 from planner.surface.sample import SurfaceSamples
+from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
 EXECUTIONS = 200

@@ -25,9 +25,10 @@ from planner.cover.overlap import Overlap, OverlapCover, OverlapStatus, overlap_
 from planner.cover.robust import RobustCover, robust_cover, views_for_promise
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
 from planner.reach.reach import Reach, Verdict
 from planner.timing.motion import move_time
+from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
 _RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything

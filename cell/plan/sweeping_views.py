@@ -21,7 +21,7 @@ from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import Sweeps, passages_of
 from planner.path.sweeps.timing import DrivenSweep
-from planner.ports import Floats
+from planner.values import Floats
 
 
 class SweepingViews:

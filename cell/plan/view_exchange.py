@@ -22,10 +22,9 @@ from planner.cover import Cover, CoverStatus
 from planner.measurability.matrix import Measurability
 from planner.order.equivalent_views import Exchange, Matrix, exchange
 from planner.order.tour import Tour
+from planner.values import Ints
 
 log = logging.getLogger(__name__)
-
-Ints = NDArray[np.int64]
 
 
 def alone(arm: OwnArm, views: Ints) -> Groups:

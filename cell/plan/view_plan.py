@@ -28,9 +28,9 @@ from planner.order.orderings import Ordering
 from planner.order.tour import Tour, TourStatus
 from planner.order.visits import Visits
 from planner.path.sweeps.path import SweepPath
-from planner.ports import Floats, Progress
+from planner.ports import Progress
 from planner.timing.motion import TimedLine
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,10 +14,8 @@ from planner.measurability.matrix import Measurability
 from planner.order.tour import Tour
 from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import SweepPath
-from planner.ports import Floats
 from planner.timing.motion import TimedLine
-
-Ints = NDArray[np.int64]
+from planner.values import Floats, Ints
 
 
 class Next(Enum):

@@ -18,8 +18,7 @@ import numpy as np
 from cell.errors import FileError
 from cell.plant.tool import Tool
 from cell.robot import model as robot
-from planner.ports import Floats
-from planner.values import Value
+from planner.values import Floats, Value
 
 if TYPE_CHECKING:
     import mujoco

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord
 from drivers.plant import Plant, PlantFactory
-from planner.ports import Floats
+from planner.values import Floats
 
 if TYPE_CHECKING:
     from cell.plant.mujoco_plant import Observer

@@ -27,7 +27,7 @@ from cell.plant.tool import Tool
 from cell.robot.model import AXES
 from drivers.errors import DriverError
 from drivers.profile import Reference, resting
-from planner.ports import Floats
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco

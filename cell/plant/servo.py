@@ -26,8 +26,7 @@ from cell.errors import UsageError
 from cell.plant import dynamics
 from cell.plant.dynamics import Integrator
 from cell.plant.tool import Tool
-from planner.ports import Floats
-from planner.values import Value
+from planner.values import Floats, Value
 
 if TYPE_CHECKING:
     import mujoco

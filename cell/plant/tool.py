@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from cell.errors import SceneError
-from planner.ports import Floats
-from planner.values import Value
+from planner.values import Floats, Value
 
 if TYPE_CHECKING:
     import mujoco

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import CellError
-from planner.ports import Floats, Hits
+from planner.ports import Hits
+from planner.values import Floats
 
 HAIR = 2e-6
 """How far short of its target a leg ends, as a share of its scale (length plus the half diagonal of the triangles).

@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.model import LINKS
 from cell.world.model import World
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
-from planner.values import Value, readonly
+from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:
     import mujoco

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import measured
-from planner.ports import Floats, Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
+from planner.values import Floats
 
 HELD_OUT_STREAM = 1
 """Stream of randomness of the held-out samples: plan, execution and `cell why` speak of the same ones."""

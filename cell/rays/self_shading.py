@@ -21,9 +21,10 @@ from cell.rays.occluders import arm_triangles, caster_of
 from cell.rays.prediction import Prediction
 from cell.world.model import World
 from planner.measurability.matrix import Measurability, measured
-from planner.ports import Floats, RayCaster, Scanner
+from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach
-from planner.viewpoints.lines_of_sight import Indices, Targets, legs_free
+from planner.values import Floats, Ints
+from planner.viewpoints.lines_of_sight import Targets, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
 SHADED_SHARE = 0.01
@@ -105,7 +106,7 @@ class OwnArm:
                 found = Look.LESS_MEASURED
         return found
 
-    def _other_solutions(self, view: int, needed: Indices) -> bool:
+    def _other_solutions(self, view: int, needed: Ints) -> bool:
         """Keep the joint solutions that hide at most `SHADED_SHARE` of what is needed, if there are any."""
         areas, configurations = self.M.features.areas[needed], self.configurations(view)
         hidden = np.array([areas[~self._free(view, q, needed)].sum() for q in configurations])
@@ -114,7 +115,7 @@ class OwnArm:
             self._left[view] = configurations[good]
         return bool(good.any())
 
-    def _take_out(self, view: int, rows: Indices) -> None:
+    def _take_out(self, view: int, rows: Ints) -> None:
         """Keep the joint solutions that hide least of a column, and take what they hide out of it."""
         configurations = self.configurations(view)
         free = [self._free(view, q, rows) for q in configurations]
@@ -122,19 +123,19 @@ class OwnArm:
         self._left[view] = configurations[[bool(kept[best].all()) for kept in free]]
         self.M = _without(self.M, view, rows[~best])
 
-    def _hidden_by(self, view: int, q: Floats, rows: Indices) -> tuple[str, ...]:
+    def _hidden_by(self, view: int, q: Floats, rows: Ints) -> tuple[str, ...]:
         """Names of the arm's shapes that hide any of the samples."""
         pieces = arm_triangles(self._world, q, _ends(self._scanner))
         to_object = np.linalg.inv(self._world.T_base_object)
         hiding = [p.name for p in pieces if not self._past(view, caster_of([p], to_object), rows).all()]
         return tuple(dict.fromkeys(hiding))  # a link may have several shapes
 
-    def _free(self, view: int, q: Floats, rows: Indices) -> NDArray[np.bool_]:
+    def _free(self, view: int, q: Floats, rows: Ints) -> NDArray[np.bool_]:
         """(n,) which samples the arm at (6,) joint angles [rad] does not hide from a view."""
         arm = arm_caster(self._world, q, self._candidates.T_object_scanner[view, 0], self._scanner)
         return np.ones(len(rows), dtype=np.bool_) if arm is None else self._past(view, arm, rows)
 
-    def _past(self, view: int, caster: RayCaster, rows: Indices) -> NDArray[np.bool_]:
+    def _past(self, view: int, caster: RayCaster, rows: Ints) -> NDArray[np.bool_]:
         pose = np.zeros(len(rows), dtype=np.int64)
         poses = self._candidates.T_object_scanner[view, :1]
         return legs_free(self._targets, poses, pose, rows, self._scanner, (caster,))
@@ -172,7 +173,7 @@ def visible_with_arm(prediction: Prediction, T_object_scanner: Floats, arms: Seq
     return float(areas[covered].sum() / areas.sum())
 
 
-def _without(M: Measurability, view: int, rows: Indices) -> Measurability:
+def _without(M: Measurability, view: int, rows: Ints) -> Measurability:
     """M without some entries of one column."""
     hidden = np.zeros(M.shape[0], dtype=np.bool_)
     hidden[rows] = True

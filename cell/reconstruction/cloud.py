@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.errors import PlannerError
-from planner.values import Value, freeze, readonly
-
-Floats = NDArray[np.float64]
+from planner.values import Floats, Value, freeze, readonly
 
 NEIGHBOURS = 12
 """Neighbours for a normal: fewer follow the noise, more round off edges."""

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh, face_areas
-from planner.values import Value
-
-Floats = NDArray[np.float64]
+from planner.values import Floats, Value
 
 _BINS = 40
 

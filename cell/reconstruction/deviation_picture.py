@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.deviation import Deviation
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh, face_normals
+from planner.values import Floats
 
 _PIXELS = 560  # along the longer side
 _COLOURS = "RdBu_r"  # red stands proud, blue lacks material

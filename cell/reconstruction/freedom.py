@@ -11,11 +11,8 @@ from enum import Enum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.values import Value
-
-Floats = NDArray[np.float64]
+from planner.values import Floats, Value
 
 WEAK = 2e-4
 """A motion is free when its mean square along the normals is below this share of its mean square in all directions.

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell.reconstruction.cloud import PointCloud
+from planner.values import Floats
 
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 NEIGHBOURS = 12

@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell.reconstruction.cloud import ScanCloud, estimate_normals, point_spacing
 from cell.reconstruction.freedom import split
 from planner.surface.closest import NearestSurface
-
-Floats = NDArray[np.float64]
+from planner.values import Floats, Ints
 
 FEWEST = 12
 """Matches that a scan needs to be moved: twice the unknowns."""
@@ -143,7 +141,7 @@ class JointProblem:
             found.append(self._weighted(i, j, points, partner, normals, self.scans[i].normals[every], distance, beside))
         return found
 
-    def information(self, matches: Sequence[Matches]) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
+    def information(self, matches: Sequence[Matches]) -> tuple[Floats, Floats, Floats, Ints]:
         """Normal equations of all matches.
 
         Returns:

@@ -21,10 +21,7 @@ from cell.reconstruction.holes import close_holes
 from cell.reconstruction.implicit import FieldValues, ImplicitSurface
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
-from planner.values import Value, freeze
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from planner.values import Floats, Ints, Value, freeze
 
 REACH = 2.0
 """Surface farther than this many point spacings from any datum is cut away."""
@@ -226,7 +223,7 @@ class _Grid:
             cells = self._next(cells[crossed], inside[crossed])
             cells = cells[~is_seen[cells]]
 
-    def _evaluate(self, surface: ImplicitSurface, nodes: Indices) -> None:
+    def _evaluate(self, surface: ImplicitSurface, nodes: Ints) -> None:
         """Signed distance at nodes; NaN remains where no datum is near."""
         index = np.stack(np.unravel_index(nodes, self.shape), axis=1)
         field = surface.evaluate(self.origin + self.step * index)
@@ -236,7 +233,7 @@ class _Grid:
         self._value[nodes] = np.where(field.nearest <= self._cut, distance, np.float32(np.nan))
         self.nodes += len(nodes)
 
-    def _next(self, cells: Indices, inside: NDArray[np.bool_]) -> Indices:
+    def _next(self, cells: Ints, inside: NDArray[np.bool_]) -> Ints:
         """Cells across those faces of active cells on which the sign changes."""
         found = [np.empty(0, dtype=np.int64)]
         for axis in range(3):
@@ -298,7 +295,7 @@ def _is_near_throughout(
     return is_near
 
 
-def _distinct(values: Indices) -> Indices:
+def _distinct(values: Ints) -> Ints:
     """Sorted, each once; NumPy's own `unique` hashes, which takes several times as long for millions of integers."""
     ordered = np.sort(values)
     return ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])] if len(ordered) else ordered

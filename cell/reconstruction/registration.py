@@ -14,7 +14,6 @@ from enum import Enum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import FreeMotion, name, shape_of, split
@@ -22,9 +21,7 @@ from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingSc
 from planner.errors import PlannerError
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
-from planner.values import Value
-
-Floats = NDArray[np.float64]
+from planner.values import Floats, Value
 
 SAMPLES = 2000
 """Points of a scan that are matched: a correction of six unknowns needs no more."""

@@ -14,8 +14,7 @@ import numpy as np
 from cell.replay import marks
 from cell.replay.timeline import Timeline
 from cell.run.plan_json import PlanFile
-from planner.ports import Floats
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
     import mujoco

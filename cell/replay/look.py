@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.robot import model as robot
-from planner.ports import Floats
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.replay.model import GLYPH_SHARE, Theatre
-from planner.ports import Floats
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco

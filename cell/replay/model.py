@@ -22,9 +22,8 @@ from cell.run import reader as run_reader
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene
 from cell.world.model import trees_of
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
     import mujoco

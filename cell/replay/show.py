@@ -12,8 +12,7 @@ from cell.replay.closest import Closest, add_closest
 from cell.replay.model import Theatre
 from cell.replay.timeline import Timeline
 from cell.robot import model as robot
-from planner.ports import Floats
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
     import mujoco

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.run.executions import RecordedExecution, RecordedScan
-from planner.ports import Floats
 from planner.timing.motion import Motion
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 REST = 0.6
 """How long the show rests at a stop [s]."""

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-
-Floats = NDArray[np.float64]
+from planner.values import Floats
 
 # Below this cosine of B, A and C are rounding noise one by one; B is then +-90 deg to within 1e-14 rad.
 _GIMBAL = 1e-14

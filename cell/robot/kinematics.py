@@ -34,11 +34,10 @@ from numpy.typing import NDArray
 from cell.robot.model import Dimensions, dimensions, limits, load
 from planner.errors import PlannerError
 from planner.ports import JointLimits
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-Floats = NDArray[np.float64]
 
 BRANCHES = 8
 

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
 from planner.ports import JointLimits
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-Floats = NDArray[np.float64]
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 LINKS = ("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6")

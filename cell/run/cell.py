@@ -26,8 +26,9 @@ from cell.scene.scene import Scene
 from cell.world import shapes
 from cell.world.model import World, compile_world
 from planner.measurability.quality import Limited
-from planner.ports import Floats, Scanner
+from planner.ports import Scanner
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco

@@ -9,9 +9,8 @@ from pydantic import Field, JsonValue
 from cell.run import ply
 from cell.run.json_table import JsonTable, parsed
 from cell.run.record import RunRecord, artefact, read_json, read_manifest, understood
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 
 class AchievedCoverage(JsonTable):

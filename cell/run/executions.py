@@ -16,9 +16,8 @@ from cell.errors import FileError
 from cell.run.reader import motion_of
 from cell.run.record import RunRecord, file_bytes, npz, read_manifest, understood
 from planner.errors import PlannerError
-from planner.ports import Floats
 from planner.timing.motion import Motion
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 FOLDER = "executions"
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cell.run.json_table import JointAngles, JsonTable, Transform, Triple, optional
-from planner.ports import Floats
+from planner.values import Floats
 
 
 class Coverage(JsonTable):

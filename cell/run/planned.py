@@ -15,10 +15,9 @@ from cell.run.plan_json import Coverage, PlanFile
 from cell.run.record import RunRecord, artefact
 from cell.run.record import open_run as open_record
 from cell.run.report_json import Report
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
-from planner.values import Ints, readonly
+from planner.values import Floats, Ints, readonly
 
 
 @dataclass(frozen=True, eq=False)  # no slots: what is read later is kept

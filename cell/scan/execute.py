@@ -24,8 +24,9 @@ from drivers.commands import Move, Result
 from drivers.contract import Driver, RobotState
 from drivers.limits import refuse
 from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
-from planner.ports import Floats, Progress, Rejection
+from planner.ports import Progress, Rejection
 from planner.timing.motion import Motion, retime
+from planner.values import Floats
 
 POSE, NOISE = 10, 11
 """Streams of randomness; a stop has its own of each, so that one view alone is disturbed as in the whole execution."""

@@ -21,10 +21,10 @@ from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import file_bytes, understood
 from planner.measurability import coverage
 from planner.measurability import matrix as measurability
-from planner.ports import Floats, Rejection
+from planner.ports import Rejection
 from planner.surface.closest import NearestSurface
 from planner.surface.sample import SurfaceSamples
-from planner.values import readonly
+from planner.values import Floats, readonly
 
 _CLOUD_SAMPLES = 40_000  # points whose distance to the reference stands for that of all
 

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from cell.scan.options import ScanOptions
-from planner.ports import Floats
+from planner.values import Floats
 
 
 @dataclass(frozen=True, slots=True)

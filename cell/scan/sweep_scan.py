@@ -18,7 +18,7 @@ from cell.rays.virtual_scan import Scan
 from cell.run.cell import RunCell
 from cell.scan.pose_error import Disturbance
 from planner.path.sweeps.line import rotation_vectors, rotations
-from planner.ports import Floats
+from planner.values import Floats
 
 LINE_STEP, LINE_ANGLE = 0.001, float(np.radians(0.25))
 """Lines are at most so far apart [m] and turned against each other by at most so much [rad], up to `_ROUNDING`."""

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
-from planner.ports import Floats, Rejection
-from planner.values import readonly
+from planner.ports import Rejection
+from planner.values import Floats, readonly
 
 TOLERANCE = 1e-9
 

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from cell.errors import SceneError
 from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea
-from planner.ports import Floats, Rejection
-from planner.values import readonly
+from planner.ports import Rejection
+from planner.values import Floats, readonly
 from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 _ACROSS_DEG = 179.0  # opening of the law across the sheet where the slab decides instead: never narrower than a slab

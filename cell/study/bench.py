@@ -32,12 +32,13 @@ from planner.cover.most_coverage import most_coverage
 from planner.measurability import coverage
 from planner.measurability.columns import pick_measurability
 from planner.measurability.matrix import Measurability
-from planner.ports import Floats, Scanner
+from planner.ports import Scanner
 from planner.reach import reach
 from planner.reach.reach import Reach
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
+from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 Mask = NDArray[np.bool_]

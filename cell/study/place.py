@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from cell.errors import UnreachableError
@@ -30,8 +29,7 @@ from cell.study.scenes import scene_settings
 from cell.study.study import Row
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import Workers
-
-Floats = NDArray[np.float64]
+from planner.values import Floats, Ints
 
 AXES = ("x mm", "y mm", "z mm", "yaw deg")
 LOOKS, CANDIDATES = 256, 200
@@ -209,7 +207,7 @@ def _hills(points: Sequence[Place], extent: Floats) -> list[list[Place]]:
     return hills
 
 
-def _around(point: Place, step: Floats, low: Floats, high: Floats, free: NDArray[np.int64]) -> list[Place]:
+def _around(point: Place, step: Floats, low: Floats, high: Floats, free: Ints) -> list[Place]:
     """One step each way along each free axis, inside the range."""
     moved = []
     for axis in free:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cell.why.search import Named
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.viewpoints.lines_of_sight import Indices
+from planner.values import Ints
 from planner.why.reasons import Reason
 from planner.why.what_if import WhatIf
 from planner.why.why import Diagnosis
@@ -27,7 +27,7 @@ class Patch:
         named: the change for it, or None; only the largest patches are asked.
     """
 
-    rows: Indices
+    rows: Ints
     named: Named | None
 
 
@@ -47,7 +47,7 @@ class Group:
     reason: Reason
     what: str
     detail: str
-    rows: Indices
+    rows: Ints
     patches: tuple[Patch, ...]
     named: tuple[Named, ...]
 
@@ -72,9 +72,9 @@ class Answer:
     samples: SurfaceSamples
     covered: NDArray[np.bool_]
     diagnosis: Diagnosis
-    open_rows: Indices
+    open_rows: Ints
     groups: tuple[Group, ...]
-    rest: Indices
+    rest: Ints
     overall: tuple[Named, ...]
     tried: tuple[tuple[WhatIf, float], ...]
     planning: TriangleMesh

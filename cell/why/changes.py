@@ -20,9 +20,10 @@ from cell.run.cell import RunCell
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.measurability.quality import Limited
-from planner.ports import Floats, RayCaster, Scanner
+from planner.ports import RayCaster, Scanner
 from planner.reach import reach
-from planner.viewpoints.lines_of_sight import Indices, Targets
+from planner.values import Floats, Ints
+from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import what_if
 from planner.why.what_if import Kind, WhatIf
@@ -55,7 +56,7 @@ class Changes:
     world_without: Callable[[str], World]
     cell: RunCell
     candidates: Viewpoints
-    usable: Indices
+    usable: Ints
 
     @property
     def casters(self) -> tuple[RayCaster, RayCaster]:
@@ -83,7 +84,7 @@ class Changes:
                 yield [self._without(fixture.name)]
         yield from self._of_the_scanner()
 
-    def views(self, targets: Targets, rows: Indices) -> list[WhatIf]:
+    def views(self, targets: Targets, rows: Ints) -> list[WhatIf]:
         """One candidate more, and the few that measure nearly all of the rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
         pairs = what_if.measures(targets, rows, T, self.cell.scanner, self.casters, each=True).pairs
@@ -248,7 +249,7 @@ class Changes:
         return WhatIf(kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.casters)
 
 
-def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Indices) -> list[np.ndarray[Any, Any]]:
+def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Ints) -> list[np.ndarray[Any, Any]]:
     """(n,) which rows each change of a ladder measures.
 
     A limit that is opened farther never loses a point, so there each step is asked only about what the last step of all
@@ -270,7 +271,7 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Indices) -> l
     return [*masks, final]
 
 
-def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None) -> Indices:
+def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None) -> Ints:
     """Views that the arm takes up."""
     T = world.T_base_object if T_base_object is None else T_base_object
     kinematics = Kr16Kinematics.from_model(world.model)
@@ -278,7 +279,7 @@ def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None)
     return np.flatnonzero(reach.solve(views, T, world.T_flange_scanner, kinematics, checker).reachable)
 
 
-def _pick(views: Viewpoints, which: Indices) -> Viewpoints:
+def _pick(views: Viewpoints, which: Ints) -> Viewpoints:
     return Viewpoints(views.T_object_scanner[which], views.face[which], views.standoff[which], views.roll[which])
 
 

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.run.scene_json import ScannerKeys
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.viewpoints.lines_of_sight import Indices
+from planner.values import Floats, Ints
 from planner.why.reasons import Reason
 from planner.why.why import Diagnosis
 
@@ -28,12 +27,12 @@ class OpenGroup:
 
     reason: Reason
     what: str
-    rows: Indices
-    patches: tuple[Indices, ...]
+    rows: Ints
+    patches: tuple[Ints, ...]
 
 
 def grouped(
-    samples: SurfaceSamples, rows: Indices, diagnosis: Diagnosis, what: Sequence[str], planning: TriangleMesh
+    samples: SurfaceSamples, rows: Ints, diagnosis: Diagnosis, what: Sequence[str], planning: TriangleMesh
 ) -> list[OpenGroup]:
     """The groups, the largest first."""
     keys: dict[tuple[int, str], list[int]] = {}
@@ -48,7 +47,7 @@ def grouped(
     return sorted(found, key=lambda group: (-float(samples.areas[group.rows].sum()), group.reason, group.what))
 
 
-def _adjacent_faces(mesh: TriangleMesh) -> Indices:
+def _adjacent_faces(mesh: TriangleMesh) -> Ints:
     """(E, 2) pairs of faces that share an edge."""
     edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
     face = np.repeat(np.arange(len(mesh.faces)), 3)
@@ -57,7 +56,7 @@ def _adjacent_faces(mesh: TriangleMesh) -> Indices:
     return np.stack([face[order][:-1][same], face[order][1:][same]], axis=1)
 
 
-def _patches(rows: Indices, samples: SurfaceSamples, adjacent: Indices, faces: int) -> list[Indices]:
+def _patches(rows: Ints, samples: SurfaceSamples, adjacent: Ints, faces: int) -> list[Ints]:
     """The samples in pieces that are connected over planning faces, the largest first."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from cell.why.changes import Changes, ladder_masks
 from cell.why.groups import OpenGroup
-from planner.ports import Floats, Progress
+from planner.ports import Progress
 from planner.surface.sample import SurfaceSamples
-from planner.viewpoints.lines_of_sight import Indices, Targets
+from planner.values import Floats, Ints
+from planner.viewpoints.lines_of_sight import Targets
 from planner.why import what_if
 from planner.why.reasons import Reason
 from planner.why.what_if import Kind, WhatIf
@@ -54,7 +55,7 @@ class Findings:
 
     of_group: tuple[tuple[Named, ...], ...]
     of_patch: tuple[tuple[Named | None, ...], ...]
-    rest: Indices
+    rest: Ints
     overall: tuple[Named, ...]
     tried: tuple[tuple[WhatIf, float], ...]
 
@@ -65,9 +66,9 @@ class _Trial:
 
     changes: tuple[WhatIf, ...]
     gains: NDArray[np.bool_]
-    place: Indices
+    place: Ints
 
-    def best(self, rows: Indices, reason: Reason, most: int) -> list[int]:
+    def best(self, rows: Ints, reason: Reason, most: int) -> list[int]:
         """Changes for some samples. A view that was only not selected needs no change but being selected."""
         own = self.place[rows]
         own = own[own >= 0]
@@ -166,11 +167,9 @@ def _try(
     return _Trial(tuple(tried), np.array(masks).reshape(len(tried), len(representatives)), place)
 
 
-def _verify(
-    trial: _Trial, asked: Sequence[tuple[int, Indices]], targets: Targets, progress: Progress
-) -> dict[int, Named]:
+def _verify(trial: _Trial, asked: Sequence[tuple[int, Ints]], targets: Targets, progress: Progress) -> dict[int, Named]:
     """Each change asked about every sample that it is named for."""
-    rows_of: dict[int, list[Indices]] = {}
+    rows_of: dict[int, list[Ints]] = {}
     for index, rows in asked:
         rows_of.setdefault(index, []).append(rows)
     verified: dict[int, Named] = {}
@@ -183,12 +182,12 @@ def _verify(
     return verified
 
 
-def _spread(rows: Indices, count: int) -> Indices:
+def _spread(rows: Ints, count: int) -> Ints:
     """At most so many of the rows, evenly over their order, which is that of a space-filling curve."""
     return rows[np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)]
 
 
-def _weights(place: Indices, groups: Sequence[OpenGroup], samples: SurfaceSamples) -> Floats:
+def _weights(place: Ints, groups: Sequence[OpenGroup], samples: SurfaceSamples) -> Floats:
     """(r,) share of the groups' area that each representative stands for; 0 for those of other groups."""
     weight = np.zeros(int(place.max()) + 1)
     total = sum(float(samples.areas[group.rows].sum()) for group in groups)

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from planner.ports import Floats, Progress
-from planner.values import Value
+from planner.ports import Progress
+from planner.values import Floats, Value
 
 TOLERANCE = 2e-4
 """How far the true minimum may be below the one that is said [m], where it is near."""

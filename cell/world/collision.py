@@ -23,11 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 from cell.world.model import World
 from cell.world.travel import TravelBound
 from planner.errors import PlannerError
+from planner.values import Floats, Ints
 
 if TYPE_CHECKING:
     import mujoco
-
-Floats = NDArray[np.float64]
 
 DISTANCE_CAP = 0.3
 """Distances are measured up to here [m]; `distance` gives this value, and no name, where everything is farther."""
@@ -207,7 +206,7 @@ class MujocoCollisionChecker:
         world, data, least = self._world, self._data, self.clearance
         return all(world.distance(data, a, b, least, any_nearer=True) >= least for a, b in touching)
 
-    def _candidates(self, reach: float) -> tuple[Floats, NDArray[np.int64]]:
+    def _candidates(self, reach: float) -> tuple[Floats, Ints]:
         """Guarded pairs whose bounding spheres are nearer than `reach`, nearest first, and those lower bounds [m]."""
         position = self._data.geom_xpos
         first, second = position[self._pairs[:, 0]], position[self._pairs[:, 1]]

@@ -1,12 +1,9 @@
 """How often a ray crosses the triangles of a tree, compiled: import this module only where it is used."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.compiled import compiled
-from planner.ports import Floats
-
-Ints = NDArray[np.int64]
+from planner.values import Floats, Ints
 
 _DEPTH = 128  # nodes that wait at most: two for each level
 

@@ -22,14 +22,12 @@ from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
 from planner.ports import JointLimits
 from planner.surface.mesh import TriangleMesh
-from planner.values import Value, readonly
+from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
 
     from cell.world.triangles import TriangleTree
-
-Floats = NDArray[np.float64]
 
 _APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
 

@@ -11,7 +11,7 @@ from cell.errors import SceneError
 from cell.robot.model import AXES, LINKS
 from cell.world import shapes as cell_shapes
 from cell.world.model import World
-from planner.ports import Floats
+from planner.values import Floats
 
 _TOUCHING = 1e-6  # m; two shapes that share a face by construction are this deep in each other by rounding
 _MOUNTED = ("base", "pedestal", "floor")

@@ -24,18 +24,17 @@ import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene
 from cell.world.solid_hull import solid_hull
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-Floats = NDArray[np.float64]
 
 POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""

@@ -5,12 +5,10 @@ directions; the grown solid contains the mesh. A hull overstates a hollow part: 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.errors import SceneError
 from planner.surface.mesh import TriangleMesh
-
-Floats = NDArray[np.float64]
+from planner.values import Floats
 
 MIN_THICKNESS = 2e-4  # m; a hundredth of the thinnest clearance that makes sense, and still a solid to the engine
 

@@ -24,15 +24,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.robot.model import AXES
 from cell.world.model import World
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-Floats = NDArray[np.float64]
 
 _N = len(AXES)
 _ROUNDING = 1e-7  # m; the squared distances below cancel digits, which a root turns into at most 5e-8 m

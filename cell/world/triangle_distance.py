@@ -18,12 +18,9 @@ frame for everything, metres.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.compiled import compiled
-from planner.ports import Floats
-
-Ints = NDArray[np.int64]
+from planner.values import Floats, Ints
 
 BOX, CYLINDER = 0, 1
 """Kinds of A: half sides; radius and half length along z."""

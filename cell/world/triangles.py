@@ -21,7 +21,7 @@ from planner.surface.mesh import TriangleMesh
 if TYPE_CHECKING:
     import mujoco
 
-    from planner.ports import Floats
+    from planner.values import Floats
 
 _KIND = {6: BOX, 5: CYLINDER}  # by MuJoCo's type of a shape; models/kr16.xml, scanner and pedestal have no other
 
@@ -95,15 +95,15 @@ class TriangleTree:
     def distance(
         self,
         kind: int,
-        size: "Floats",
-        position: "Floats",
-        rotation: "Floats",
-        part_position: "Floats",
-        part_rotation: "Floats",
+        size: Floats,
+        position: Floats,
+        rotation: Floats,
+        part_position: Floats,
+        part_rotation: Floats,
         reach: float,
         *,
         any_nearer: bool = False,
-        points: "Floats | None" = None,
+        points: Floats | None = None,
     ) -> float:
         """Distance of a body from the part.
 
@@ -131,7 +131,7 @@ class TriangleTree:
             return -measured
         return float(measured)
 
-    def _inside(self, local: "Floats") -> bool:
+    def _inside(self, local: Floats) -> bool:
         """Whether a point off the surface, object frame, is inside the closed mesh: most of three rays say so."""
         low, high = self._bounds[1, 0], self._bounds[1, 1]
         if (local < low).any() or (local > high).any():

@@ -4,8 +4,9 @@ import numpy as np
 
 from planner.cover.budget import Budget
 from planner.cover.greedy import by_marginal_area
-from planner.cover.problem import Candidates, Ints
+from planner.cover.problem import Candidates
 from planner.cover.selection import Cover, CoverStatus
+from planner.values import Ints
 
 
 def told(

@@ -18,8 +18,8 @@ import numpy as np
 
 from planner.cover.budget import STEP_WORK, Budget
 from planner.cover.interrupts import ends_search
-from planner.cover.problem import CoverProblem, Floats, Ints
-from planner.values import Value
+from planner.cover.problem import CoverProblem
+from planner.values import Floats, Ints, Value
 
 ROUNDING = 1e-9
 """Added to every bound as a share of all units: far above the float error of B_u, far below what is reported."""

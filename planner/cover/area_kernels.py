@@ -4,11 +4,9 @@ Whole numbers throughout (units of `planner.cover.problem`), so that gains are e
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.compiled import compiled
-
-Ints = NDArray[np.int64]
+from planner.values import Ints
 
 
 @compiled

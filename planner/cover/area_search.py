@@ -8,7 +8,8 @@ import numpy as np
 
 from planner.cover.budget import Budget
 from planner.cover.interrupts import ends_search
-from planner.cover.problem import CoverProblem, Ints
+from planner.cover.problem import CoverProblem
+from planner.values import Ints
 
 TENURES = 61
 """Drawn tenures; a prime, so that they do not fall into step with cycles of swaps."""

@@ -19,7 +19,8 @@ import numpy as np
 
 from planner.cover.budget import STEP_WORK, Bound, Budget
 from planner.cover.interrupts import interruptible
-from planner.cover.problem import CoverProblem, Floats, Ints
+from planner.cover.problem import CoverProblem
+from planner.values import Floats, Ints
 
 LARGE_SUM = 1e-9
 """Share that is taken off sums of units that are too large to be exact: far above their float error."""

@@ -16,10 +16,9 @@ from math import ceil
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.values import Value
+from planner.values import Floats, Ints, Value
 
 STEP_WORK = 12_000
 """Charge of one step of a search beyond the entries it touches: what its NumPy calls cost anyway."""
@@ -48,8 +47,8 @@ class Bound(Value):
     """
 
     dual: float
-    multipliers: Annotated[NDArray[np.float64], "S"]
-    reduced_costs: Annotated[NDArray[np.float64], "V"]
+    multipliers: Annotated[Floats, "S"]
+    reduced_costs: Annotated[Floats, "V"]
 
     @property
     def value(self) -> int:
@@ -94,7 +93,7 @@ class Budget:
         self.spent = 0
         self.time_limited = False
         self.interrupted = False
-        self.best: NDArray[np.int64] | None = None
+        self.best: Ints | None = None
         self.best_cost = 0
         self.lower_bound = 0
         self.dual: Bound | None = None
@@ -124,7 +123,7 @@ class Budget:
             return False
         return self.left > 0 and not self.proven
 
-    def offer(self, columns: NDArray[np.int64], cost: int | None = None) -> bool:
+    def offer(self, columns: Ints, cost: int | None = None) -> bool:
         """Keep a cover if it costs less than the best so far.
 
         Args:

@@ -18,9 +18,8 @@ from planner.cover.area_bound import area_bounds
 from planner.cover.area_search import AreaSearch
 from planner.cover.budget import Budget
 from planner.cover.prepared import Prepared, prepare
-from planner.cover.problem import Floats, Ints
 from planner.errors import PlannerError
-from planner.values import Value, freeze, readonly
+from planner.values import Floats, Ints, Value, freeze, readonly
 
 CURVE_WORK = 2_500_000_000
 """Default budget: some five seconds for a thousand candidates and four thousand samples."""

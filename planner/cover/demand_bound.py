@@ -20,7 +20,7 @@ from planner.cover.bound import PIVOT_WORK
 from planner.cover.budget import ROUNDING, STEP_WORK, Budget
 from planner.cover.demands import DemandProblem
 from planner.cover.interrupts import ends_search, interruptible
-from planner.cover.problem import Floats, Ints
+from planner.values import Floats, Ints
 
 LP_ENTRIES = 200_000
 """Matrices up to this many loads get the LP solver's dual where the budget pays for it."""

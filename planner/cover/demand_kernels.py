@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.compiled import compiled
+from planner.values import Floats, Ints
 
-Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 
@@ -81,7 +81,7 @@ def loss_of(column_start: Ints, column_rows: Ints, column_load: Ints, demand: In
 def search(row_start: Ints, row_columns: Ints, row_load: Ints, column_start: Ints, column_rows: Ints,
            column_load: Ints, demand: Ints, units: Ints, growth: Ints, weights: Ints, slack: int, full: bool,
            adjacent: Bytes, fixed: Bytes, chosen: Ints, size: int, load: Ints, gains: Ints, stamps: Ints, best: Ints,
-           draws: NDArray[np.float64], state: Ints, work_limit: int) -> tuple[int, int, int]:  # fmt: skip
+           draws: Floats, state: Ints, work_limit: int) -> tuple[int, int, int]:  # fmt: skip
     """One column leaves, one enters, what stays open gains weight; a selection that meets everything loses a column.
 
     Ends when a better selection is found (the caller keeps it), when the draws or the work are used up, or when no

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.cover.budget import Budget
 from planner.cover.demands import DemandProblem
 from planner.cover.interrupts import ends_search
-from planner.cover.problem import Ints
+from planner.values import Ints
 
 AREA_WEIGHT = 1000
 """Where part of the rows may stay open: initial weight of a row of mean area."""

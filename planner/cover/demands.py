@@ -12,10 +12,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from planner.cover.problem import CoverProblem, Floats, Ints
-from planner.values import Value
+from planner.cover.problem import CoverProblem
+from planner.values import Bools, Floats, Ints, Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,9 +114,9 @@ class DemandProblem(Value):
             total[self.column_rows[at]] += self.column_load[at]
         return total
 
-    def satisfied(self, columns: Ints) -> NDArray[np.bool_]:
+    def satisfied(self, columns: Ints) -> Bools:
         """(S,) which rows have what they demand."""
-        enough: NDArray[np.bool_] = self.loads(columns) >= self.demand
+        enough: Bools = self.loads(columns) >= self.demand
         return enough
 
     def met(self, columns: Ints) -> bool:

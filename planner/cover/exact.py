@@ -13,8 +13,9 @@ from planner.cover.bound import bound, without_useless_columns
 from planner.cover.budget import ROUNDING, WORK_PER_SECOND, Bound, Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.interrupts import interruptible
-from planner.cover.problem import CoverProblem, Ints
+from planner.cover.problem import CoverProblem
 from planner.cover.reductions import reduce
+from planner.values import Ints
 
 ROOT_WORK, ROOT_WORK_PER_ENTRY = WORK_PER_SECOND // 10, WORK_PER_SECOND // 4000
 """Charge of the root (relaxation, cuts, and HiGHS's heuristics, which scipy cannot switch off)."""

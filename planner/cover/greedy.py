@@ -7,10 +7,10 @@ the first column in canonical order, so the result does not depend on how the ca
 import heapq
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cover.budget import Budget
-from planner.cover.problem import CoverProblem, Floats, Ints
+from planner.cover.problem import CoverProblem
+from planner.values import Bools, Floats, Ints
 
 
 def greedy(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Ints:
@@ -57,7 +57,7 @@ def complete(problem: CoverProblem, columns: Ints) -> Ints:
     return np.array(chosen, dtype=np.int64)
 
 
-def missing_units(problem: CoverProblem, uncovered: NDArray[np.bool_]) -> int:
+def missing_units(problem: CoverProblem, uncovered: Bools) -> int:
     """Units that must still be covered: zero or less means that the target is met."""
     return int(problem.units[uncovered].sum()) - problem.slack
 

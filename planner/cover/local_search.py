@@ -21,7 +21,8 @@ import numpy as np
 
 from planner.cover.budget import Budget
 from planner.cover.greedy import greedy, prune
-from planner.cover.problem import CoverProblem, Ints
+from planner.cover.problem import CoverProblem
+from planner.values import Ints
 
 if TYPE_CHECKING:
     from planner.cover.local_search_kernels import State

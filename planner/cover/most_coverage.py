@@ -21,9 +21,10 @@ from planner.cover.area_search import search_most
 from planner.cover.budget import Budget
 from planner.cover.interrupts import ends_search, interruptible
 from planner.cover.prepared import Prepared, prepare
-from planner.cover.problem import CoverProblem, Ints
+from planner.cover.problem import CoverProblem
 from planner.cover.selection import Cover
 from planner.errors import PlannerError
+from planner.values import Ints
 
 SEARCH_SHARE, BOUND_SHARE = 0.3, 0.5
 """Of the budget: for the search, and of what is left then for the bound; the rest is for HiGHS."""

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.cover import demand_search
 from planner.cover.answer import told
@@ -23,10 +23,9 @@ from planner.cover.budget import Budget
 from planner.cover.demand_search import Graph, connected, parts_of
 from planner.cover.demands import DemandProblem
 from planner.cover.prepared import Prepared, prepare
-from planner.cover.problem import Floats, Ints
 from planner.cover.selection import Cover, CoverStatus, beginning, solve
 from planner.errors import PlannerError
-from planner.values import Value, freeze
+from planner.values import Bools, Floats, Ints, Value, freeze
 
 OVERLAP_WORK = 1_000_000_000
 """Default budget: two to five seconds."""
@@ -87,7 +86,7 @@ class OverlapCover(Value):
     part: Annotated[Ints, "n"]
     part_area: Annotated[Floats, "p"]
     shared_area: Annotated[Floats, "n n"]
-    joined: Annotated[NDArray[np.bool_], "n n"]
+    joined: Annotated[Bools, "n n"]
 
     def __post_init__(self) -> None:
         freeze(self, n=len(self.cover.views))

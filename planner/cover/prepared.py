@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.cover.problem import Candidates, CoverProblem, Ints, candidates, column_indices
+from planner.cover.problem import Candidates, CoverProblem, candidates, column_indices
 from planner.cover.reductions import take
 from planner.errors import PlannerError
+from planner.values import Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)

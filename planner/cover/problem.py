@@ -29,10 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.values import Value, freeze
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from planner.values import Bools, Floats, Ints, Value, freeze
 
 AREA_UNITS = 2**52
 """The areas of a problem sum to about this many units: sums stay below 2^53 and are exact in float64 too."""
@@ -124,12 +121,12 @@ class CoverProblem(Value):
         """(S,) how many of the given columns cover each row."""
         return np.bincount(self.rows_of(columns), minlength=self.n_rows)
 
-    def covered(self, columns: ArrayLike) -> NDArray[np.bool_]:
+    def covered(self, columns: ArrayLike) -> Bools:
         """(S,) which rows the given columns cover as often as demanded."""
-        satisfied: NDArray[np.bool_] = self.counts(columns) >= self.demand
+        satisfied: Bools = self.counts(columns) >= self.demand
         return satisfied
 
-    def met(self, covered: NDArray[np.bool_]) -> bool:
+    def met(self, covered: Bools) -> bool:
         """Whether covering these rows meets the target; exact.
 
         Args:
@@ -144,8 +141,8 @@ class CoverProblem(Value):
 
     def restricted(
         self,
-        rows: NDArray[np.bool_],
-        columns: NDArray[np.bool_],
+        rows: Bools,
+        columns: Bools,
         units: Floats,
         required: int,
         demand: Ints | None = None,

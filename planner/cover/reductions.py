@@ -20,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cover.problem import CoverProblem, Floats, Ints, gather, set_hash
+from planner.cover.problem import CoverProblem, gather, set_hash
+from planner.values import Bools, Floats, Ints
 
 SUBSET_WORK = 400_000_000
 """Largest number of 64-bit words that one pass of subset tests may compare (about half a second)."""
@@ -111,9 +112,7 @@ def _least_gain(n_entries: int) -> float:
     return WORTHWHILE * n_entries if n_entries > LARGE else 0.0
 
 
-def _keep(
-    problem: CoverProblem, rows: NDArray[np.bool_] | None, columns: NDArray[np.bool_] | None, units: Floats
-) -> CoverProblem:
+def _keep(problem: CoverProblem, rows: Bools | None, columns: Bools | None, units: Floats) -> CoverProblem:
     """The problem on some rows and columns (None: all) with other units; no copy where all are kept."""
     if (rows is None or rows.all()) and (columns is None or columns.all()):
         return problem
@@ -129,7 +128,7 @@ def _forced_columns(problem: CoverProblem) -> Ints:
     return np.unique(problem.columns_of(needed)[0])
 
 
-def _merge_identical_rows(problem: CoverProblem, units: Floats) -> tuple[NDArray[np.bool_], Floats]:
+def _merge_identical_rows(problem: CoverProblem, units: Floats) -> tuple[Bools, Floats]:
     """The first of each group of rows with the same columns and demand, and the units with the group's sum on it."""
     start, members = problem.row_start, problem.row_columns
     hashes = set_hash(start, members)
@@ -154,11 +153,11 @@ def _merge_identical_rows(problem: CoverProblem, units: Floats) -> tuple[NDArray
     return keep, summed
 
 
-def _dominated_columns(problem: CoverProblem) -> NDArray[np.bool_]:
+def _dominated_columns(problem: CoverProblem) -> Bools:
     """Columns whose rows enough others cover that cost no more; and columns without a row (theirs were dominated)."""
     start, members = problem.column_start, problem.column_rows
     sizes, costs = np.diff(start), problem.costs
-    dominated: NDArray[np.bool_] = sizes == 0
+    dominated: Bools = sizes == 0
     rarest = _rarest_members(start, members, np.diff(problem.row_start))
     bits = _packed(start, members, problem.n_rows, np.diff(problem.row_start)[rarest[sizes > 0]])
     if bits is None:
@@ -176,7 +175,7 @@ def _dominated_columns(problem: CoverProblem) -> NDArray[np.bool_]:
     return dominated
 
 
-def _dominated_rows(problem: CoverProblem) -> NDArray[np.bool_]:
+def _dominated_rows(problem: CoverProblem) -> Bools:
     """Rows that are covered whenever another row is, in a problem where every row must be covered."""
     start, members = problem.row_start, problem.row_columns
     sizes, demand = np.diff(start), problem.demand

@@ -26,11 +26,11 @@ from planner.cover.answer import told
 from planner.cover.budget import Budget
 from planner.cover.demands import DemandProblem
 from planner.cover.prepared import Prepared, prepare
-from planner.cover.problem import TARGET_SLACK, Floats, Ints
+from planner.cover.problem import TARGET_SLACK
 from planner.cover.selection import Cover, beginning, solve
 from planner.errors import PlannerError
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited
-from planner.values import Value
+from planner.values import Floats, Ints, Value
 
 ALPHA = 0.05
 """Default: a sample counts where the plan measures it with a probability of at least 95 %."""

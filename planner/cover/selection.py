@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from planner.cover.bound import bound
 from planner.cover.budget import DEFAULT_WORK, Budget
 from planner.cover.greedy import by_marginal_area, greedy
-from planner.cover.problem import Candidates, CoverProblem, Floats, Ints, candidates, column_indices
+from planner.cover.problem import Candidates, CoverProblem, candidates, column_indices
 from planner.cover.reductions import reduce, take
 from planner.cover.solvers import BOUND_SHARE, SOLVERS
 from planner.errors import PlannerError
-from planner.values import Value
+from planner.values import Floats, Ints, Value
 
 PRICE_ROUNDING = 1e-4
 """Costs that are not whole numbers are rounded: "proven cheapest" means that none saves more than this share."""

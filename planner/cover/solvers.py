@@ -11,7 +11,8 @@ from planner.cover.exact import exact, improve_or_prove
 from planner.cover.greedy import greedy, prune
 from planner.cover.local_search import local_search
 from planner.cover.meta_raps import meta_raps
-from planner.cover.problem import CoverProblem, Ints
+from planner.cover.problem import CoverProblem
+from planner.values import Ints
 
 Solver = Callable[[CoverProblem, np.random.Generator, Budget], Ints]
 """Takes a reduced problem, gives a cover without redundant columns; best cover, bound and work stay in the budget."""

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.measurability.matrix import measured
-from planner.ports import Floats, Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.values import Value
+from planner.values import Bools, Floats, Value
 
 SAMPLES = 100_000
 """How many samples coverage is defined with."""
@@ -39,7 +38,7 @@ class Coverage(Value):
         total_area: area that all samples stand for [m^2].
     """
 
-    covered: Annotated[NDArray[np.bool_], "S"]
+    covered: Annotated[Bools, "S"]
     area: float
     total_area: float
 
@@ -102,7 +101,7 @@ def sampled(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Cove
     return _coverage(np.asarray(distance <= radius), samples)
 
 
-def _coverage(covered: NDArray[np.bool_], samples: SurfaceSamples) -> Coverage:
+def _coverage(covered: Bools, samples: SurfaceSamples) -> Coverage:
     if not len(samples):
         raise PlannerError("there are no samples; coverage is a share of at least one")
     return Coverage(covered, float(samples.areas[covered].sum()), float(samples.areas.sum()))

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.measurability.raygrid import scanned_rows
-from planner.ports import Floats, Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.values import Value, freeze, readonly
-from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses, in_view, legs_free
+from planner.values import Bools, Floats, Ints, Ints32, Value, freeze, readonly
+from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ class Measurability(Value):
             `planner.measurability.quality.sigma_layer`; None where it was not asked for.
     """
 
-    indptr: Annotated[NDArray[np.int64], "S+1"]
-    indices: Annotated[NDArray[np.int32], "nnz"]
+    indptr: Annotated[Ints, "S+1"]
+    indices: Annotated[Ints32, "nnz"]
     features: Annotated[SurfaceSamples, "S"]
     n_viewpoints: int
     sigma: Annotated[NDArray[np.float32], "nnz"] | None = None
@@ -163,7 +163,7 @@ def occlude(
     columns = measurability.matrix().tocsc()
     casters = (occluder_caster,) if ray_caster is None or K == 1 else (ray_caster, occluder_caster)
 
-    def rows_of(pose: int) -> Indices:
+    def rows_of(pose: int) -> Ints:
         entries = columns.indices[columns.indptr[pose // K] : columns.indptr[pose // K + 1]].astype(np.int64)
         return entries if K == 1 else in_view(targets, poses[pose], scanner, entries)
 
@@ -180,7 +180,7 @@ def measured(
     each: bool = False,
     own: Sequence[RayCaster | None] | None = None,
     progress: Progress | None = None,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Which features a few given views measure: prediction on samples that the plan has not seen.
 
     Args:
@@ -210,7 +210,7 @@ def measured(
     found = np.zeros(len(features), dtype=np.bool_)
     still_open = np.arange(len(features))
 
-    def rows_of(pose: int) -> Indices:
+    def rows_of(pose: int) -> Ints:
         return in_view(targets, poses[pose], scanner, still_open)
 
     for done, pose, row in _free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
@@ -226,10 +226,10 @@ def _own_free(
     targets: Targets,
     scanner: Scanner,
     own: Sequence[RayCaster | None] | None,
-    pose: Indices,
-    row: Indices,
+    pose: Ints,
+    row: Ints,
     K: int,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """(n,) whether what belongs to the view of each pair leaves its legs free."""
     free = np.ones(len(row), dtype=np.bool_)
     if own is not None:
@@ -241,7 +241,7 @@ def _own_free(
     return free
 
 
-Pairs = Iterator[tuple[int, Indices, Indices]]
+Pairs = Iterator[tuple[int, Ints, Ints]]
 """Bundles of (poses done, pose of each pair, row of each pair), in the order of the poses."""
 
 
@@ -254,11 +254,11 @@ def _free_pairs(
     targets: Targets,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-    rows_of: Callable[[int], Indices],
+    rows_of: Callable[[int], Ints],
     bundle: int,
 ) -> Pairs:
     """Pairs with free legs. The rows of a pose are asked for one pose after the other, cast together in bundles."""
-    waiting: list[Indices] = []
+    waiting: list[Ints] = []
     first, count = 0, 0
     for pose in range(len(poses)):
         waiting.append(rows_of(pose))
@@ -280,7 +280,7 @@ def _compress(
 
     V, K = viewpoints.T_object_scanner.shape[:2]
     counts = np.zeros(V, dtype=np.int64)
-    rows: list[NDArray[np.int32]] = []
+    rows: list[Ints32] = []
     for done, pose, row in pairs:
         counts += np.bincount(pose // K, minlength=V)
         rows.append(row.astype(np.int32))
@@ -293,14 +293,14 @@ def _compress(
     return Measurability(matrix.indptr.astype(np.int64), matrix.indices, features, V)
 
 
-def _rows(row_of_face: NDArray[np.integer] | None, faces: int, features: int) -> NDArray[np.int32]:
+def _rows(row_of_face: NDArray[np.integer] | None, faces: int, features: int) -> Ints32:
     if row_of_face is None:
         if faces != features:
             raise PlannerError(
                 f"`part` has {faces} faces and there are {features} rows; give `row_of_face` to map them"
             )
         return np.arange(faces, dtype=np.int32)
-    rows: NDArray[np.int32] = readonly("row_of_face", row_of_face, (faces,), np.int32)
+    rows: Ints32 = readonly("row_of_face", row_of_face, (faces,), np.int32)
     if rows.min() < -1 or rows.max() >= features:
         raise PlannerError(f"row_of_face has values {rows.min()} to {rows.max()}; valid are -1 to {features - 1}")
     return rows

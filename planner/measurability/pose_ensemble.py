@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability, measured
-from planner.ports import Floats, Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.sample import SurfaceSamples
-from planner.values import Value, freeze
+from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
 from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -75,9 +75,9 @@ class ProbabilityLayer(Value):
         members: size of the ensemble; 0 where poses are exact, and every entry is certain.
     """
 
-    indptr: Annotated[NDArray[np.int64], "S+1"]
-    indices: Annotated[NDArray[np.int32], "nnz"]
-    hits: Annotated[NDArray[np.int32], "nnz"]
+    indptr: Annotated[Ints, "S+1"]
+    indices: Annotated[Ints32, "nnz"]
+    hits: Annotated[Ints32, "nnz"]
     members: int
 
     def __post_init__(self) -> None:
@@ -126,7 +126,7 @@ def probability_layer(
     casters: Sequence[RayCaster],
     errors: Floats,
     *,
-    columns: NDArray[np.bool_] | None = None,
+    columns: Bools | None = None,
     progress: Progress | None = None,
 ) -> ProbabilityLayer:
     """Count for each entry the members of an ensemble that measure the sample.
@@ -164,19 +164,19 @@ def probability_layer(
 
 def _hit(
     by_column: object,
-    asked: NDArray[np.bool_],
+    asked: Bools,
     poses: Floats,
     targets: Targets,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-) -> NDArray[np.bool_]:
+) -> Bools:
     """(nnz,) in column order: which entries are measured from any pose of their column."""
-    start: NDArray[np.int64] = by_column.indptr.astype(np.int64)  # type: ignore[attr-defined]  # a scipy csc_array
-    rows: NDArray[np.int64] = by_column.indices.astype(np.int64)  # type: ignore[attr-defined]  # see above
+    start: Ints = by_column.indptr.astype(np.int64)  # type: ignore[attr-defined]  # a scipy csc_array
+    rows: Ints = by_column.indices.astype(np.int64)  # type: ignore[attr-defined]  # see above
     K = len(poses) // (len(start) - 1)
     hit = np.zeros(len(rows), dtype=np.bool_)
-    which: list[NDArray[np.int64]] = []
-    at: list[NDArray[np.int64]] = []
+    which: list[Ints] = []
+    at: list[Ints] = []
     waiting = 0
 
     def cast() -> None:
@@ -208,7 +208,7 @@ def times_measured(
     errors: Floats,
     *,
     progress: Progress | None = None,
-) -> tuple[NDArray[np.int32], Floats]:
+) -> tuple[Ints32, Floats]:
     """Execute a plan many times with errors of its poses, and count how often each sample is measured.
 
     Args:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
-from planner.ports import Floats, RayCaster, Rejection, SigmaScanner
+from planner.ports import RayCaster, Rejection, SigmaScanner
+from planner.values import Floats
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 

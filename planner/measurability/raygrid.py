@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.ports import Floats, RayCaster, Rejection, Scanner
+from planner.ports import RayCaster, Rejection, Scanner
 from planner.surface.mesh import TriangleMesh, face_normals
-from planner.viewpoints.lines_of_sight import BUNDLE, Indices, lift
+from planner.values import Floats, Ints, Ints32
+from planner.viewpoints.lines_of_sight import BUNDLE, lift
 
 
 def scanned_rows(
-    poses: Floats, part: TriangleMesh, row_of_face: NDArray[np.int32], scanner: Scanner, ray_caster: RayCaster
-) -> Iterator[tuple[int, Indices, Indices]]:
+    poses: Floats, part: TriangleMesh, row_of_face: Ints32, scanner: Scanner, ray_caster: RayCaster
+) -> Iterator[tuple[int, Ints, Ints]]:
     """Rows that a scan from each pose measures.
 
     Rays that pass the part's bounding sphere are not cast: they cannot hit.
@@ -39,7 +39,7 @@ def scanned_rows(
     radius = float(np.linalg.norm(used - middle, axis=1).max()) * (1 + 1e-6)
     grid = scanner.ray_directions()
     n_rows = int(row_of_face.max(initial=0)) + 1
-    waiting: list[Indices] = []
+    waiting: list[Ints] = []
     first, count = 0, 0
     for pose in range(len(poses)):
         T = poses[pose]
@@ -54,7 +54,7 @@ def scanned_rows(
         waiting, first, count = [], pose + 1, 0
 
 
-def _towards(grid: Floats, middle: Floats, source: Floats, radius: float) -> Indices:
+def _towards(grid: Floats, middle: Floats, source: Floats, radius: float) -> Ints:
     """Rays of the grid that meet a sphere; all in the scanner frame."""
     towards = middle - source
     squared = float(towards @ towards) - radius**2
@@ -65,13 +65,13 @@ def _towards(grid: Floats, middle: Floats, source: Floats, radius: float) -> Ind
 
 def _scan(
     poses: Floats,
-    rays: list[Indices],
+    rays: list[Ints],
     grid: Floats,
     normals: Floats,
     diagonal: float,
     scanner: Scanner,
     ray_caster: RayCaster,
-) -> tuple[Indices, NDArray[np.int32]]:
+) -> tuple[Ints, Ints32]:
     """(pose, face) of every ray that is measured; `rays[i]` are those of the grid that pose i casts."""
     ends = np.concatenate([[0], np.cumsum([len(chosen) for chosen in rays])])
     pose = np.repeat(np.arange(len(poses)), np.diff(ends))

@@ -20,14 +20,11 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from planner.order import generalised_tsp as gtsp
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
 from planner.timing.motion import move_time
-from planner.values import Value, freeze, readonly
-
-Ints = NDArray[np.int64]
+from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 
 STAND_INS = 16
 """Candidates that are tried for one view at most, itself included: those that lie best on the tour so far."""
@@ -64,7 +61,7 @@ class Exchange(Value):
 class Matrix:
     """The measurability matrix, asked by rows and by columns."""
 
-    def __init__(self, M: Any, areas: Floats, usable: NDArray[np.bool_]) -> None:
+    def __init__(self, M: Any, areas: Floats, usable: Bools) -> None:
         """Take a (S, V) sparse matrix, the area of each sample [m^2] and which columns may be used."""
         self._rows, self._columns, self.areas, self.usable = sp.csr_array(M), sp.csc_array(M), areas, usable
 
@@ -80,7 +77,7 @@ class Matrix:
             found[self.measured_by(view)] += 1
         return found
 
-    def measuring(self, samples: Ints, spare: float = 0.0) -> NDArray[np.bool_]:
+    def measuring(self, samples: Ints, spare: float = 0.0) -> Bools:
         """(V,) usable candidates that measure every one of the samples, but for a spare area [m^2]."""
         found = self._rows[samples]
         if spare <= 0.0:  # counted, so that no rounding decides
@@ -227,7 +224,7 @@ def _exchanged(
     return None
 
 
-def _area(matrix: Matrix, samples: NDArray[np.bool_] | Ints) -> float:
+def _area(matrix: Matrix, samples: Bools | Ints) -> float:
     return float(matrix.areas[samples].sum())
 
 

@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.order import tour_bound
-from planner.ports import Floats
-from planner.values import readonly
+from planner.values import Floats, Ints, readonly
 
 BLOCKED = 1e7
 """Cost of an edge that cannot be used."""
@@ -39,8 +37,6 @@ _EXACT_PER_STEP = 45_000
 _PER_SUBSET = 20_000  # additions that handling one subset costs beside its own
 
 _HOT, _COLD = 2.5, 0.025  # temperatures of the search, in mean lengths of an edge; see docs/motion.md for what they do
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

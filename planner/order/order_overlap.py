@@ -10,26 +10,26 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.order import generalised_tsp as gtsp
 from planner.order import orderings as orders
 from planner.order.moves import Moves
 from planner.order.orderings import Ordering, OrderStatus, Sequence
+from planner.values import Bools, Ints
 
-Joined = NDArray[np.bool_]
+Joined = Bools
 """(n, n) which views overlap."""
 
 _STEPS_PER_TRIAL = 30
 """Steps of the free search's budget that one trial of an order costs: judging an order takes about as long."""
 
 
-def keeps(joined: Joined, order: NDArray[np.int64]) -> bool:
+def keeps(joined: Joined, order: Ints) -> bool:
     """Whether each view of an order but the first overlaps an earlier one."""
     return all(joined[order[k], order[:k]].any() for k in range(1, len(order)))
 
 
-def grown(joined: Joined, wanted: NDArray[np.int64], first: int) -> NDArray[np.int64] | None:
+def grown(joined: Joined, wanted: Ints, first: int) -> Ints | None:
     """The order from a first view on that keeps the wish and follows another order where it may; None without any.
 
     Args:
@@ -61,7 +61,7 @@ def overlapping(joined: Joined) -> Ordering:
             return free
         problem = moves.instance()
 
-        def judged(order: NDArray[np.int64]) -> tuple[float, NDArray[np.int64]]:
+        def judged(order: Ints) -> tuple[float, Ints]:
             return gtsp.best_nodes(problem, order + 1)
 
         both = (free.order, free.order[::-1])

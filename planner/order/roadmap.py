@@ -17,13 +17,13 @@ other pair can be connected at the worst through home.
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.order.visits import Visits
 from planner.path.certified_edge import certify_many, quantise_inside
 from planner.path.path import connect, path_time, shorten
-from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.ports import CollisionChecker, JointLimits
 from planner.timing.motion import move_time
+from planner.values import Bools, Floats, Ints
 
 Edge = tuple[int, int]
 
@@ -72,7 +72,7 @@ class Roadmap:
         self._units = units
         self._pose = np.unique(units % 3_600_000, axis=0, return_inverse=True)[1].reshape(-1)
 
-    def nodes_of(self, view: int) -> NDArray[np.int64]:
+    def nodes_of(self, view: int) -> Ints:
         """Active nodes of a view that can be left again."""
         nodes = np.arange(self.offsets[view], self.offsets[view + 1])
         return nodes[self.active[nodes] & self.active[self.leave[nodes]]]
@@ -91,7 +91,7 @@ class Roadmap:
         self._times[self._blocked] = self._straight[self._blocked] * factor + more
         return bool(self._blocked.any())
 
-    def unseen(self) -> NDArray[np.bool_]:
+    def unseen(self) -> Bools:
         """(N, N) edges of which nothing is known yet; a view of what changes."""
         return self._unseen
 

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.compiled import compiled
-from planner.ports import Floats
-
-Ints = NDArray[np.int64]
+from planner.values import Floats, Ints
 
 _STRING = 10  # clusters in one removed stretch at most: the paper's
 _REMOVED = 10  # clusters removed in a step on average, in large tours: the paper's

@@ -12,7 +12,6 @@ from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.order import orderings as ordering_of_views
@@ -24,7 +23,7 @@ from planner.path.path import path_time
 from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, JointLimits, Progress
 from planner.timing.motion import check_inside, check_limits
-from planner.values import Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Value
 
 
 class TourStatus(IntEnum):
@@ -122,7 +121,7 @@ class Tour(Value):
     entered: Annotated[Ints, "n"]
     clearance: Annotated[Floats, "legs"]
     between: Annotated[tuple[str, ...], "legs"]
-    detour: Annotated[NDArray[np.bool_], "legs"]
+    detour: Annotated[Bools, "legs"]
     duration: float
     baseline_duration: float
     lower_bound: float

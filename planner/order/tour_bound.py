@@ -14,11 +14,8 @@ walk that visits every cluster once is a tour, and no tour is shorter.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.ports import Floats
-
-Ints = NDArray[np.int64]
+from planner.values import Floats, Ints
 
 _MEMORIES = 11  # members of an NG set at most: 2048 memories a cluster
 _NEAREST, _EVALUATIONS = 5, 30  # members to begin with, where the work allows at least so many evaluations then

@@ -14,12 +14,9 @@ stand at base[k] + memory * size + node, where `memory` is a number whose bits a
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.compiled import compiled
-from planner.ports import Floats
-
-Ints = NDArray[np.int64]
+from planner.values import Floats, Ints
 
 
 @compiled

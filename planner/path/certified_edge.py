@@ -21,11 +21,12 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
-from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.ports import CollisionChecker, JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
+from planner.values import Bools, Floats, Ints
 
 STEP = 0.45
 """Largest travel between a configuration and its nearest checked one, as a share of the clearance; below 0.5."""
@@ -101,7 +102,7 @@ def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker, *, ends_fre
     return True, checks
 
 
-def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[NDArray[np.bool_], int]:
+def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[Bools, int]:
     """Certify several segments with free ends; the same verdicts as `certify`, in fewer and larger calls.
 
     Args:
@@ -184,7 +185,7 @@ def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> 
     return found
 
 
-def _bisection_batches(count: int, ends_free: bool) -> Iterator[NDArray[np.int64]]:
+def _bisection_batches(count: int, ends_free: bool) -> Iterator[Ints]:
     """Indices 0..count-1 in bisection order, in batches that grow; the ends come first, or not at all."""
     order = _bisection_order(count)
     if ends_free:
@@ -196,7 +197,7 @@ def _bisection_batches(count: int, ends_free: bool) -> Iterator[NDArray[np.int64
 
 
 @lru_cache(maxsize=4096)
-def _bisection_order(count: int) -> NDArray[np.int64]:
+def _bisection_order(count: int) -> Ints:
     """0, count - 1, then the middles of ever smaller intervals: (count,), each index once."""
     if count < 3:
         return np.arange(count)

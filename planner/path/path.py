@@ -13,9 +13,9 @@ import numpy as np
 
 from planner.path.certified_edge import certify, clearance_along, quantise_inside
 from planner.path.rrt_connect import rrt_connect
-from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.ports import CollisionChecker, JointLimits
 from planner.timing.motion import check_inside, check_limits, move_time
-from planner.values import Value, readonly
+from planner.values import Floats, Value, readonly
 
 CHECKS = 40_000
 """Default budget of a search: configurations checked, about half a second at 80,000 per second."""

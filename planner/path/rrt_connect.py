@@ -10,7 +10,8 @@ on two sides. There is no wrap-around: A4 at 350 and at -10 deg are different co
 import numpy as np
 
 from planner.path.certified_edge import STEP, certify_many, quantise_inside
-from planner.ports import CollisionChecker, Floats, JointLimits
+from planner.ports import CollisionChecker, JointLimits
+from planner.values import Floats
 
 _STEP_CHECKS = 32  # checks per tree edge: long enough for large batches, short enough to bend around a part
 _FEWEST_CHECKS = 4  # a blocked step is tried once more at this length, to enter narrow gaps

@@ -20,11 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import PlannerError
 from planner.ports import CollisionChecker, Kinematics, Progress
 from planner.reach.setpoints import Setpoints, setpoints
-from planner.values import Value, freeze, readonly
+from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Viewpoints between two calls of the progress callback: some thousand collision checks, a fraction of a second.
 _CHUNK = 512
@@ -66,7 +63,7 @@ class Reach(Value):
 
     verdict: Annotated[NDArray[np.uint8], "V"]
     q: Annotated[Floats, "total 6"]
-    offsets: Annotated[Integers, "V+1"]
+    offsets: Annotated[Ints, "V+1"]
     blocker: Annotated[tuple[str, ...], "V"]
 
     def __post_init__(self) -> None:
@@ -82,7 +79,7 @@ class Reach(Value):
         return len(self.verdict)
 
     @property
-    def reachable(self) -> NDArray[np.bool_]:
+    def reachable(self) -> Bools:
         """(V,) True where the verdict is REACHABLE: the columns that a view plan may use."""
         return np.asarray(self.verdict == Verdict.REACHABLE)
 
@@ -163,7 +160,7 @@ def solve(
 
 def _solve_poses(
     T_base_flange: Floats, kinematics: Kinematics, checker: CollisionChecker
-) -> tuple[NDArray[np.uint8], Setpoints, NDArray[np.bool_]]:
+) -> tuple[NDArray[np.uint8], Setpoints, Bools]:
     """Verdict of each pose, its set-points within the limits, and which of these are free."""
     solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
     free = checker.free(solved.q[solved.first])[solved.geometry] if len(solved.q) else np.empty(0, dtype=np.bool_)

@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.ports import JointLimits
-from planner.values import Value
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from planner.values import Bools, Floats, Ints, Value
 
 STEPS_PER_DEGREE = 10_000
 _TURN = 360 * STEPS_PER_DEGREE
@@ -23,7 +20,7 @@ _TURN = 360 * STEPS_PER_DEGREE
 _LIMIT_NOISE = 1e-6
 
 
-def to_steps(q: ArrayLike) -> Integers:
+def to_steps(q: ArrayLike) -> Ints:
     """Joint angles as the integers of a controller.
 
     Args:
@@ -52,11 +49,11 @@ class Setpoints(Value):
         geometry: (n,) int64 which of those each row is a turn of.
     """
 
-    real: Annotated[NDArray[np.bool_], "N"]
+    real: Annotated[Bools, "N"]
     q: Annotated[Floats, "n 6"]
-    pose: Annotated[Integers, "n"]
-    first: Annotated[Integers, "g"]
-    geometry: Annotated[Integers, "n"]
+    pose: Annotated[Ints, "n"]
+    first: Annotated[Ints, "g"]
+    geometry: Annotated[Ints, "n"]
 
 
 def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
@@ -69,7 +66,7 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
         branches: (N, B, 6) joint angles [rad] in (-pi, pi], NaN where a branch has no real solution.
         limits: of the axes.
     """
-    exists: NDArray[np.bool_] = np.asarray(~np.isnan(branches).any(axis=-1))
+    exists: Bools = np.asarray(~np.isnan(branches).any(axis=-1))
     steps = to_steps(np.where(exists[..., None], branches, 0.0))
     lower = np.ceil(np.rad2deg(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE).astype(np.int64)
     upper = np.floor(np.rad2deg(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE).astype(np.int64)
@@ -91,7 +88,7 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     return Setpoints(np.asarray(exists.any(axis=-1)), q, pose, np.flatnonzero(fresh), np.cumsum(fresh) - 1)
 
 
-def _turns(lower: Integers, upper: Integers) -> list[list[int]]:
+def _turns(lower: Ints, upper: Ints) -> list[list[int]]:
     """Of each axis, the whole turns that keep some angle of (-180, 180] deg within its limits; no turn first."""
     half = _TURN // 2
     most = int(np.abs([lower, upper]).max()) // _TURN + 1

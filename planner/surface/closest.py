@@ -15,8 +15,8 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.surface.mesh import Floats, Ints, TriangleMesh, face_areas, face_normals
-from planner.values import Value
+from planner.surface.mesh import TriangleMesh, face_areas, face_normals
+from planner.values import Floats, Ints32, Value
 
 _CREASE_DEG = 30.0  # across edges that turn by more, normals are not interpolated
 _DIRECTIONS = np.array([np.divide(d, np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])  # 26
@@ -33,7 +33,7 @@ class ClosestPoints(Value):
     """
 
     point: Annotated[Floats, "N 3"]
-    face: Annotated[Ints, "N"]
+    face: Annotated[Ints32, "N"]
     distance: Annotated[Floats, "N"]
 
 
@@ -103,7 +103,7 @@ class NearestSurface:
         return unit
 
 
-def closest_face(points: Floats, normals: Floats, mesh: TriangleMesh) -> Ints:
+def closest_face(points: Floats, normals: Floats, mesh: TriangleMesh) -> Ints32:
     """The face nearest to each point; where that looks away, the nearest that looks the same way and is about as near.
 
     The normal keeps the two sides of a thin wall apart. The other face is looked for in groups of faces that have about

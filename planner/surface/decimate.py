@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.surface.mesh import Floats, Ints, TriangleMesh, face_areas
+from planner.surface.mesh import TriangleMesh, face_areas
 from planner.surface.remesh import split_long_edges, stout
+from planner.values import Floats, Ints32
 
 _AGGRESSIONS = (7, 5, 6, 8, 4)  # in this order; 7 is the library's default, see `decimate`
 _TOO_LONG = 2.5  # edges above so many face sizes are split: a right triangle then has at most 1.6 times the wanted area
@@ -57,7 +58,7 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     return TriangleMesh(best.vertices * diagonal + middle, best.faces)
 
 
-def collapse_edges(vertices: Floats, faces: Ints, face_count: int, aggression: int) -> tuple[Floats, Ints]:
+def collapse_edges(vertices: Floats, faces: Ints32, face_count: int, aggression: int) -> tuple[Floats, Ints32]:
     """One run of the library's quadric edge collapse, safe to call from several threads.
 
     Args:
@@ -127,7 +128,7 @@ def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
     return TriangleMesh(vertices[used], compact.reshape(-1, 3).astype(np.int32))
 
 
-def _crowded_edges(faces: Ints) -> int:
+def _crowded_edges(faces: Ints32) -> int:
     """Number of edges that more than two faces share."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
     _, uses = np.unique(edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1], return_counts=True)

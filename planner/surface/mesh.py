@@ -7,13 +7,9 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.values import Value, freeze
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+from planner.values import Floats, Ints32, Value, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +23,7 @@ class TriangleMesh(Value):
     """
 
     vertices: Annotated[Floats, "V 3"]
-    faces: Annotated[Ints, "F 3"]
+    faces: Annotated[Ints32, "F 3"]
     diagonal: float = field(init=False)
 
     def __post_init__(self) -> None:

@@ -6,11 +6,9 @@ coarse isotropic remeshing without edge flips (after Botsch and Kobbelt 2004, Se
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+from planner.values import Bools, Floats, Ints, Ints32
 
 _SHORT, _LONG = 0.4, 1.2  # edges to contract and to split, in face sizes: leaves about four faces for each one wanted
 _PASSES = 12  # of contracting and splitting; a cylinder of 2000 needles takes 10
@@ -18,7 +16,7 @@ _ROUNDS = 60  # of one contraction: each contracts a set of edges that do not to
 _LEAST_AGREEMENT = 0.85  # cosine by which a contraction may turn a face (32 degrees): no chamfer along a sharp edge
 
 
-def stout(vertices: Floats, faces: Ints, face_size: float) -> tuple[Floats, Ints]:
+def stout(vertices: Floats, faces: Ints32, face_size: float) -> tuple[Floats, Ints32]:
     """A mesh of about the same surface whose triangles are neither needles nor larger than wanted.
 
     Args:
@@ -38,7 +36,7 @@ def stout(vertices: Floats, faces: Ints, face_size: float) -> tuple[Floats, Ints
     return vertices, faces
 
 
-def contract_short_edges(vertices: Floats, faces: Ints, shortest: float) -> tuple[Floats, Ints]:
+def contract_short_edges(vertices: Floats, faces: Ints32, shortest: float) -> tuple[Floats, Ints32]:
     """Contract edges below a limit, each onto its end at which the surface bends more.
 
     An edge stays where contracting it would pinch the surface (its ends have another common neighbour than those of its
@@ -73,7 +71,7 @@ def contract_short_edges(vertices: Floats, faces: Ints, shortest: float) -> tupl
     return vertices, faces
 
 
-def split_long_edges(vertices: Floats, faces: Ints, longest: float) -> tuple[Floats, Ints]:
+def split_long_edges(vertices: Floats, faces: Ints32, longest: float) -> tuple[Floats, Ints32]:
     """Halve the edges above a limit that are the longest of one of their faces, once.
 
     Taking only the longest side of a needle makes it stouter, where halving all three sides would leave its shape. An
@@ -102,7 +100,7 @@ def split_long_edges(vertices: Floats, faces: Ints, longest: float) -> tuple[Flo
     return vertices, _split(vertices, faces, middle)
 
 
-def _edges(faces: Ints) -> tuple[Ints, NDArray[np.int64]]:
+def _edges(faces: Ints32) -> tuple[Ints32, Ints]:
     """(E, 2) undirected edges and (E,) how many faces each has."""
     pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     size = int(faces.max()) + 1
@@ -110,7 +108,7 @@ def _edges(faces: Ints) -> tuple[Ints, NDArray[np.int64]]:
     return np.stack([key // size, key % size], axis=1).astype(np.int32), count
 
 
-def _common_neighbours(edges: Ints, chosen: Ints, n_vertices: int) -> NDArray[np.int64]:
+def _common_neighbours(edges: Ints32, chosen: Ints32, n_vertices: int) -> Ints:
     """How many vertices both ends of each chosen edge are connected with."""
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
     graph = coo_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(n_vertices, n_vertices)).tocsr()
@@ -118,14 +116,14 @@ def _common_neighbours(edges: Ints, chosen: Ints, n_vertices: int) -> NDArray[np
     return np.asarray(shared, np.int64).ravel()
 
 
-def _normals(vertices: Floats, faces: Ints) -> Floats:
+def _normals(vertices: Floats, faces: Ints32) -> Floats:
     """(F, 3) normals, twice the area long."""
     corners = vertices[faces]
     normals: Floats = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return normals
 
 
-def _bend(vertices: Floats, faces: Ints) -> Floats:
+def _bend(vertices: Floats, faces: Ints32) -> Floats:
     """(V,) 0 where the faces about a vertex lie in one plane, up to 1 where they face apart."""
     normals = _normals(vertices, faces)
     total, size = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
@@ -137,7 +135,7 @@ def _bend(vertices: Floats, faces: Ints) -> Floats:
     return bend
 
 
-def _turns_a_face(vertices: Floats, faces: Ints, edges: Ints) -> NDArray[np.bool_]:
+def _turns_a_face(vertices: Floats, faces: Ints32, edges: Ints32) -> Bools:
     """Whether moving an edge's second end onto its first turns a face about that end too far."""
     corner_of = np.argsort(faces.ravel(), kind="stable")
     start = np.searchsorted(faces.ravel()[corner_of], np.arange(len(vertices) + 1))
@@ -157,7 +155,7 @@ def _turns_a_face(vertices: Floats, faces: Ints, edges: Ints) -> NDArray[np.bool
     return np.bincount(edge[bad], minlength=len(edges)) > 0
 
 
-def _apart(edges: Ints, faces: Ints, n_vertices: int) -> Ints:
+def _apart(edges: Ints32, faces: Ints32, n_vertices: int) -> Ints32:
     """A part of the edges, earlier ones preferred, such that no face touches two of them."""
     rank = np.arange(len(edges))
     best = np.full(n_vertices, len(edges))
@@ -167,11 +165,11 @@ def _apart(edges: Ints, faces: Ints, n_vertices: int) -> Ints:
     least = best.copy()
     for corner in range(3):
         np.minimum.at(least, faces[:, corner], of_face)
-    chosen: Ints = edges[(least[edges[:, 0]] == rank) & (least[edges[:, 1]] == rank)]
+    chosen: Ints32 = edges[(least[edges[:, 0]] == rank) & (least[edges[:, 1]] == rank)]
     return chosen
 
 
-def _split(vertices: Floats, faces: Ints, middle: Ints) -> Ints:
+def _split(vertices: Floats, faces: Ints32, middle: Ints32) -> Ints32:
     """The faces cut at the middles of their marked sides.
 
     Args:
@@ -188,7 +186,7 @@ def _split(vertices: Floats, faces: Ints, middle: Ints) -> Ints:
     one, two, three = (count == n for n in (1, 2, 3))
     shorter = np.linalg.norm(vertices[a] - vertices[bc], axis=1) < np.linalg.norm(vertices[ab] - vertices[c], axis=1)
 
-    def pieces(chosen: NDArray[np.bool_], *corners: tuple[Ints, Ints, Ints]) -> list[Ints]:
+    def pieces(chosen: Bools, *corners: tuple[Ints32, Ints32, Ints32]) -> list[Ints32]:
         return [np.stack([p[chosen], q[chosen], r[chosen]], axis=1) for p, q, r in corners]
 
     return np.concatenate(

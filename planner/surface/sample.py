@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.surface.closest import closest_face
-from planner.surface.mesh import Floats, Ints, TriangleMesh, face_areas, face_centres, face_normals
-from planner.values import Value
+from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
+from planner.values import Floats, Ints, Ints32, Value
 
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
 
@@ -32,8 +31,8 @@ class SurfaceSamples(Value):
     points: Annotated[Floats, "S 3"]
     normals: Annotated[Floats, "S 3"]
     areas: Annotated[Floats, "S"]
-    face: Annotated[Ints, "S"]
-    planning_face: Annotated[Ints, "S"]
+    face: Annotated[Ints32, "S"]
+    planning_face: Annotated[Ints32, "S"]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -96,7 +95,7 @@ def face_features(reference: TriangleMesh, planning: TriangleMesh) -> SurfaceSam
     return SurfaceSamples(points, normals, face_areas(planning), face, np.arange(len(points), dtype=np.int32))
 
 
-def _morton_order(points: Floats) -> NDArray[np.int64]:
+def _morton_order(points: Floats) -> Ints:
     """(N,) the order of points along a Z-shaped space-filling curve of 2^10 cells per axis."""
     low = points.min(axis=0)
     extent = float(np.ptp(points, axis=0).max()) or 1.0

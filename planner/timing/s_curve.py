@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.ports import Floats
+from planner.values import Floats
 
 
 class Profile(NamedTuple):

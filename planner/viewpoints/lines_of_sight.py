@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.ports import Floats, RayCaster, Rejection, Scanner
-from planner.values import readonly
+from planner.ports import RayCaster, Rejection, Scanner
+from planner.values import Bools, Floats, Ints, readonly
 
 LIFT = 1e-6
 """How far legs end above their point along its normal, as a share of the points' bounding-box diagonal.
@@ -28,8 +27,6 @@ BUNDLE = 300_000
 """Rays that are cast in one call: enough that Python's share vanishes and both cores have work, 10 MB of arrays."""
 
 _BLOCK = 8192  # points that are transformed at a time: they stay in the core's cache
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +95,7 @@ def flat_poses(T_object_scanner: Floats) -> Floats:
     return poses
 
 
-def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Indices | None = None) -> Indices:
+def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Ints | None = None) -> Ints:
     """Points that pass every condition of the scanner that needs no ray.
 
     Args:
@@ -116,7 +113,7 @@ def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Indices | None 
     passed = []
     for start in range(0, count, _BLOCK):
         stop = min(start + _BLOCK, count)
-        asked: slice | Indices = slice(start, stop) if rows is None else rows[start:stop]
+        asked: slice | Ints = slice(start, stop) if rows is None else rows[start:stop]
         points = into_scanner @ targets.points[:, asked] - origin
         codes = scanner.reject(points.T, (into_scanner @ targets.normals[:, asked]).T)
         found = np.flatnonzero(codes == Rejection.MEASURED)
@@ -125,8 +122,8 @@ def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Indices | None 
 
 
 def legs_free(
-    targets: Targets, poses: Floats, pose: Indices, row: Indices, scanner: Scanner, casters: Sequence[RayCaster]
-) -> NDArray[np.bool_]:
+    targets: Targets, poses: Floats, pose: Ints, row: Ints, scanner: Scanner, casters: Sequence[RayCaster]
+) -> Bools:
     """Whether nothing stands in either leg of each pair; the sensor leg is cast only where the source leg is free.
 
     Args:
@@ -147,8 +144,8 @@ def legs_free(
 
 
 def _unhidden(
-    targets: Targets, poses: Floats, pose: Indices, row: Indices, position: Floats, casters: Sequence[RayCaster]
-) -> NDArray[np.bool_]:
+    targets: Targets, poses: Floats, pose: Ints, row: Ints, position: Floats, casters: Sequence[RayCaster]
+) -> Bools:
     """Whether nothing stands between a position of the scanner (3,) [m] and the point, for each pair.
 
     Neighbouring poses with the same position (rolls of one viewpoint share the source) share its legs: each is cast
@@ -160,8 +157,8 @@ def _unhidden(
         return _free(origins[pose], targets.lifted[row], casters)
     place = standing[pose]
     leg_of = np.empty(len(row), dtype=np.int64)
-    at: list[Indices] = []
-    towards: list[Indices] = []
+    at: list[Ints] = []
+    towards: list[Ints] = []
     count = 0
     number = np.empty(len(targets), dtype=np.int64)
     steps = np.flatnonzero(place[1:] != place[:-1]) + 1
@@ -181,7 +178,7 @@ def _unhidden(
     return np.asarray(free[leg_of])
 
 
-def _free(origins: Floats, ends: Floats, casters: Sequence[RayCaster]) -> NDArray[np.bool_]:
+def _free(origins: Floats, ends: Floats, casters: Sequence[RayCaster]) -> Bools:
     """(n,) True where no caster finds anything between origin and end (n, 3) [m]."""
     free = np.ones(len(origins), dtype=np.bool_)
     for caster in casters:

@@ -17,13 +17,11 @@ Object frame, metres, radians.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
-from planner.values import readonly
+from planner.values import Floats, readonly
 from planner.viewpoints.viewpoints import Viewpoints
-
-Floats = NDArray[np.float64]
 
 
 def straight_sweep(

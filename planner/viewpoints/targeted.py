@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.ports import Floats, RayCaster, Rejection, Scanner
+from planner.ports import RayCaster, Rejection, Scanner
 from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
+from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.sphere import view_sphere
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, looking_at, pick_viewpoints
@@ -77,7 +78,7 @@ def base_set(
     return join_viewpoints([sphere, pick_viewpoints(zone, np.isin(zone.face, kept))])
 
 
-def spread(points: Floats, normals: Floats, count: int, scale: float) -> NDArray[np.int64]:
+def spread(points: Floats, normals: Floats, count: int, scale: float) -> Ints:
     """A subset whose members differ in place and direction: each is the one farthest from those before it.
 
     Farthest-point sampling [1] on (point / scale, normal), so that a turn by one radian counts as much as a way of
@@ -148,7 +149,7 @@ def limits(scanner: Scanner, standoff: float) -> Limits:
 
 def aimed_at(
     points: Floats, normals: Floats, face: NDArray[np.integer], standoff: float, within: Limits
-) -> tuple[Viewpoints, NDArray[np.int64]]:
+) -> tuple[Viewpoints, Ints]:
     """Views at each point: every direction, standoff and roll of the family; small tilts and the default first.
 
     Args:
@@ -179,10 +180,10 @@ def aimed_at(
 def sees_its_point(
     views: Viewpoints,
     targets: Targets,
-    row: NDArray[np.int64],
+    row: Ints,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether each view measures the one feature that it is aimed at: conditions first, then its two legs.
 
     Args:
@@ -202,8 +203,8 @@ def sees_its_point(
 
 
 def measured_rows(
-    views: Viewpoints, targets: Targets, rows: NDArray[np.int64], scanner: Scanner, casters: Sequence[RayCaster]
-) -> NDArray[np.bool_]:
+    views: Viewpoints, targets: Targets, rows: Ints, scanner: Scanner, casters: Sequence[RayCaster]
+) -> Bools:
     """Which of some features each view measures.
 
     Args:
@@ -226,7 +227,7 @@ def measured_rows(
     return result[rows]
 
 
-def most_useful(measured: NDArray[np.bool_], areas: Floats, depth: int) -> NDArray[np.int64]:
+def most_useful(measured: Bools, areas: Floats, depth: int) -> Ints:
     """Few views that measure what any of the views measures, each feature by `depth` of them where that many can.
 
     Greedy: the view that adds most area to features which still want views; ties go to the smaller index.

@@ -17,9 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
-from planner.values import Value, readonly
-
-Floats = NDArray[np.float64]
+from planner.values import Bools, Floats, Ints32, Value, readonly
 
 _ALONG_Z = 1e-3  # sine below which a view counts as along z: a flat top's normals scatter by less in a float32 mesh
 
@@ -36,7 +34,7 @@ class Viewpoints(Value):
     """
 
     T_object_scanner: Annotated[Floats, "V K 4 4"]
-    face: Annotated[NDArray[np.int32], "V"]
+    face: Annotated[Ints32, "V"]
     standoff: Annotated[Floats, "V"]
     roll: Annotated[Floats, "V"]
 
@@ -91,7 +89,7 @@ def join_viewpoints(parts: Sequence[Viewpoints]) -> Viewpoints:
     )
 
 
-def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | NDArray[np.bool_]) -> Viewpoints:
+def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | Bools) -> Viewpoints:
     """Some viewpoints: (n,) rows in the order that is wanted, or (V,) bool."""
     return Viewpoints(
         viewpoints.T_object_scanner[which], viewpoints.face[which], viewpoints.standoff[which], viewpoints.roll[which]

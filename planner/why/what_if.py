@@ -12,11 +12,10 @@ from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.ports import Floats, RayCaster, Scanner
-from planner.values import Value
-from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses, in_view, legs_free
+from planner.ports import RayCaster, Scanner
+from planner.values import Bools, Floats, Ints, Value
+from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints, looking_at
 
 NEARLY = 0.9
@@ -64,11 +63,11 @@ class WhatIf(Value):
     scanner: Scanner
     casters: tuple[RayCaster, ...]
 
-    def measures(self, targets: Targets, rows: Indices) -> NDArray[np.bool_]:
+    def measures(self, targets: Targets, rows: Ints) -> Bools:
         """(n,) which of the rows at least one candidate measures under the change."""
         return measures(targets, rows, self.T_object_scanner, self.scanner, self.casters).any_pose
 
-    def useful(self, targets: Targets, rows: Indices) -> NDArray[np.bool_]:
+    def useful(self, targets: Targets, rows: Ints) -> Bools:
         """(n,) which of the candidates measure any of the rows."""
         return measures(targets, rows, self.T_object_scanner, self.scanner, self.casters, each=True).any_row
 
@@ -83,13 +82,13 @@ class Measured:
         pairs: (p, 2) row (index into the rows asked about) and view, where each pair was asked for.
     """
 
-    any_pose: NDArray[np.bool_]
-    any_row: NDArray[np.bool_]
-    pairs: Indices
+    any_pose: Bools
+    any_row: Bools
+    pairs: Ints
 
 
 def measures(
-    targets: Targets, rows: Indices, T_object_scanner: Floats, scanner: Scanner, casters: Sequence[RayCaster],
+    targets: Targets, rows: Ints, T_object_scanner: Floats, scanner: Scanner, casters: Sequence[RayCaster],
     *, each: bool = False,
 ) -> Measured:  # fmt: skip
     """Ask views about some of the targets; legs end where those of all targets end, however few are asked about.
@@ -106,9 +105,9 @@ def measures(
     K = np.shape(T_object_scanner)[1]
     found = np.zeros(len(targets), dtype=np.bool_)
     view_used = np.zeros(len(T_object_scanner), dtype=np.bool_)
-    kept: list[tuple[Indices, Indices]] = []
+    kept: list[tuple[Ints, Ints]] = []
     still = np.asarray(rows, dtype=np.int64)
-    waiting: list[Indices] = []
+    waiting: list[Ints] = []
     first, count = 0, 0
     for pose in range(len(poses)):
         waiting.append(in_view(targets, poses[pose], scanner, still))
@@ -141,7 +140,7 @@ def choose(gains: Floats, kinds: Sequence[Kind], changes: Sequence[float], *, mo
         most: how many to name, each of another kind.
 
     Returns:
-        Indices of changes; none where no change is `WORTH` naming.
+        Ints of changes; none where no change is `WORTH` naming.
     """
     named: list[int] = []
     left = [i for i in range(len(gains)) if gains[i] >= WORTH]
@@ -153,7 +152,7 @@ def choose(gains: Floats, kinds: Sequence[Kind], changes: Sequence[float], *, mo
     return named
 
 
-def few_views(pairs: Indices, rows: int, *, share: float = NEARLY, most: int = 10) -> list[int]:
+def few_views(pairs: Ints, rows: int, *, share: float = NEARLY, most: int = 10) -> list[int]:
     """Views that together measure a share of the rows, greedily, the most useful first.
 
     Args:

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.ports import Floats, Progress, RayCaster, Rejection, Scanner
-from planner.values import Value, readonly
-from planner.viewpoints.lines_of_sight import BUNDLE, Indices, Targets, flat_poses
+from planner.ports import Progress, RayCaster, Rejection, Scanner
+from planner.values import Floats, Ints, Value, readonly
+from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why.reasons import Reason
 
@@ -51,7 +51,7 @@ class Diagnosis(Value):
     """
 
     reason: Annotated[NDArray[np.uint8], "n"]
-    pose: Annotated[Indices, "n"]
+    pose: Annotated[Ints, "n"]
     grazing_source: Annotated[Floats, "n"]
     grazing_sensor: Annotated[Floats, "n"]
     distance: Annotated[Floats, "n"]
@@ -59,7 +59,7 @@ class Diagnosis(Value):
 
 def diagnose(
     targets: Targets,
-    rows: Indices,
+    rows: Ints,
     viewpoints: Viewpoints,
     scanner: Scanner,
     part_caster: RayCaster,
@@ -112,7 +112,7 @@ class _Search:
     """The running best of every row."""
 
     def __init__(
-        self, targets: Targets, rows: Indices, poses: Floats, scanner: Scanner,
+        self, targets: Targets, rows: Ints, poses: Floats, scanner: Scanner,
         casters: tuple[RayCaster, RayCaster], last: NDArray[np.uint8],
     ) -> None:  # fmt: skip
         self.targets, self.rows, self.poses, self.scanner, self.casters = targets, rows, poses, scanner, casters
@@ -121,7 +121,7 @@ class _Search:
         self.miss = np.full(len(rows), np.inf)
         self.pose = np.full(len(rows), -1, dtype=np.int64)
         self.retire(Reason.NOT_SELECTED)
-        self._waiting: list[tuple[int, Indices, Floats]] = []
+        self._waiting: list[tuple[int, Ints, Floats]] = []
         self._count = 0
 
     def retire(self, level: int) -> None:
@@ -185,7 +185,7 @@ class _Search:
         chosen = order[first]
         self._keep(row[chosen], level[chosen], miss[chosen], pose[chosen])
 
-    def _keep(self, row: Indices, level: NDArray[np.uint8], miss: Floats, pose: Indices) -> None:
+    def _keep(self, row: Ints, level: NDArray[np.uint8], miss: Floats, pose: Ints) -> None:
         better = (level > self.best[row]) | ((level == self.best[row]) & (miss < self.miss[row]))
         at = row[better]
         self.best[at], self.miss[at], self.pose[at] = level[better], miss[better], pose[better]
@@ -221,7 +221,7 @@ def _angle(first: Floats, second: Floats) -> Floats:
 
 
 def _with_angles(
-    targets: Targets, rows: Indices, poses: Floats, scanner: Scanner, reason: NDArray[np.uint8], pose: Indices
+    targets: Targets, rows: Ints, poses: Floats, scanner: Scanner, reason: NDArray[np.uint8], pose: Ints
 ) -> Diagnosis:
     if not len(poses):
         nothing = np.full(len(rows), np.nan)
@@ -236,7 +236,7 @@ def _with_angles(
 
 
 def names_in_the_way(
-    targets: Targets, rows: Indices, diagnosis: Diagnosis, viewpoints: Viewpoints, scanner: Scanner,
+    targets: Targets, rows: Ints, diagnosis: Diagnosis, viewpoints: Viewpoints, scanner: Scanner,
     occluders: Mapping[str, RayCaster],
 ) -> list[str]:  # fmt: skip
     """What shades each row from its closest candidate: "part", the occluders' names joined by " and ", or "".

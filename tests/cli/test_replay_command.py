@@ -23,11 +23,10 @@ from cell.replay.replay import ReplayOptions, load_show, replay
 from cell.replay.show import Show, show_what_is_seen
 from cell.run import reader as run_reader
 from cell.run.record import open_run
+from planner.values import Floats
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Start = Callable[..., "subprocess.Popen[str]"]
-Floats = NDArray[np.float64]
-
 _SIZE = (480, 360)
 _PLACED_AT = np.array([1.1, 0.4, 0.1])  # --place of the fixture's plan
 

@@ -9,7 +9,8 @@ import pytest
 from planner.order import generalised_tsp as gtsp
 from planner.order.moves import Moves
 from planner.order.orderings import sequence
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
+from planner.values import Floats
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.ones(6), np.full(6, 2.0))
 

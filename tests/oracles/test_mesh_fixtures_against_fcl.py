@@ -22,9 +22,9 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.possible import impossible
 from planner.path.path import connect
-from planner.ports import Floats
 from planner.reach import reach
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
 MIDDLE = np.array([1.2, 0.1, 0.1])

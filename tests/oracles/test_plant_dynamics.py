@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.special import ellipk
@@ -21,8 +20,7 @@ from cell.plant.servo import Settings
 from cell.plant.tool import Piece, Tool
 from cell.robot.model import LINKS, model_file
 from drivers.profile import resting
-
-Floats = NDArray[np.float64]
+from planner.values import Floats
 
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 POSES = {

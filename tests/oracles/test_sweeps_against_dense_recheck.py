@@ -7,7 +7,7 @@ from cell.robot.kinematics import Kr16Kinematics
 from planner.path.sweeps.motion import TUBE, sweeps_of
 from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import timed, times_at
-from planner.ports import Floats
+from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()

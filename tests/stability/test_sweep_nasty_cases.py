@@ -6,7 +6,8 @@ import pytest
 from cell.robot.kinematics import Kr16Kinematics
 from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.path import SweepRefusal
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
+from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planner.path.sweeps.line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
-from planner.ports import Floats
+from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 

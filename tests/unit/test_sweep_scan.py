@@ -28,9 +28,9 @@ from drivers.setpoints import from_rad
 from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import DrivenSweep
-from planner.ports import Floats
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, retime
+from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()

@@ -8,8 +8,8 @@ from planner.errors import PlannerError
 from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import DrivenSweep
-from planner.ports import Floats
 from planner.timing.motion import Motion, jerk_free_duration, move_time, retime
+from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses
 
 KINEMATICS = Kr16Kinematics.load()

@@ -15,8 +15,8 @@ from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import SweepPath, passages_of
 from planner.path.sweeps.timing import DrivenSweep
-from planner.ports import Floats
 from planner.timing.motion import move_time, retime
+from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses
 
 KINEMATICS = Kr16Kinematics.load()

@@ -8,10 +8,10 @@ Base frame, metres, radians.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.path.sweeps.line import SweepLine
-from planner.ports import Floats, Kinematics
+from planner.ports import Kinematics
+from planner.values import Bools, Floats
 
 SLACK = 1.1
 """R over the largest distance of an axis at a sample; what the distance may grow in between is checked."""
@@ -78,7 +78,7 @@ def derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floats, Fl
     return first, second, sigma[:, -1], float(np.linalg.norm(xi)), right[:, -1]
 
 
-def axes_named(which: NDArray[np.bool_]) -> str:
+def axes_named(which: Bools) -> str:
     """The names of some axes: "A4 and A6"."""
     names = [f"A{axis + 1}" for axis in np.flatnonzero(which)]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

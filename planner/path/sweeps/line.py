@@ -18,9 +18,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.ports import Floats
 from planner.timing.s_curve import Profile
-from planner.values import Value, readonly
+from planner.values import Floats, Value, readonly
 
 _EASE = 0.1  # time in which a ramp's acceleration is reached at the fastest [s]
 _SAME = 1e-7

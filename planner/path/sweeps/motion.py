@@ -7,7 +7,7 @@ What is proven stands in `planner.path.sweeps.proof`. Base frame, metres, radian
 import itertools
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
 from planner.path.certified_edge import certify_many
@@ -15,9 +15,10 @@ from planner.path.sweeps.arm import ScannerArm, axes_named, follow
 from planner.path.sweeps.line import DEFAULT_SPEED, SweepLine, SweepSpeed, line_through, rotation_vectors
 from planner.path.sweeps.path import Refused, SweepPath, SweepRefusal, Sweeps
 from planner.path.sweeps.proof import prove
-from planner.ports import CollisionChecker, Floats, JointLimits, Kinematics
+from planner.ports import CollisionChecker, JointLimits, Kinematics
 from planner.reach.setpoints import from_steps, to_steps
 from planner.timing.s_curve import Profile
+from planner.values import Floats, Ints
 
 TUBE = 5e-5
 """Largest distance [m] of the scanner frame on the joint-linear segments between vertices from the line."""
@@ -103,7 +104,7 @@ def _standing(line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits
     ]  # fmt: skip
 
 
-def _vertices(line: SweepLine, branch: int, arm: ScannerArm) -> tuple[Floats, Floats, NDArray[np.int64]]:
+def _vertices(line: SweepLine, branch: int, arm: ScannerArm) -> tuple[Floats, Floats, Ints]:
     """Set-points whose joint-linear segments stay within the tube about the line, their u, and which pose each is."""
     fine = 1
     while fine <= _FINEST:

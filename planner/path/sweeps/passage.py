@@ -4,10 +4,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.ports import Floats
-from planner.values import Value
+from planner.values import Floats, Ints, Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +20,7 @@ class Passage(Value):
     """
 
     via: Annotated[Floats, "m 6"]
-    pose: Annotated[NDArray[np.int64], "m"]
+    pose: Annotated[Ints, "m"]
     duration: float
     leaves: int
 

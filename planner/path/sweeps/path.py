@@ -6,15 +6,13 @@ from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.path.sweeps.line import SweepLine
 from planner.path.sweeps.passage import Passage
-from planner.ports import Floats
 from planner.reach.setpoints import to_steps
 from planner.timing.s_curve import Profile
-from planner.values import Value
+from planner.values import Floats, Ints, Value
 
 
 class SweepRefusal(IntEnum):
@@ -61,7 +59,7 @@ class SweepPath(Value):
     branch: int
     q: Annotated[Floats, "m 6"]
     u: Annotated[Floats, "m"]
-    pose: Annotated[NDArray[np.int64], "m"]
+    pose: Annotated[Ints, "m"]
     profile: Profile
     sigma: float
 

@@ -29,12 +29,12 @@ Base frame, metres, radians, seconds.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.path.sweeps.arm import SLACK, ScannerArm, axes_named, derivatives, follow
 from planner.path.sweeps.line import SweepLine
 from planner.path.sweeps.path import Refused, SweepRefusal
-from planner.ports import Floats, JointLimits
+from planner.ports import JointLimits
+from planner.values import Bools, Floats
 
 SLOWEST = 4.0
 """A sweep may be driven so many times slower than is wanted where the axes need it; then it is refused."""
@@ -109,9 +109,7 @@ def _too_fast(branch: int, first: Floats, limits: JointLimits) -> Refused:
     return Refused(branch, SweepRefusal.TOO_FAST, axes_named(use > 0.5 * use.max()))
 
 
-def _bounds(
-    sigma: Floats, first: Floats, xi: float, r: Floats
-) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]]:
+def _bounds(sigma: Floats, first: Floats, xi: float, r: Floats) -> tuple[Floats, Floats, Floats, Floats, Bools]:
     """Q1 to Q4 (n,) within r of samples, and whether they hold: whether no singularity can lie so near."""
     y = np.linalg.norm(first, axis=1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

@@ -6,8 +6,9 @@ import numpy as np
 
 from planner.path.sweeps.arm import ScannerArm, derivatives, follow
 from planner.path.sweeps.path import SweepPath
-from planner.ports import Floats, Kinematics
+from planner.ports import Kinematics
 from planner.timing.s_curve import sample
+from planner.values import Floats
 
 
 def timed(
