@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from cell.world.crossings import crossings
 from cell.world.triangle_distance import BOX, CYLINDER, nearest_triangle
 from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-    from planner.values import Floats
 
 _KIND = {6: BOX, 5: CYLINDER}  # by MuJoCo's type of a shape; models/kr16.xml, scanner and pedestal have no other
 
