@@ -25,6 +25,8 @@ import pytest
 import trimesh
 from filelock import FileLock
 from hypothesis import settings
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
 # `--hypothesis-profile=full` has four times as many.
@@ -45,10 +47,30 @@ def _blob(subdivisions: int = 4) -> trimesh.Trimesh:
 
 
 @pytest.fixture(scope="session")
-def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
-    """A folder that the first worker makes who asks for it; the others wait for it. Read it, never change it."""
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the test session, for all its workers."""
     own = tmp_path_factory.getbasetemp()
-    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kernels_compiled_once(shared: Path) -> Iterator[None]:
+    """No two workers compile the same kernel: one waits until it can take it from numba's cache."""
+    compile_at_once = Dispatcher.compile
+
+    def compile_alone(kernel: Any, signature: Any) -> Any:
+        name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+        with global_compiler_lock, FileLock(shared / f"{name}.lock"):  # in this order: it is numba's own too
+            return compile_at_once(kernel, signature)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dispatcher, "compile", compile_alone)
+        yield
+
+
+@pytest.fixture(scope="session")
+def made_once(shared: Path) -> Callable[[str, Callable[[Path], object]], Path]:
+    """A folder that the first worker makes who asks for it; the others wait for it. Read it, never change it."""
 
     def made(name: str, make: Callable[[Path], object]) -> Path:
         folder, finished = shared / name, shared / f"{name}.finished"
@@ -160,15 +182,14 @@ def part_file(made_once: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="session")
 def planned(
-    made_once: Callable[..., Path], part_file: Path, start_cell: Callable[..., "subprocess.Popen[str]"]
+    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Path:
-    """Run folder of one finished plan of the small part, made by a process of its own."""
+    """Run folder of one finished plan of the small part."""
 
     def make(folder: Path) -> None:
-        process = start_cell("plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
-        out, errors = process.communicate(timeout=300)
-        assert process.returncode == 0, errors
-        assert json.loads(out)["n_views"] > 1
+        done = run_cell("plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["n_views"] > 1
 
     return made_once("planned", make) / "run"
 
