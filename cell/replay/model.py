@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell import scanners
 from cell.errors import FileError
 from cell.replay.look import add_mesh, light, paint, part_pieces, show_surface
 from cell.robot import model as robot
 from cell.run import reader as run_reader
-from cell.run.record import RunRecord, understood
+from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.world.model import trees_of
 from planner.surface.mesh import TriangleMesh
@@ -106,9 +105,8 @@ def dress(
             f"{run.folder / 'cell.xml'} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again"
         )
     centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
-    with understood(run.folder / "scene.resolved.json"):
-        opening = np.radians(scanners.drawn_opening_deg(scene.scanner.own))
-        corners = frustum(*opening, *(np.array(scene.scanner.pair("range_mm") or _DRAWN_RANGE_MM) / 1000.0))
+    range_mm = scene.scanner.pair("range_mm") or _DRAWN_RANGE_MM
+    corners = frustum(*np.radians(scene.scanner.opening_deg), *(np.array(range_mm) / 1000.0))
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
     entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)

@@ -56,7 +56,7 @@ class OpenTable(JsonTable):
     def number(self, key: str) -> float | None:
         """One of the plug-in's keys, where it has it as a number."""
         value = self.own.get(key)
-        return value if isinstance(value, int | float) else None
+        return float(value) if isinstance(value, int | float) else None
 
     def pair(self, key: str) -> tuple[float, float] | None:
         """One of the plug-in's keys, where it has it as two numbers."""

@@ -10,9 +10,8 @@ from pydantic import JsonValue
 from cell.errors import FileError
 from cell.run import reader
 from cell.run.folder import SCHEMA
-from cell.run.json_table import parsed
 from cell.run.plan_json import Coverage, PlanFile
-from cell.run.record import RunRecord, artefact
+from cell.run.record import RunRecord
 from cell.run.record import open_run as open_record
 from cell.run.report_json import Report
 from planner.surface.mesh import TriangleMesh
@@ -99,8 +98,4 @@ def open_run(folder: Path) -> PlannedRun:
     record = open_record(folder)
     if not record.finished:
         raise FileError(f"{folder} has no finished plan: the run {record.ended}; plan again")
-    return PlannedRun(
-        record,
-        reader.plan(record),
-        parsed(Report, artefact(record, "report.json"), folder / "report.json"),
-    )
+    return PlannedRun(record, reader.plan(record), reader.report(record))

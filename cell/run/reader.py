@@ -20,6 +20,7 @@ from cell.run import ply
 from cell.run.json_table import parsed
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, arrays, artefact, understood
+from cell.run.report_json import Report
 from cell.run.scene_json import ResolvedScene
 from planner.ports import JointLimits
 from planner.reach.reach import Reach
@@ -38,6 +39,15 @@ def plan(run: RunRecord) -> PlanFile:
         FileError: if plan.json is missing, changed or damaged.
     """
     return parsed(PlanFile, artefact(run, "plan.json"), run.folder / "plan.json")
+
+
+def report(run: RunRecord) -> Report:
+    """What the plan's page and `cell plan --json` say.
+
+    Raises:
+        FileError: if report.json is missing, changed or damaged.
+    """
+    return parsed(Report, artefact(run, "report.json"), run.folder / "report.json")
 
 
 def scene(run: RunRecord) -> ResolvedScene:

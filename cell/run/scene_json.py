@@ -21,6 +21,15 @@ class ScannerKeys(OpenTable):
 
     type: str = Field(description="name of the plug-in")
 
+    @property
+    def opening_deg(self) -> tuple[float, float]:
+        """Angles (across, along) that stand for it in pictures [deg]: its field of view, or a line's thin fan.
+
+        A scanner that states neither is drawn 10 degrees wide.
+        """
+        fan = self.number("fan_deg")
+        return self.pair("fov_deg") or ((10.0, 10.0) if fan is None else (0.5, fan))
+
 
 class ResolvedHousing(JsonTable):
     """The scanner's body and the bracket between it and the flange."""

@@ -133,7 +133,6 @@ def _draw(
         folder.remove("cover.png")
         return
     from cell.plan import pictures
-    from cell.scanners import drawn_opening_deg
 
     poses = np.stack([scan.T_true for scan in scans])
     pictures.part_and_views(
@@ -142,7 +141,7 @@ def _draw(
         faces=cell.planning.faces,
         views_per_face=reached.views_per_face,
         T_object_scanner=poses,
-        fov_rad=np.radians(drawn_opening_deg(cell.scanner_keys.own)),
+        fov_rad=np.radians(cell.scanner_keys.opening_deg),
         numbers=[scan.stop for scan in scans],
     )
     pictures.cover_curve(

@@ -162,18 +162,6 @@ def baseline_mm(values: Mapping[str, Any], scanner: Scanner) -> float:
     return float(sum((scanner.sensor - scanner.source) ** 2) ** 0.5 * 1000)
 
 
-def drawn_opening_deg(parameters: Mapping[str, Any]) -> tuple[float, float]:
-    """Angles (across, along) that stand for a scanner in pictures [deg]: its field of view, a line's thin fan.
-
-    A scanner that states neither is drawn 10 degrees wide.
-    """
-    if "fov_deg" in parameters:
-        return float(parameters["fov_deg"][0]), float(parameters["fov_deg"][1])
-    if "fan_deg" in parameters:
-        return 0.5, float(parameters["fan_deg"])
-    return 10.0, 10.0
-
-
 def _offered(name: str) -> EntryPoint:
     """The one entry point of a name."""
     found = [point for point in entry_points(group=GROUP) if point.name == name]
