@@ -59,7 +59,7 @@ def scan(
 ) -> None:
     """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
     from cell.commands.terminal import Terminal
-    from cell.scan import execution_report, post_processing
+    from cell.scan import execution_page, post_processing
     from cell.scan import scan as scan_command
 
     _require_one_question(options.model_fields_set, preset, resume, report)
@@ -78,10 +78,10 @@ def scan(
     else:
         outcome = scan_command.scan(run, options, argv=sys.argv[1:], narrator=terminal, ask=ask)
     if as_json:
-        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(outcome.summary.as_json(), indent=2, allow_nan=False) + "\n")
     else:
-        rows = [*execution_report.table(outcome.summary), ("execution", str(outcome.folder))]
-        terminal.pairs(f"Scan of {outcome.summary['part']['name']}", rows)
+        rows = [*execution_page.table(outcome.summary), ("execution", str(outcome.folder))]
+        terminal.pairs(f"Scan of {outcome.summary.part.name}", rows)
     raise typer.Exit(outcome.exit_code)
 
 
