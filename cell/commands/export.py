@@ -74,17 +74,11 @@ def export(
     from cell.commands.terminal import Terminal
     from cell.export.export import Format, Wanted
     from cell.export.export import export as run_export
+    from cell.export.krl import Signals
 
     if kind not in list(Format):
         raise UsageError(f"--format {kind} is not known; it must be one of {', '.join(Format)}")
-    signals = {
-        "trigger_output": trigger_output,
-        "gate_output": gate_output,
-        "done_input": done_input,
-        "timer": timer,
-        "settle": settle,
-        "timeout": timeout,
-    }
+    signals = Signals(trigger_output, gate_output, done_input, timer, settle, timeout)
     outcome = run_export(run, Wanted(Format(kind), out, name, speed, acceleration, signals))
     if Format(kind) is Format.KRL:
         Terminal(quiet_stdout=as_json).note(
@@ -92,6 +86,6 @@ def export(
             "it in T1 first"
         )
     if as_json:
-        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.write("".join(f"{path}\n" for path in outcome.files))

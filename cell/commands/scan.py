@@ -60,7 +60,7 @@ def scan(
     """Execute a plan on a controller, scan at every view, merge, make the surface and say how good it is."""
     from cell import api
     from cell.commands.terminal import Terminal
-    from cell.scan import execution_report, post_processing
+    from cell.scan import execution_page, post_processing
     from cell.scan import scan as scan_command
     from cell.scan.work import ScanOutcome
 
@@ -81,10 +81,10 @@ def scan(
         executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=ask)
         outcome = ScanOutcome(executed.folder, executed.exit_code, executed.as_json())
     if as_json:
-        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(outcome.summary.as_json(), indent=2, allow_nan=False) + "\n")
     else:
-        rows = [*execution_report.table(outcome.summary), ("execution", str(outcome.folder))]
-        terminal.pairs(f"Scan of {outcome.summary['part']['name']}", rows)
+        rows = [*execution_page.table(outcome.summary), ("execution", str(outcome.folder))]
+        terminal.pairs(f"Scan of {outcome.summary.part.name}", rows)
     raise typer.Exit(outcome.exit_code)
 
 

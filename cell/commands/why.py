@@ -34,11 +34,11 @@ def why(
     terminal = Terminal(quiet_stdout=as_json)
     outcome = explain(run, terminal, samples=samples)
     if as_json:
-        sys.stdout.write(json.dumps(outcome.summary, indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(outcome.summary.as_json(), indent=2, allow_nan=False) + "\n")
     else:
         summary = outcome.summary
-        if summary["groups"]:
-            title = f"Why {100 * summary['open']:.2f} % of {summary['part']} stay open"
+        if summary.groups:
+            title = f"Why {100 * summary.open:.2f} % of {summary.part} stay open"
             terminal.grid(why_files.TABLE_COLUMNS, why_files.table_rows(summary), title)
         else:
             terminal.say("nothing stays open")

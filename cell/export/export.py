@@ -4,12 +4,14 @@ import os
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+
+from pydantic import Field
 
 from cell.errors import FileError
 from cell.export import krl, program, tables
-from cell.export.krl import KrlOptions
+from cell.export.krl import KrlOptions, Signals
 from cell.export.program import Program
+from cell.run.json_table import JsonTable
 
 FOLDER = "export"
 """Below the run folder; not part of the plan, each call replaces its files."""
@@ -26,17 +28,16 @@ class Format(StrEnum):
     JSON = "json"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExportOutcome:
-    """What `cell export` leaves.
+class ExportOutcome(JsonTable):
+    """What `cell export` leaves; its `--json`."""
 
-    Attributes:
-        files: that were written.
-        summary: for `--json`.
-    """
-
-    files: tuple[Path, ...]
-    summary: dict[str, Any]
+    format: str = Field(description="of the files")
+    name: str = Field(description="of the program")
+    files: tuple[str, ...] = Field(description="that were written")
+    via_points: int = Field(description="of the motion")
+    views: int = Field(description="of the plan")
+    speed_percent: int = Field(description="of the axis speeds")
+    acceleration_percent: int = Field(description="of the axis accelerations")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ class Wanted:
         name: of the program; None makes one.
         speed_percent: of the axis speeds; None takes `SPEED_PERCENT`, or that of the plan where it is slower.
         acceleration_percent: the same of the accelerations, with `ACCELERATION_PERCENT`.
-        signals: the rest of what the controller's side needs, fields of `KrlOptions`.
+        signals: between controller and scanner.
     """
 
     kind: Format
@@ -57,7 +58,7 @@ class Wanted:
     name: str | None
     speed_percent: int | None
     acceleration_percent: int | None
-    signals: dict[str, Any]
+    signals: Signals
 
 
 def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
@@ -75,21 +76,20 @@ def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
     options = KrlOptions(
         _percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
         _percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
-        **wanted.signals,
+        wanted.signals,
     )
     contents = _contents(loaded, options, wanted.kind)
     folder = wanted.out if wanted.out is not None else run_folder / FOLDER
     files = _write(folder, contents, replace=wanted.out is None)
-    summary = {
-        "format": wanted.kind.value,
-        "name": loaded.told.name,
-        "files": [str(path) for path in files],
-        "via_points": len(loaded.q),
-        "views": loaded.views,
-        "speed_percent": options.speed_percent,
-        "acceleration_percent": options.acceleration_percent,
-    }
-    return ExportOutcome(files, summary)
+    return ExportOutcome(
+        format=wanted.kind.value,
+        name=loaded.told.name,
+        files=tuple(str(path) for path in files),
+        via_points=len(loaded.q),
+        views=loaded.views,
+        speed_percent=options.speed_percent,
+        acceleration_percent=options.acceleration_percent,
+    )
 
 
 def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, bytes]:

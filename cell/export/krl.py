@@ -45,12 +45,10 @@ _HIGHEST_SIGNAL, _HIGHEST_TIMER = 4096, 32  # of $IN and $OUT, and of $TIMER, on
 
 
 @dataclass(frozen=True, slots=True)
-class KrlOptions:
-    """What the controller's side needs.
+class Signals:
+    """What stands between controller and scanner.
 
     Attributes:
-        speed_percent: of the axis speeds, 1 to 100.
-        acceleration_percent: of the axis accelerations, 1 to 100.
         trigger_output: number of $OUT that tells the scanner to scan.
         gate_output: number of $OUT that is on while a sweep is driven.
         done_input: number of $IN by which the scanner says that it has.
@@ -59,8 +57,6 @@ class KrlOptions:
         timeout: longest wait for the scanner [s].
     """
 
-    speed_percent: int
-    acceleration_percent: int
     trigger_output: int = 1
     gate_output: int = 2
     done_input: int = 1
@@ -74,11 +70,8 @@ class KrlOptions:
             ("--gate-output", self.gate_output, _HIGHEST_SIGNAL),
             ("--done-input", self.done_input, _HIGHEST_SIGNAL),
             ("--timer", self.timer, _HIGHEST_TIMER),
-            ("--speed", self.speed_percent, 100),
-            ("--acceleration", self.acceleration_percent, 100),
         ):
-            if not 1 <= value <= most:
-                raise UsageError(f"{name} {value} is not possible; it must be a whole number from 1 to {most}")
+            _require_number(name, value, most)
         for name, seconds, least in (("--settle", self.settle, 0.0), ("--timeout", self.timeout, 0.1)):
             if not least <= seconds <= 3600:
                 raise UsageError(f"{name} {seconds:g} is not possible; it must be from {least:g} to 3600 s")
@@ -86,6 +79,30 @@ class KrlOptions:
             raise UsageError(
                 f"--trigger-output and --gate-output are both {self.gate_output}; a sweep needs two outputs of its own"
             )
+
+
+@dataclass(frozen=True, slots=True)
+class KrlOptions:
+    """What the controller's side needs.
+
+    Attributes:
+        speed_percent: of the axis speeds, 1 to 100.
+        acceleration_percent: of the axis accelerations, 1 to 100.
+        signals: between controller and scanner.
+    """
+
+    speed_percent: int
+    acceleration_percent: int
+    signals: Signals
+
+    def __post_init__(self) -> None:
+        _require_number("--speed", self.speed_percent, 100)
+        _require_number("--acceleration", self.acceleration_percent, 100)
+
+
+def _require_number(name: str, value: int, most: int) -> None:
+    if not 1 <= value <= most:
+        raise UsageError(f"{name} {value} is not possible; it must be a whole number from 1 to {most}")
 
 
 def source(program: Program, options: KrlOptions) -> bytes:
@@ -213,15 +230,15 @@ def _data(program: Program, options: KrlOptions) -> Iterator[str]:
     yield "; again with it, since the joint angles in the program depend on it"
     yield f"DECL FRAME SC_TOOL={frame(program.T_flange_tcp)}"
     yield "; number of $OUT that starts a scan, of $IN that says it is done, of the timer for the time-out"
-    yield f"DECL INT SC_TRIGGER={options.trigger_output}"
+    yield f"DECL INT SC_TRIGGER={options.signals.trigger_output}"
     if program.sweeps:
         yield "; number of $OUT that is TRUE while a sweep is driven"
-        yield f"DECL INT SC_GATE={options.gate_output}"
-    yield f"DECL INT SC_DONE={options.done_input}"
-    yield f"DECL INT SC_TIMER={options.timer}"
+        yield f"DECL INT SC_GATE={options.signals.gate_output}"
+    yield f"DECL INT SC_DONE={options.signals.done_input}"
+    yield f"DECL INT SC_TIMER={options.signals.timer}"
     yield "; standstill before a scan [s], longest wait for the scanner [ms]"
-    yield f"DECL REAL SC_SETTLE={options.settle:.3f}"
-    yield f"DECL INT SC_TIMEOUT={round(options.timeout * 1000)}"
+    yield f"DECL REAL SC_SETTLE={options.signals.settle:.3f}"
+    yield f"DECL INT SC_TIMEOUT={round(options.signals.timeout * 1000)}"
     yield "; where the last motion ended, and how near to it every axis must stand before the program goes on [deg]"
     yield f"DECL E6AXIS SC_STOP={e6axis(program.q[0])}"
     yield f"DECL REAL SC_NEAR={_AT_STOP_DEG:.3f}"

@@ -22,13 +22,13 @@ VIEW_FACES = 200_000
 _IS_PART = re.compile(r"part(_\d+)?")
 _VISUAL_GROUP, _ROBOT_GROUP, _HIDDEN_GROUP = 1, 3, 4
 _DARK = ("motor", "feet", "turntable", "flange", "collar", "front")  # pieces that are black on the machine
-_LOOK: dict[str, dict[str, Any]] = {
-    "orange": {"rgba": [0.95, 0.33, 0.02, 1], "specular": 0.35, "shininess": 0.45},
-    "anthracite": {"rgba": [0.13, 0.13, 0.145, 1], "specular": 0.4, "shininess": 0.4},
-    "aluminium": {"rgba": [0.66, 0.68, 0.71, 1], "specular": 0.6, "shininess": 0.6},
-    "painted": {"rgba": [0.36, 0.39, 0.43, 1], "specular": 0.15, "shininess": 0.2},
-    "fixture": {"rgba": [0.33, 0.47, 0.62, 1], "specular": 0.2, "shininess": 0.3},
-    "surface": {"rgba": [0.84, 0.80, 0.72, 1], "specular": 0.25, "shininess": 0.35},
+_LOOK = {  # colour, specular, shininess
+    "orange": ([0.95, 0.33, 0.02, 1], 0.35, 0.45),
+    "anthracite": ([0.13, 0.13, 0.145, 1], 0.4, 0.4),
+    "aluminium": ([0.66, 0.68, 0.71, 1], 0.6, 0.6),
+    "painted": ([0.36, 0.39, 0.43, 1], 0.15, 0.2),
+    "fixture": ([0.33, 0.47, 0.62, 1], 0.2, 0.3),
+    "surface": ([0.84, 0.80, 0.72, 1], 0.25, 0.35),
 }
 
 
@@ -36,8 +36,8 @@ def paint(spec: mujoco.MjSpec) -> None:
     """Give every shape its material, and the robot's boxes their look."""
     import mujoco
 
-    for name, look in _LOOK.items():
-        spec.add_material(name=name, **look)
+    for name, (rgba, specular, shininess) in _LOOK.items():
+        spec.add_material(name=name, rgba=rgba, specular=specular, shininess=shininess)
     links = {geom.name for body in spec.bodies if body.name in robot.LINKS for geom in body.geoms}
     special = {"housing": "anthracite", "bracket": "aluminium", "pedestal": "painted", "post": "aluminium"}
     for geom in list(spec.geoms):
@@ -49,7 +49,7 @@ def paint(spec: mujoco.MjSpec) -> None:
         elif geom.name != "floor":
             geom.material = special.get(geom.name, "surface" if _IS_PART.fullmatch(geom.name) else "fixture")
         if geom.material:
-            geom.rgba = _LOOK[geom.material]["rgba"]
+            geom.rgba = _LOOK[geom.material][0]
 
 
 def part_pieces(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
@@ -98,15 +98,19 @@ def light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
     floor.size = [0.0, 0.0, 0.1]  # drawn to the horizon; a plane is endless to collisions anyway
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.40] * 3, [0.22] * 3
     spec.visual.headlight.specular = [0.05] * 3
-    lights: list[dict[str, Any]] = [
-        {"pos": [1.6, -2.6, 4.2], "diffuse": [0.62, 0.61, 0.58], "specular": [0.3] * 3, "castshadow": True},
-        {"pos": [-2.5, 3.0, 3.0], "diffuse": [0.20, 0.22, 0.26], "specular": [0.0] * 3, "castshadow": False},
-    ]
     aim = np.array([0.5 * centre[0], 0.5 * centre[1], 0.4])
-    for light in lights:
-        direction = aim - light["pos"]
+    for place, diffuse, specular, shadows in (
+        ([1.6, -2.6, 4.2], [0.62, 0.61, 0.58], 0.3, True),
+        ([-2.5, 3.0, 3.0], [0.20, 0.22, 0.26], 0.0, False),
+    ):
+        direction = aim - place
         spec.worldbody.add_light(
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=direction / np.linalg.norm(direction), **light
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=place,
+            dir=direction / np.linalg.norm(direction),
+            diffuse=diffuse,
+            specular=[specular] * 3,
+            castshadow=shadows,
         )
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.shadowsize = 4096

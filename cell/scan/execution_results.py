@@ -6,7 +6,6 @@ Object frame, metres.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -279,6 +278,6 @@ def _largest_first(measured: NDArray[np.bool_]) -> list[int]:
     return order
 
 
-def counts_by_reason(counts: Sequence[int]) -> dict[str, Any]:
+def counts_by_reason(counts: Sequence[int]) -> dict[str, int]:
     """Rays by the name of what became of them."""
     return {reason.name.lower(): int(counts[reason]) for reason in Rejection}

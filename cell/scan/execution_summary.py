@@ -1,134 +1,183 @@
-"""What an execution amounts to: the summary that report.json, page and table are made of. It holds no clock value."""
+"""What an execution amounts to, in numbers: the report that report.json, page and table are made of."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from cell.reconstruction.deviation import Deviation
 from cell.reconstruction.reconstruct import REACH, Reconstruction
+from cell.reconstruction.registration import Registration
 from cell.run.cell import RunCell
+from cell.run.execution_json import (
+    ExecutedCloud,
+    ExecutedCoverage,
+    ExecutedDeviation,
+    ExecutedMotion,
+    ExecutedPart,
+    ExecutedRegistration,
+    ExecutedSettings,
+    ExecutedSurface,
+    ExecutedView,
+    ExecutionReport,
+    SurfaceDeviation,
+)
 from cell.run.plan_json import PlanFile
 from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason
 from cell.scan.pose_error import difference
 
 
-def execution_summary(
-    cell: RunCell,
-    options: Mapping[str, Any],
-    seed: int,
-    plan: PlanFile,
-    scans: Sequence[ExecutedScan],
-    expected: Sequence[int],
-    left_out: Sequence[str],
-    merged: Merged,
-    achieved: Achieved,
-    model: Reconstruction,
-    deviation: Deviation | None,
-    planned_seconds: float,
-    executed_seconds: float | None,
-) -> dict[str, Any]:
-    """Everything that the report says, as JSON types; fractions of area, mm and deg as the names say.
+@dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    """What was made of an execution.
 
-    Args:
-        cell: part and scanner.
-        options: of the execution, from its manifest.
-        seed: of noise and pose error.
-        plan: what was predicted.
-        scans: that could be read.
-        expected: stops that were to be scanned.
+    Attributes:
+        scans: that could be read, in driving order.
         left_out: a sentence for each file that could not be used.
         merged: cloud and registration.
         achieved: coverage.
         model: the surface.
         deviation: of the surface from the reference; None where there is none.
-        planned_seconds: the plan's time for these legs [s].
-        executed_seconds: the controller's [s]; None where its clock was no simulated one, or it did not come home.
     """
+
+    scans: Sequence[ExecutedScan]
+    left_out: Sequence[str]
+    merged: Merged
+    achieved: Achieved
+    model: Reconstruction
+    deviation: Deviation | None
+
+
+def execution_report(
+    cell: RunCell,
+    plan: PlanFile,
+    settings: ExecutedSettings,
+    results: Results,
+    expected: Sequence[int],
+    motion: ExecutedMotion,
+) -> ExecutionReport:
+    """Everything that the report says.
+
+    Args:
+        cell: part and scanner.
+        plan: what was predicted.
+        settings: of the execution.
+        results: what was made of it.
+        expected: stops that were to be scanned.
+        motion: times of these moves.
+    """
+    scans, merged = results.scans, results.merged
     there = {scan.stop for scan in scans}
     missing = [stop for stop in expected if stop not in there]
-    registration = merged.registration
-    return {
-        "part": {"name": cell.scene.part.name, "faces": len(cell.reference.faces)},
-        "complete": not missing and not left_out,
-        "missing_views": missing,
-        "left_out": list(left_out),
-        "settings": {
-            **{name: options.get(name) for name in ("driver", "view", "range_noise_mm", "pose_error_mm")},
-            **{name: options.get(name) for name in ("pose_error_deg", "register", "close_holes")},
+    return ExecutionReport(
+        part=ExecutedPart(name=cell.scene.part.name, faces=len(cell.reference.faces)),
+        complete=not missing and not results.left_out,
+        missing_views=tuple(missing),
+        left_out=tuple(results.left_out),
+        settings=settings,
+        n_views=len(scans),
+        n_views_planned=len(plan.views),
+        n_points=len(merged.cloud),
+        coverage=_coverage(plan, results.achieved),
+        views=tuple(_view(k, scan, results) for k, scan in enumerate(scans)),
+        cloud=ExecutedCloud(
+            rms_to_reference_mm=_known_mm(merged.rms_after),
+            rms_to_reference_as_reported_mm=_known_mm(merged.rms_before),
+        ),
+        registration=None if merged.registration is None else _registration(merged.registration),
+        model=_surface(cell, results.model),
+        deviation=None if results.deviation is None else _deviation(results.deviation),
+        motion=motion,
+    )
+
+
+def settings_of(cell: RunCell, options: Mapping[str, object], seed: int) -> ExecutedSettings:
+    """What was asked for.
+
+    Args:
+        cell: the scanner, at the resolution of the execution.
+        options: of the manifest; one that it lacks is null.
+        seed: of noise and pose error.
+    """
+    asked = ("driver", "view", "range_noise_mm", "pose_error_mm", "pose_error_deg", "register", "close_holes")
+    return ExecutedSettings.model_validate(
+        {
+            **{name: options.get(name) for name in asked},
             "noise": options.get("noise", "none"),
             "scanner": cell.scanner_keys.type,
-            "resolution_deg": list(cell.scanner_keys.pair("resolution_deg") or ()),
+            "resolution_deg": cell.scanner_keys.pair("resolution_deg") or (),
             "rays_per_scan": cell.scanner.grid_shape[0] * cell.scanner.grid_shape[1],
             "seed": seed,
-        },
-        "n_views": len(scans),
-        "n_views_planned": len(plan.views),
-        "n_points": len(merged.cloud),
-        "coverage": {
-            "visible": achieved.visible,
-            "predicted": achieved.predicted,
-            "predicted_all_views": plan.coverage.visible,
-            "coverable": plan.coverage.coverable,
-            "visible_of_coverable": achieved.visible / plan.coverage.coverable if plan.coverage.coverable > 0 else 0.0,
-            "sampled": achieved.sampled,
-            "sampled_radius_mm": _mm(achieved.radius),
-        },
-        "views": [_view(k, scan, merged, achieved) for k, scan in enumerate(scans)],
-        "cloud": {
-            "rms_to_reference_mm": _mm(merged.rms_after),
-            "rms_to_reference_as_reported_mm": _mm(merged.rms_before),
-        },
-        "registration": None
-        if registration is None
-        else {
-            "rms_before_mm": _mm(registration.rms_before),
-            "rms_after_mm": _mm(registration.rms_after),
-            "iterations": registration.iterations,
-            "overlapping_pairs": len(registration.overlaps),
-            "left_as_reported": sum(not scan.is_corrected for scan in registration.scans),
-        },
-        "model": {
-            "status": model.status.value,
-            "vertices": 0 if model.mesh is None else len(model.mesh.vertices),
-            "faces": 0 if model.mesh is None else len(model.mesh.faces),
-            "closed_faces": int(model.closed.sum()),
-            "spacing_mm": _mm(model.spacing),
-            "reach_mm": _mm(REACH * model.spacing),
-            "diagonal_mm": _mm(cell.reference.diagonal),
-            "grid_mm": _mm(model.grid),
-            "outliers": model.outliers,
-            "holes": model.holes,
-        },
-        "deviation": None
-        if deviation is None
-        else {**_numbers(deviation), "closed": None if deviation.closed is None else _numbers(deviation.closed)},
-        "motion": {"planned_s": planned_seconds, "executed_s": executed_seconds},
-    }
+        }
+    )
 
 
-def _view(k: int, scan: ExecutedScan, merged: Merged, achieved: Achieved) -> dict[str, Any]:
-    """One scan of the summary."""
+def _coverage(plan: PlanFile, achieved: Achieved) -> ExecutedCoverage:
+    coverable = plan.coverage.coverable
+    return ExecutedCoverage(
+        visible=achieved.visible,
+        predicted=achieved.predicted,
+        predicted_all_views=plan.coverage.visible,
+        coverable=coverable,
+        visible_of_coverable=achieved.visible / coverable if coverable > 0 else 0.0,
+        sampled=achieved.sampled,
+        sampled_radius_mm=_mm(achieved.radius),
+    )
+
+
+def _view(k: int, scan: ExecutedScan, results: Results) -> ExecutedView:
+    """One scan of the report."""
     off, turn = difference(scan.T_true, scan.T_reported)
-    off_after, turn_after = difference(scan.T_true, merged.poses[k])
-    registered = None if merged.registration is None else merged.registration.scans[k]
-    return {
-        "stop": scan.stop,
-        "id": scan.view,
-        "points": len(scan.points),
-        "rays": counts_by_reason(scan.counts),
-        "adds": float(achieved.adds[k]),
-        "reported_minus_commanded_deg": float(np.degrees(np.abs(scan.q_reported - scan.q_commanded)).max().round(6)),
-        "pose_error_mm": _mm(off),
-        "pose_error_deg": _deg(turn),
-        "pose_error_after_mm": _mm(off_after),
-        "pose_error_after_deg": _deg(turn_after),
-        "registration": None if registered is None else registered.sentence,
-        "free_directions": 0 if registered is None else len(registered.free),
-    }
+    off_after, turn_after = difference(scan.T_true, results.merged.poses[k])
+    registration = results.merged.registration
+    registered = None if registration is None else registration.scans[k]
+    return ExecutedView(
+        stop=scan.stop,
+        id=scan.view,
+        points=len(scan.points),
+        rays=counts_by_reason(scan.counts),
+        adds=float(results.achieved.adds[k]),
+        reported_minus_commanded_deg=float(np.degrees(np.abs(scan.q_reported - scan.q_commanded)).max().round(6)),
+        pose_error_mm=_mm(off),
+        pose_error_deg=_deg(turn),
+        pose_error_after_mm=_mm(off_after),
+        pose_error_after_deg=_deg(turn_after),
+        registration=None if registered is None else registered.sentence,
+        free_directions=0 if registered is None else len(registered.free),
+    )
 
 
-def _numbers(deviation: Deviation) -> dict[str, Any]:
+def _registration(registration: Registration) -> ExecutedRegistration:
+    return ExecutedRegistration(
+        rms_before_mm=_known_mm(registration.rms_before),
+        rms_after_mm=_known_mm(registration.rms_after),
+        iterations=registration.iterations,
+        overlapping_pairs=len(registration.overlaps),
+        left_as_reported=sum(not scan.is_corrected for scan in registration.scans),
+    )
+
+
+def _surface(cell: RunCell, model: Reconstruction) -> ExecutedSurface:
+    return ExecutedSurface(
+        status=model.status.value,
+        vertices=0 if model.mesh is None else len(model.mesh.vertices),
+        faces=0 if model.mesh is None else len(model.mesh.faces),
+        closed_faces=int(model.closed.sum()),
+        spacing_mm=_known_mm(model.spacing),
+        reach_mm=_known_mm(REACH * model.spacing),
+        diagonal_mm=_mm(cell.reference.diagonal),
+        grid_mm=_known_mm(model.grid),
+        outliers=model.outliers,
+        holes=model.holes,
+    )
+
+
+def _deviation(deviation: Deviation) -> ExecutedDeviation:
+    closed = None if deviation.closed is None else SurfaceDeviation(**_numbers(deviation.closed))
+    return ExecutedDeviation(**_numbers(deviation), closed=closed)
+
+
+def _numbers(deviation: Deviation) -> dict[str, float]:
     return {
         "rms_mm": _mm(deviation.rms),
         "mean_mm": _mm(deviation.mean),
@@ -138,8 +187,12 @@ def _numbers(deviation: Deviation) -> dict[str, Any]:
     }
 
 
-def _mm(metres: float) -> float | None:
-    return round(float(metres) * 1000, 6) if np.isfinite(metres) else None
+def _mm(metres: float) -> float:
+    return round(float(metres) * 1000, 6)
+
+
+def _known_mm(metres: float) -> float | None:
+    return _mm(metres) if np.isfinite(metres) else None
 
 
 def _deg(radians: float) -> float:

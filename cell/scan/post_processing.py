@@ -6,7 +6,6 @@ an execution that was stopped, is made by the same lines.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,13 +17,14 @@ from cell.reconstruction.reconstruct import reconstruct
 from cell.run import process
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
+from cell.run.execution_json import ExecutedMotion, ExecutionReport
 from cell.run.executions import RecordedExecution, read_execution
 from cell.run.plan_json import PlanFile
 from cell.run.record import open_finished
-from cell.scan import execute, execution_report
+from cell.scan import execute, execution_page
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_results import Achieved, ExecutedScan, achieved, merged, scan_name, usable
-from cell.scan.execution_summary import execution_summary
+from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
+from cell.scan.execution_summary import Results, execution_report, settings_of
 from cell.scan.work import ScanOutcome, Work
 from planner.surface.closest import NearestSurface
 from planner.timing.motion import Motion
@@ -62,12 +62,12 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     # The status tells how the execution ended, not how its report did.
     status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.get("exit_code")
     summary = results(Work(run, folder, narrator), cell, run_reader.motion(run), recorded)
-    for sentence in summary["left_out"]:
+    for sentence in summary.left_out:
         narrator.note(sentence)
-    if summary["missing_views"]:
-        here = summary["n_views"]
+    if summary.missing_views:
+        here = summary.n_views
         narrator.note(
-            f"the execution is incomplete: {here} of {here + len(summary['missing_views'])} views are there; "
+            f"the execution is incomplete: {here} of {here + len(summary.missing_views)} views are there; "
             "the report says what is there; cell scan --resume takes the others"
         )
         return ScanOutcome(folder.finish(exit_code, status), FileError.exit_code, summary)
@@ -75,8 +75,8 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     return ScanOutcome(folder.finish(code if ended == "finished" else exit_code, status), code, summary)
 
 
-def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecution) -> dict[str, Any]:
-    """Merge, reconstruct, measure and report what the execution has on disk; returns the summary."""
+def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecution) -> ExecutionReport:
+    """Merge, reconstruct, measure and report what the execution has on disk."""
     run, folder = work.run, work.folder
     seed, options = int(folder.manifest.get("seed", run.manifest["seed"])), folder.manifest.get("options", {})
 
@@ -107,27 +107,28 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         legs = execute.legs_of(motion, options.get("view"))
         # Of a resumed execution only the time of the last part is known.
         timed = bool(folder.manifest.get("simulated_time")) and not folder.manifest.get("resumed")
-        summary = execution_summary(
-            cell, options, seed, plan, scans, [leg.stop for leg in legs.legs if leg.stop], left_out, cloud, reached,
-            model, off, legs.planned_seconds, folder.manifest.get("moving_s") if timed else None,
-        )  # fmt: skip
-        folder.write_json("report.json", summary)
-        folder.write_text("report.md", execution_report.markdown(summary))
-        _draw(folder, cell, plan, scans, reached)
-        if model.mesh is None or off is None:
-            folder.remove("deviation.png")
-        else:
-            from cell.reconstruction import deviation_picture
-
-            deviation_picture.draw(folder.path / "deviation.png", model.mesh, off)
-            folder.adopt("deviation.png")
+        times = ExecutedMotion(
+            planned_s=legs.planned_seconds, executed_s=folder.manifest.get("moving_s") if timed else None
+        )
+        found = Results(scans, left_out, cloud, reached, model, off)
+        stops = [leg.stop for leg in legs.legs if leg.stop]
+        summary = execution_report(cell, plan, settings_of(cell, options, seed), found, stops, times)
+        folder.write_json("report.json", summary.as_json())
+        folder.write_text("report.md", execution_page.markdown(summary))
+        _draw(folder, cell, plan, found)
     return summary
 
 
-def _draw(
-    folder: ExecutionFolder, cell: RunCell, plan: PlanFile, scans: Sequence[ExecutedScan], reached: Achieved
-) -> None:
-    """Part and views, and the cover curve; nothing to draw without a scan."""
+def _draw(folder: ExecutionFolder, cell: RunCell, plan: PlanFile, found: Results) -> None:
+    """Part and views, the cover curve, the deviation: as far as there is a scan and a surface."""
+    from cell.reconstruction import deviation_picture
+
+    if found.model.mesh is None or found.deviation is None:
+        folder.remove("deviation.png")
+    else:
+        deviation_picture.draw(folder.path / "deviation.png", found.model.mesh, found.deviation)
+        folder.adopt("deviation.png")
+    scans, reached = found.scans, found.achieved
     if not scans:
         folder.remove("views.png")
         folder.remove("cover.png")
@@ -158,7 +159,7 @@ def _adopt(folder: ExecutionFolder, scans: Sequence[ExecutedScan]) -> None:
         folder.adopt(f"scans/{scan_name(scan.stop)}")
 
 
-def exit_code_of(summary: dict[str, Any], cell: RunCell) -> int:
+def exit_code_of(summary: ExecutionReport, cell: RunCell) -> int:
     """3 where a whole execution stays below the coverage that the plan requires, else 0."""
-    whole = summary["settings"]["view"] is None
-    return 3 if whole and summary["coverage"]["visible"] < cell.scene.plan.required_visible else 0
+    whole = summary.settings.view is None
+    return 3 if whole and summary.coverage.visible < cell.scene.plan.required_visible else 0

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cell.narrator import Narrator
+from cell.run.execution_json import ExecutionReport
 from cell.run.record import RunRecord
 from cell.scan.execution_folder import ExecutionFolder
 from planner.ports import Progress
@@ -20,12 +20,12 @@ class ScanOutcome:
         folder: of the execution.
         exit_code: 0; 3 where a whole execution stays below the coverage that the plan requires; 6 where a report was
             made of an execution that lacks views.
-        summary: content of report.json.
+        summary: its report.json.
     """
 
     folder: Path
     exit_code: int
-    summary: dict[str, Any]
+    summary: ExecutionReport
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ touched; files go to `why/` in the run folder. Object frame, metres.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from cell.run import reader as run_reader
 from cell.run.cell import read_cell, taken_as_triangles, world_of
 from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import RunRecord, open_finished, understood
+from cell.run.why_json import WhyReport
 from cell.why import files as why_files
 from cell.why.answer import Answer, Group, Patch
 from cell.why.changes import Changes
@@ -40,11 +40,11 @@ class WhyOutcome:
 
     Attributes:
         folder: of its files.
-        summary: content of why.json.
+        summary: its why.json.
     """
 
     folder: Path
-    summary: dict[str, Any]
+    summary: WhyReport
 
 
 def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None) -> WhyOutcome:
@@ -63,7 +63,7 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
     run = open_finished(run_folder)
     answer = answer_of(run, narrator, coverage.SAMPLES if samples is None else samples)
     with narrator.stage("write"):
-        summary = why_files.summary(answer, run)
+        summary = why_files.report_of(answer, run)
         folder = why_files.write(run, answer, summary)
     return WhyOutcome(folder, summary)
 

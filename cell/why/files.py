@@ -4,6 +4,7 @@ The plan's own files stay as they are; an older `why/` is replaced.
 """
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from cell.errors import FileError
 from cell.run.folder import SCHEMA, json_text
 from cell.run.record import RunRecord
+from cell.run.why_json import NamedChange, OpenPatch, OpenSamples, TriedChange, WhyReport
 from cell.why.answer import Answer, Group, Patch
 from cell.why.search import Named
 from planner.surface.mesh import face_normals
@@ -40,34 +42,31 @@ def title(reason: Reason, what: str) -> str:
     return f"{reason.sentence}{joint}{what}"
 
 
-def summary(answer: Answer, run: RunRecord) -> dict[str, Any]:
+def report_of(answer: Answer, run: RunRecord) -> WhyReport:
     """The content of why.json."""
-    total_mm2 = float(answer.samples.areas.sum()) * 1e6
-    open_share = answer.share(answer.open_rows)
-    return {
-        "units": "share, visible, open and gains are fractions of area; mm and mm2, object frame",
-        "part": answer.part_name,
-        "plan": run.manifest.get("artefacts", {}).get("plan.json", ""),
-        "samples": len(answer.samples),
-        "area_mm2": round(total_mm2, 3),
-        "visible": answer.share(np.flatnonzero(answer.covered)),
-        "open": open_share,
-        "groups": [_group(answer, code, group) for code, group in enumerate(answer.groups, 1)],
-        "not_measurable": answer.share(answer.rest),
-        "overall": [_named(answer, named, answer.rest) for named in answer.overall],
-        "tried": [
-            {
-                "kind": change.kind.name.lower(),
-                "change": change.sentence,
-                "setting": change.setting,
-                "gains_estimated": round(share, 4),
-            }
+    return WhyReport(
+        part=answer.part_name,
+        plan=run.manifest.get("artefacts", {}).get("plan.json", ""),
+        samples=len(answer.samples),
+        area_mm2=round(float(answer.samples.areas.sum()) * 1e6, 3),
+        visible=answer.share(np.flatnonzero(answer.covered)),
+        open=answer.share(answer.open_rows),
+        groups=tuple(_group(answer, code, group) for code, group in enumerate(answer.groups, 1)),
+        not_measurable=answer.share(answer.rest),
+        overall=tuple(_named(answer, named, answer.rest) for named in answer.overall),
+        tried=tuple(
+            TriedChange(
+                kind=change.kind.name.lower(),
+                change=change.sentence,
+                setting=change.setting,
+                gains_estimated=round(share, 4),
+            )
             for change, share in answer.tried
-        ],
-    }
+        ),
+    )
 
 
-def write(run: RunRecord, answer: Answer, content: dict[str, Any]) -> Path:
+def write(run: RunRecord, answer: Answer, report: WhyReport) -> Path:
     """Write the files; returns their folder.
 
     Raises:
@@ -77,7 +76,7 @@ def write(run: RunRecord, answer: Answer, content: dict[str, Any]) -> Path:
     try:
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
-        (part / "why.json").write_text(json_text({"schema": SCHEMA, **content}), encoding="utf-8")
+        (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
         (part / "why.ply").write_bytes(ply(answer))
         _draw(part / "why.png", answer)
         shutil.rmtree(target, ignore_errors=True)
@@ -125,32 +124,33 @@ def ply(answer: Answer) -> bytes:
 TABLE_COLUMNS = ("reason", "of the surface", "where (mm, part)", "what would measure it")
 
 
-def table_rows(content: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+def table_rows(report: WhyReport) -> list[tuple[str, str, str, str]]:
     """Rows of the table: reason, share and area, where, what would measure it."""
     rows = []
-    for group in content["groups"][:_ROWS]:
-        reason = group["title"] + (f"\n({group['detail']})" if group["detail"] else "")
-        largest = group["patches"][0]
-        x, y, z = (round(value) for value in largest["centre_mm"])
-        where = f"near ({x}, {y}, {z})" + (f"\n{group['n_patches']} places" * (group["n_patches"] > 1))
-        helps = "\n".join(_line(change) for change in group["changes"][:_CHANGES]) or NOTHING
-        rows.append((reason, f"{100 * group['share']:.2f} %\n{group['area_mm2']:,.0f} mm²", where, helps))
-    rest = content["groups"][_ROWS:]
+    for group in report.groups[:_ROWS]:
+        reason = group.title + (f"\n({group.detail})" if group.detail else "")
+        x, y, z = (round(value) for value in group.patches[0].centre_mm)
+        where = f"near ({x}, {y}, {z})" + (f"\n{group.n_patches} places" * (group.n_patches > 1))
+        rows.append((reason, _area(group.share, group.area_mm2), where, _lines(group.changes[:_CHANGES])))
+    rest = report.groups[_ROWS:]
     if rest:
-        share, area = sum(group["share"] for group in rest), sum(group["area_mm2"] for group in rest)
-        rows.append((f"{len(rest)} smaller groups", f"{100 * share:.2f} %\n{area:,.0f} mm²", "", "see why.json"))
-    if content["not_measurable"] and len(content["groups"]) > 1:
-        share = content["not_measurable"]
-        area = share * content["area_mm2"]
-        helps = "\n".join(_line(change) for change in content["overall"]) or NOTHING
-        rows.append(("all that no reachable candidate measures", f"{100 * share:.2f} %\n{area:,.0f} mm²", "", helps))
+        share, area = sum(group.share for group in rest), sum(group.area_mm2 for group in rest)
+        rows.append((f"{len(rest)} smaller groups", _area(share, area), "", "see why.json"))
+    if report.not_measurable and len(report.groups) > 1:
+        area = report.not_measurable * report.area_mm2
+        helps = _lines(report.overall)
+        rows.append(("all that no reachable candidate measures", _area(report.not_measurable, area), "", helps))
     return rows
 
 
-def _line(change: dict[str, Any]) -> str:
-    setting = f" ({change['setting']})" if change["setting"] else ""
-    share = change["gains"]
-    return f"{_percent(share)}: {change['change']}{setting}"
+def _area(share: float, area_mm2: float) -> str:
+    return f"{100 * share:.2f} %\n{area_mm2:,.0f} mm²"
+
+
+def _lines(changes: Sequence[NamedChange]) -> str:
+    """What would measure it, a line each."""
+    lines = (f"{_percent(c.gains)}: {c.change}" + (f" ({c.setting})" if c.setting else "") for c in changes)
+    return "\n".join(lines) or NOTHING
 
 
 def _percent(share: float) -> str:
@@ -161,45 +161,42 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.095 else f"{100 * share:.1f} %"
 
 
-def _group(answer: Answer, code: int, group: Group) -> dict[str, Any]:
-    share = answer.share(group.rows)
-    return {
-        "group": code,
-        "reason": group.reason.name.lower(),
-        "code": int(group.reason),
-        "what": group.what,
-        "title": title(group.reason, group.what),
-        "detail": group.detail,
-        "share": share,
-        "area_mm2": _area_mm2(answer, group.rows),
-        "n_patches": len(group.patches),
-        "changes": [_named(answer, named, group.rows) for named in group.named],
-        "patches": [_patch(answer, patch) for patch in group.patches[:20]],
-    }
+def _group(answer: Answer, code: int, group: Group) -> OpenSamples:
+    return OpenSamples(
+        group=code,
+        reason=group.reason.name.lower(),
+        code=int(group.reason),
+        what=group.what,
+        title=title(group.reason, group.what),
+        detail=group.detail,
+        share=answer.share(group.rows),
+        area_mm2=_area_mm2(answer, group.rows),
+        n_patches=len(group.patches),
+        changes=tuple(_named(answer, named, group.rows) for named in group.named),
+        patches=tuple(_patch(answer, patch) for patch in group.patches[:20]),
+    )
 
 
-def _patch(answer: Answer, patch: Patch) -> dict[str, Any]:
-    centre = answer.samples.points[patch.rows].mean(axis=0) * 1000
-    nearest = np.linalg.norm(answer.samples.points[patch.rows] * 1000 - centre, axis=1).argmin()
-    found: dict[str, Any] = {
-        "area_mm2": _area_mm2(answer, patch.rows),
-        "centre_mm": (answer.samples.points[patch.rows[nearest]] * 1000).round(2).tolist(),
-    }
-    if patch.named is not None:
-        found["change"] = _named(answer, patch.named, patch.rows)
-    return found
+def _patch(answer: Answer, patch: Patch) -> OpenPatch:
+    points = answer.samples.points[patch.rows] * 1000
+    nearest = np.linalg.norm(points - answer.samples.points[patch.rows].mean(axis=0) * 1000, axis=1).argmin()
+    return OpenPatch(
+        area_mm2=_area_mm2(answer, patch.rows),
+        centre_mm=tuple(points[nearest].round(2).tolist()),
+        change=None if patch.named is None else _named(answer, patch.named, patch.rows),
+    )
 
 
-def _named(answer: Answer, named: Named, rows: NDArray[np.int64]) -> dict[str, Any]:
+def _named(answer: Answer, named: Named, rows: NDArray[np.int64]) -> NamedChange:
     """A change with the share of some rows that it measures, all of them asked."""
     areas = answer.samples.areas[rows]
-    return {
-        "kind": named.change.kind.name.lower(),
-        "change": named.change.sentence,
-        "setting": named.change.setting,
-        "gains": float(areas[named.gained[rows]].sum() / areas.sum()),
-        "gains_mm2": _area_mm2(answer, rows[named.gained[rows]]),
-    }
+    return NamedChange(
+        kind=named.change.kind.name.lower(),
+        change=named.change.sentence,
+        setting=named.change.setting,
+        gains=float(areas[named.gained[rows]].sum() / areas.sum()),
+        gains_mm2=_area_mm2(answer, rows[named.gained[rows]]),
+    )
 
 
 def _area_mm2(answer: Answer, rows: NDArray[np.int64]) -> float:

@@ -208,13 +208,13 @@ def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path:
     scans = sorted((outcome.folder / "scans").iterdir())
     assert [path.name for path in scans] == ["0002.npz"]
     assert scans[0].read_bytes() == (run / "executions" / "0001" / "scans" / "0002.npz").read_bytes()
-    coverage = outcome.summary["coverage"]
-    assert coverage["visible"] == coverage["predicted"] < coverage["predicted_all_views"]
-    assert outcome.summary["complete"]
+    coverage = outcome.summary.coverage
+    assert coverage.visible == coverage.predicted < coverage.predicted_all_views
+    assert outcome.summary.complete
     recorded = read_execution(open_run(run), outcome.folder.name)
     assert recorded.motion is not None
-    assert recorded.motion.duration == pytest.approx(outcome.summary["motion"]["planned_s"])
-    assert outcome.summary["motion"]["executed_s"] == pytest.approx(recorded.motion.duration, abs=1e-4)
+    assert recorded.motion.duration == pytest.approx(outcome.summary.motion.planned_s)
+    assert outcome.summary.motion.executed_s == pytest.approx(recorded.motion.duration, abs=1e-4)
 
 
 def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Path) -> None:
@@ -222,45 +222,45 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
     run = tmp_path / "run"
     shutil.copytree(executed, run)
     outcome = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9)
-    cloud = outcome.summary["cloud"]
-    assert cloud["rms_to_reference_as_reported_mm"] > 0.3
-    assert cloud["rms_to_reference_mm"] < cloud["rms_to_reference_as_reported_mm"] / 4
-    for view in outcome.summary["views"]:
-        assert view["pose_error_after_mm"] < view["pose_error_mm"] / 4
-        assert view["reported_minus_commanded_deg"] == 0
+    cloud = outcome.summary.cloud
+    assert cloud.rms_to_reference_as_reported_mm > 0.3
+    assert cloud.rms_to_reference_mm < cloud.rms_to_reference_as_reported_mm / 4
+    for view in outcome.summary.views:
+        assert view.pose_error_after_mm < view.pose_error_mm / 4
+        assert view.reported_minus_commanded_deg == 0
     assert "as reported" in (outcome.folder / "report.md").read_text()
     one = read_scan(outcome.folder / "scans" / "0001.npz")
     assert (one.q_commanded == one.q_reported).all()
     assert (one.stored["T_object_scanner"] != one.stored["T_object_scanner_true"]).any()
     raw = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9, registration=False)
-    assert raw.summary["registration"] is None
-    assert raw.summary["cloud"]["rms_to_reference_mm"] == cloud["rms_to_reference_as_reported_mm"]
-    assert raw.summary["deviation"]["rms_mm"] > 1.5 * outcome.summary["deviation"]["rms_mm"]
+    assert raw.summary.registration is None
+    assert raw.summary.cloud.rms_to_reference_mm == cloud.rms_to_reference_as_reported_mm
+    assert raw.summary.deviation.rms_mm > 1.5 * outcome.summary.deviation.rms_mm
 
 
 def test_closed_holes_are_marked_and_said(copied: Path) -> None:
     """The faces that close holes are those that the open mesh lacks; mesh.ply marks them and the page says so."""
     open_faces = _without_schema(copied / "executions" / "0001")["model"]["faces"]
     outcome = _scan(copied, close_holes=True)
-    model = outcome.summary["model"]
-    assert model["closed_faces"] > 0
-    assert model["faces"] == open_faces + model["closed_faces"]
+    model = outcome.summary.model
+    assert model.closed_faces > 0
+    assert model.faces == open_faces + model.closed_faces
     body = (outcome.folder / "mesh.ply").read_bytes().partition(b"end_header\n")[2]
-    faces = np.frombuffer(body[24 * model["vertices"] :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
-    assert faces["closed"].sum() == model["closed_faces"]
-    apart = outcome.summary["deviation"]["closed"]
+    faces = np.frombuffer(body[24 * model.vertices :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
+    assert faces["closed"].sum() == model.closed_faces
+    apart = outcome.summary.deviation.closed
     page = (outcome.folder / "report.md").read_text()
     assert "invented, not measured, marked `closed` in mesh.ply, and not part of the deviation below" in page
-    assert f"deviate by {apart['rms_mm']:.4f} mm rms, by {apart['largest_mm']:.4f} mm at most" in page
+    assert f"deviate by {apart.rms_mm:.4f} mm rms, by {apart.largest_mm:.4f} mm at most" in page
 
 
 def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
     """The scanner stands metres off: every scan is empty, nothing is measured, there is no surface, all is said."""
     outcome = _scan(copied, pose_error_mm=5000.0, view=1)
-    assert outcome.summary["n_points"] == 0
-    assert outcome.summary["registration"]["left_as_reported"] == 1
-    assert outcome.summary["coverage"]["visible"] == outcome.summary["coverage"]["sampled"] == 0
-    assert outcome.summary["deviation"] is None
+    assert outcome.summary.n_points == 0
+    assert outcome.summary.registration.left_as_reported == 1
+    assert outcome.summary.coverage.visible == outcome.summary.coverage.sampled == 0
+    assert outcome.summary.deviation is None
     text = (outcome.folder / "report.md").read_text()
     assert "View 1 saw nothing of the part." in text
     assert "No surface" in text
@@ -276,9 +276,9 @@ def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> 
     none = np.empty(0, dtype=np.int32)
     _rewrite(path, points=np.empty((0, 3)), face=none, pixel=none, counts=counts)
     summary = _remake(copied)
-    assert summary["complete"]
-    assert summary["views"][1]["points"] == 0
-    assert summary["deviation"] is not None
+    assert summary.complete
+    assert summary.views[1].points == 0
+    assert summary.deviation is not None
     assert "View 2 saw nothing" in (copied / "executions" / "0001" / "report.md").read_text()
 
 
@@ -290,14 +290,14 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
     points[4, 1] = np.nan
     _rewrite(scans / "0003.npz", points=points)
     summary = _remake(copied)
-    assert not summary["complete"]
-    assert summary["missing_views"] == [2, 3]
-    cut, nan = summary["left_out"]
+    assert not summary.complete
+    assert summary.missing_views == (2, 3)
+    cut, nan = summary.left_out
     assert cut.startswith("scans/0002.npz is damaged or cut short")
     assert nan.startswith("scans/0003.npz is damaged: points contains NaN")
-    assert [view["stop"] for view in summary["views"]] == [1, *range(4, summary["n_views_planned"] + 1)]
-    assert summary["coverage"]["visible"] == summary["coverage"]["predicted"]
-    assert summary["coverage"]["visible"] < summary["coverage"]["predicted_all_views"]
+    assert [view.stop for view in summary.views] == [1, *range(4, summary.n_views_planned + 1)]
+    assert summary.coverage.visible == summary.coverage.predicted
+    assert summary.coverage.visible < summary.coverage.predicted_all_views
     text = (copied / "executions" / "0001" / "report.md").read_text()
     assert "Not complete" in text
     assert "view 2, 3" in text
@@ -314,9 +314,9 @@ def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path
     path = run / "executions" / "0001" / "scans" / "0001.npz"
     _rewrite(path, points=read_scan(path).points + 1e-3)
     summary = _remake(run)
-    assert summary["missing_views"] == [1]
+    assert summary.missing_views == (1,)
     assert "Scan view 1 again (`cell scan RUN --view 1`)" in (run / "executions" / "0001" / "report.md").read_text()
-    assert "is not what the execution wrote" in summary["left_out"][0]
+    assert "is not what the execution wrote" in summary.left_out[0]
 
 
 def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: Path) -> None:
@@ -328,14 +328,14 @@ def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: 
     _rewrite(scans / "0003.npz", stop=np.array(4))
     shutil.copy(scans / "0004.npz", scans / "copy.npz")
     summary = _remake(copied)
-    assert summary["missing_views"] == [1, 2, 3]
-    assert [view["stop"] for view in summary["views"]] == list(range(4, n + 1))
-    assert [sentence.split(" ")[0] for sentence in summary["left_out"]] == [
+    assert summary.missing_views == (1, 2, 3)
+    assert [view.stop for view in summary.views] == list(range(4, n + 1))
+    assert [sentence.split(" ")[0] for sentence in summary.left_out] == [
         "scans/0001.npz", "scans/0002.npz", "scans/0003.npz", "scans/copy.npz",
     ]  # fmt: skip
-    assert f"views 1 to {n}" in summary["left_out"][0]
-    assert "candidate 1000000" in summary["left_out"][1]
-    assert "whose file is 0004.npz" in summary["left_out"][2]
+    assert f"views 1 to {n}" in summary.left_out[0]
+    assert "candidate 1000000" in summary.left_out[1]
+    assert "whose file is 0004.npz" in summary.left_out[2]
 
 
 def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: Path) -> None:
@@ -345,8 +345,8 @@ def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: P
     for content in ("{", json.dumps({**good, "seed": "three"}), json.dumps({**good, "options": [1]})):
         path.write_text(content)
         summary = _remake(copied)
-        assert summary["n_views"] == summary["n_views_planned"]
-        (sentence,) = summary["left_out"]
+        assert summary.n_views == summary.n_views_planned
+        (sentence,) = summary.left_out
         assert sentence.startswith("manifest.json is damaged")
         assert sentence.endswith("the report is made without it")
         assert json.loads(path.read_text())["status"] == "incomplete"
@@ -369,7 +369,7 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
     assert not process.lives({**here, "machine": here["machine"] + "-other"})
     child.communicate()
     assert not process.lives(entries)
-    assert _remake(copied)["complete"]
+    assert _remake(copied).complete
 
 
 @pytest.mark.parametrize(
@@ -399,7 +399,7 @@ def test_the_columns_of_the_table_of_scans_add_up_to_the_rays(copied: Path) -> N
     points = table[0].index("points")
     assert "outside the sensor's field of view" in table[0]
     assert "too uncertain" not in table[0]
-    assert len(table) == 2 + summary["n_views"]
+    assert len(table) == 2 + summary.n_views
     for row in table[2:]:
         assert sum(int(cell.replace(",", "")) for cell in row[points:]) == 3600
 
@@ -431,8 +431,8 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
     (folder / "scans").mkdir()
     summary = _remake(copied)
     assert post_processing.report(copied, "0001", Terminal(quiet_stdout=True)).exit_code == 6
-    assert summary["missing_views"] == list(range(1, summary["n_views_planned"] + 1))
-    assert summary["coverage"]["visible"] == 0
+    assert summary.missing_views == tuple(range(1, summary.n_views_planned + 1))
+    assert summary.coverage.visible == 0
     assert not list(folder.glob("*.png"))
     assert not (folder / "mesh.ply").exists()
 

@@ -453,7 +453,7 @@ def _sweeping(
         np.eye(4),
         Told("SWEEPS", "plate", "run", "0" * 64, planned_speed, 1.0, float("nan"), ""),
     )
-    options = krl.KrlOptions(speed_percent, 100, trigger_output=7, gate_output=9, done_input=8)
+    options = krl.KrlOptions(speed_percent, 100, krl.Signals(trigger_output=7, gate_output=9, done_input=8))
     return krl.source(program, options), krl.data(program, options), (motion, paths, kinematics, mount)
 
 

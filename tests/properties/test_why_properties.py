@@ -83,7 +83,7 @@ def test_a_closed_void_is_shaded_by_the_part_and_nothing_helps(answer: why.Answe
     area = 2 * (0.04 * 0.03 + 0.04 * 0.012 + 0.03 * 0.012)
     np.testing.assert_allclose(answer.samples.areas[group.rows].sum(), area, rtol=0.01)
     assert group.named == ()
-    assert [row[3] for row in why_files.table_rows(why_files.summary(answer, _NO_RUN)) if "part" in row[0]] == [
+    assert [row[3] for row in why_files.table_rows(why_files.report_of(answer, _NO_RUN)) if "part" in row[0]] == [
         why_files.NOTHING
     ]
 
@@ -216,10 +216,10 @@ def test_points_carry_reason_group_and_gain(run_folder: Path) -> None:
     content = (outcome.folder / "why.ply").read_bytes().split(b"end_header\n", 1)[1]
     kinds = [(n, "<f8") for n in "xyz"] + [(n, "u1") for n in ("r", "g", "b", "reason")]
     points = np.frombuffer(content, dtype=[*kinds, ("group", "<u2"), ("gained", "u1")])
-    for group in outcome.summary["groups"]:
-        here = points["group"] == group["group"]
-        assert (points["reason"][here] == group["code"]).all()
-        np.testing.assert_allclose(here.mean(), group["share"], atol=1e-9)
-        gained = group["changes"][0]["gains"] if group["changes"] else 0.0
+    for group in outcome.summary.groups:
+        here = points["group"] == group.group
+        assert (points["reason"][here] == group.code).all()
+        np.testing.assert_allclose(here.mean(), group.share, atol=1e-9)
+        gained = group.changes[0].gains if group.changes else 0.0
         np.testing.assert_allclose(points["gained"][here].mean(), gained, atol=1e-9)
     assert (points["reason"][points["group"] == 0] == 0).all()
