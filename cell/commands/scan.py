@@ -79,7 +79,7 @@ def scan(
         outcome = scan_command.resume(run, resume, options, argv=sys.argv[1:], narrator=terminal, ask=ask)
     else:
         executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=ask)
-        outcome = ScanOutcome(executed.folder, executed.exit_code, executed.as_json())
+        outcome = ScanOutcome(executed.folder, executed.exit_code, executed.report)
     if as_json:
         sys.stdout.write(json.dumps(outcome.summary.as_json(), indent=2, allow_nan=False) + "\n")
     else:
