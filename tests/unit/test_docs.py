@@ -38,3 +38,44 @@ def test_every_command_that_the_readme_shows_exists() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = "".join(re.findall(r"^```\n(.*?)^```", readme, flags=re.MULTILINE | re.DOTALL))
     assert set(re.findall(r"(?:^|/)cell (\w+)", blocks, flags=re.MULTILINE)) <= known
+
+
+def test_the_map_of_the_architecture_is_the_tree() -> None:
+    """Every path and module that the page names exists; every room and file of the packages is on its map."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:cell|planner|drivers|benchmarks|models)/[\w/.]*)`", page)
+    assert [path for path in named if not (ROOT / path).exists()] == []
+    dotted = {name for name in re.findall(r"`((?:cell|planner|drivers)(?:\.\w+)+)`", page) if name != "cell.xml"}
+    assert [name for name in dotted if not _module_or_member(name)] == []
+    of_cell = {path.name + "/" * path.is_dir() for path in _members("cell")} - {"__main__.py"}
+    table = page.split("## Where things are in `cell`")[1].split("\n## ")[0]
+    on_map = set(
+        re.findall(r"`([\w]+(?:/|\.py))`", "".join(row.split("|")[1] for row in table.splitlines() if "|" in row))
+    )
+    assert of_cell - on_map == set()
+    assert on_map - of_cell == set()
+    rooms = page.split("## Rooms of `planner` and `drivers`")[1].split("\n## ")[0]
+    for package in ("planner", "drivers"):
+        assert [path.stem for path in _members(package) if not re.search(rf"\b{path.stem}\b", rooms)] == []
+
+
+def _members(package: str) -> list[Path]:
+    """Rooms and files of a package."""
+    found = (ROOT / package).iterdir()
+    return [
+        path for path in found if path.suffix == ".py" or (path / "__init__.py").exists() if path.stem != "__init__"
+    ]
+
+
+def _module_or_member(name: str) -> bool:
+    """Whether a dotted name is a module, or something in one."""
+    package, *rest = name.split(".")
+    path = ROOT / package
+    for depth, word in enumerate(rest):
+        if (path / word).is_dir():
+            path /= word
+        elif (path / f"{word}.py").exists():
+            return depth == len(rest) - 1 or rest[depth + 1] in (path / f"{word}.py").read_text(encoding="utf-8")
+        else:
+            return word in (path / "__init__.py").read_text(encoding="utf-8")
+    return True
