@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
+from cell.run.manifest_json import Manifest
 from cell.run.reader import motion_of
 from cell.run.record import RunRecord, file_bytes, npz, read_manifest, understood
 from planner.errors import PlannerError
@@ -64,7 +65,7 @@ class RecordedExecution:
     """
 
     folder: Path
-    manifest: Mapping[str, Any]
+    manifest: Manifest
     scans: tuple[RecordedScan, ...]
     motion: Motion | None
     unreadable: tuple[str, ...]
@@ -96,7 +97,7 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
     if execution not in known:
         raise FileError(f"{run.folder} has no execution {execution}; it has {', '.join(known)}")
     folder = run.folder / FOLDER / execution
-    manifest: Mapping[str, Any] = {}
+    manifest = Manifest()
     scans: list[RecordedScan] = []
     unreadable: list[str] = []
     if (folder / "manifest.json").is_file():

@@ -20,8 +20,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import JsonValue
 
 from cell.errors import CellError, FileError
+from cell.run.manifest_json import Manifest
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
 
@@ -44,7 +46,7 @@ class RunFolder:
 
     target: Path
     path: Path
-    manifest: dict[str, Any]
+    manifest: Manifest
     _stage: str = "start"
     _artefacts: dict[str, str] = field(default_factory=dict)
 
@@ -84,17 +86,17 @@ class RunFolder:
         folder = cls(
             target,
             path,
-            {
-                "schema": SCHEMA,
-                "status": "running",
-                "stage": "start",
-                "started": now.isoformat(timespec="seconds"),
-                "argv": argv,
-                "seed": seed,
-                "inputs": dict(inputs),
-                "versions": versions(),
-                "seconds": {},
-            },
+            Manifest(
+                schema=SCHEMA,
+                status="running",
+                stage="start",
+                started=now.isoformat(timespec="seconds"),
+                argv=tuple(argv),
+                seed=seed,
+                inputs=dict(inputs),
+                versions=versions(),
+                seconds={},
+            ),
         )
         folder._write_manifest()
         return folder
@@ -102,14 +104,16 @@ class RunFolder:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Name the stage that runs and record its seconds; a failure inside is reported under this name."""
-        self._stage = self.manifest["stage"] = name
+        self._stage = name
+        self.manifest = self.manifest.but(stage=name)
         self._write_manifest()
         start = perf_counter()
         try:
             yield
         finally:
-            seconds = self.manifest["seconds"]
-            seconds[name] = round(seconds.get(name, 0.0) + perf_counter() - start, 3)
+            seconds = self.manifest.seconds
+            took = round(seconds.get(name, 0.0) + perf_counter() - start, 3)
+            self.manifest = self.manifest.but(seconds={**seconds, name: took})
 
     @contextmanager
     def kept_on_failure(self) -> Iterator[None]:
@@ -130,7 +134,7 @@ class RunFolder:
         """Write a text artefact (UTF-8, as given)."""
         self._write(name, text.encode())
 
-    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+    def write_json(self, name: str, content: Mapping[str, JsonValue]) -> None:
         """Write a JSON artefact; `schema` is put in front."""
         self.write_text(name, json_text({"schema": SCHEMA, **content}))
 
@@ -174,7 +178,7 @@ class RunFolder:
 
     def fail(self, status: str, exit_code: int, reason: str) -> None:
         """Keep the unfinished folder with status, stage and reason; never raises: another error is on its way."""
-        self.manifest["reason"] = reason
+        self.manifest = self.manifest.but(reason=reason)
         try:
             self._close(status, exit_code)
         except FileError:
@@ -182,14 +186,15 @@ class RunFolder:
             return
 
     def _close(self, status: str, exit_code: int | None) -> None:
-        self.manifest.update(status=status, exit_code=exit_code, artefacts=dict(sorted(self._artefacts.items())))
+        artefacts = dict(sorted(self._artefacts.items()))
+        self.manifest = self.manifest.but(status=status, exit_code=exit_code, artefacts=artefacts)
         self._write_manifest()
 
     def _write_manifest(self) -> None:
         # Through a temporary file, so that a full disk leaves the last good manifest in place.
         temporary = self.path / "manifest.json.tmp"
         with self._writing("manifest.json"):
-            temporary.write_text(json_text(self.manifest), encoding="utf-8")
+            temporary.write_text(json_text(self.manifest.as_json()), encoding="utf-8")
             temporary.replace(self.path / "manifest.json")
 
     def _write(self, name: str, content: bytes) -> None:
@@ -222,7 +227,7 @@ def _move_aside(path: Path) -> None:
         raise FileError(f"{path} cannot be moved out of the way: {_reason(error)}; choose another --out") from error
 
 
-def json_text(content: Mapping[str, Any]) -> str:
+def json_text(content: Mapping[str, JsonValue]) -> str:
     """JSON with two-space indent, a final newline and no NaN."""
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 

@@ -2,27 +2,27 @@
 
 import os
 import platform
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+
+from cell.run.manifest_json import Manifest
 
 KEYS = ("pid", "pid_began", "machine")
-"""Entries of a manifest while it is written; `lives` understands them."""
+"""Entries of a manifest while it is written."""
 
 
-def this_process() -> dict[str, Any]:
-    """The entries for the process that asks."""
+def begun_here(manifest: Manifest) -> Manifest:
+    """The manifest with the entries of the process that asks."""
     pid = os.getpid()
-    return {"pid": pid, "pid_began": _stat(pid)[1], "machine": platform.node()}
+    return manifest.but(pid=pid, pid_began=_stat(pid)[1], machine=platform.node())
 
 
-def lives(entries: Mapping[str, Any]) -> bool:
-    """Whether the process of these entries runs on this machine; False where that cannot be found out.
+def lives(manifest: Manifest) -> bool:
+    """Whether the process of a manifest runs on this machine; False where that cannot be found out.
 
     Numbers of processes are used again, so where the system tells when a process began (Linux), that must agree too.
     """
-    pid = entries.get("pid")
-    if os.name != "posix" or not isinstance(pid, int) or pid <= 0 or entries.get("machine") != platform.node():
+    pid = manifest.pid
+    if os.name != "posix" or pid is None or pid <= 0 or manifest.machine != platform.node():
         return False  # on other systems signal 0 is no question
     try:
         os.kill(pid, 0)
@@ -31,7 +31,7 @@ def lives(entries: Mapping[str, Any]) -> bool:
     except (OSError, OverflowError):
         return False
     state, began = _stat(pid)
-    return state != "Z" and began == entries.get("pid_began")
+    return state != "Z" and began == manifest.pid_began
 
 
 def _stat(pid: int) -> tuple[str, int | None]:

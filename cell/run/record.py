@@ -7,10 +7,9 @@ changed. A failed run (`.part`) is opened as well: it holds what its stages had 
 
 import hashlib
 import io
-import json
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,13 +20,9 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run.folder import SCHEMA
+from cell.run.json_table import parsed
+from cell.run.manifest_json import Manifest
 from planner.errors import PlannerError
-
-_KINDS: Mapping[str, tuple[Any, str]] = {
-    "status": (str, "a word"), "stage": (str, "a word"), "seed": (int, "a whole number"),
-    "options": (dict, "an object"), "artefacts": (dict, "an object"), "seconds": (dict, "an object"),
-    "pid": (int, "a whole number"), "moving_s": (int | float, "a number"), "exit_code": (int, "a whole number"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,27 +31,41 @@ class RunRecord:
 
     Attributes:
         folder: where it is (with `.part` behind for a run that did not finish).
-        manifest: the content of manifest.json.
+        manifest: its manifest.json.
     """
 
     folder: Path
-    manifest: Mapping[str, Any]
+    manifest: Manifest
 
     @property
     def finished(self) -> bool:
         """Whether every stage was finished."""
-        return self.manifest.get("status") == "finished"
+        return self.manifest.status == "finished"
 
     @property
     def ended(self) -> str:
         """How the run ended, for sentences: "failed in the stage 'reach': none of the candidates is reachable"."""
-        status, stage = self.manifest.get("status", "unknown"), self.manifest.get("stage", "unknown")
+        status, stage = self.manifest.status or "unknown", self.manifest.stage or "unknown"
         if self.finished:
             return "finished"
         if status == "running":
             return f"still running, or was killed, in the stage '{stage}'"
-        reason = str(self.manifest.get("reason", "")).split(";")[0]
+        reason = self.manifest.reason.split(";")[0]
         return f"{status} in the stage '{stage}'" + (f": {reason}" if reason else "")
+
+    @property
+    def seed(self) -> int:
+        """Seed of every random choice.
+
+        Raises:
+            FileError: if the manifest does not say it.
+        """
+        return self.manifest.require_seed(self.folder)
+
+    @property
+    def plan_sha256(self) -> str:
+        """sha256 of plan.json; "" where there is none."""
+        return self.manifest.artefacts.get("plan.json", "")
 
     def has(self, name: str) -> bool:
         """Whether an artefact is there."""
@@ -75,9 +84,9 @@ def open_run(folder: Path) -> RunRecord:
     if not path.is_file():
         raise FileError(f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made")
     manifest = read_manifest(path)
-    schema = manifest.get("schema")
+    schema = manifest.schema_version
     if schema != SCHEMA:
-        if isinstance(schema, str) and schema.startswith("scan-cell/run/"):
+        if schema is not None and schema.startswith("scan-cell/run/"):
             raise FileError(
                 f"{folder} has the schema {schema}, and this version of scan-cell reads {SCHEMA}; plan again, or use "
                 "the version that its manifest.json names"
@@ -135,7 +144,7 @@ def artefact(run: RunRecord, name: str) -> bytes:
             raise FileError(f"{path} is missing, although the run finished; the folder is damaged, plan again")
         raise FileError(f"{run.folder} has no {name}: the run {run.ended}; plan again")
     content = file_bytes(path)
-    expected = run.manifest.get("artefacts", {}).get(name)
+    expected = run.manifest.artefacts.get(name)
     if expected is not None and hashlib.sha256(content).hexdigest() != expected:
         raise FileError(
             f"{path} is not what the run wrote (its sha256 is not the manifest's): it was changed or damaged; a run "
@@ -144,38 +153,13 @@ def artefact(run: RunRecord, name: str) -> bytes:
     return content
 
 
-def artefact_json(run: RunRecord, name: str) -> dict[str, Any]:
-    """The object of a JSON artefact.
-
-    Raises:
-        FileError: if it is missing, changed or damaged.
-    """
-    return _json(run.folder / name, artefact(run, name))
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object of a file.
-
-    Raises:
-        FileError: if it is missing or is not a JSON object.
-    """
-    return _json(path, file_bytes(path))
-
-
-def read_manifest(path: Path) -> dict[str, Any]:
-    """A manifest.json, its entries of the kinds that readers rely on; any entry may be missing.
+def read_manifest(path: Path) -> Manifest:
+    """A manifest.json; any entry may be missing.
 
     Raises:
         FileError: if it cannot be read, is not JSON, or an entry is of another kind.
     """
-    manifest = read_json(path)
-    for name, (kind, said) in _KINDS.items():
-        value = manifest.get(name)
-        if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
-            raise FileError(f"{path} is damaged: its {name} is {value!r}; it must be {said}")
-    if (manifest.get("seed") or 0) < 0:
-        raise FileError(f"{path} is damaged: its seed is {manifest['seed']}; it must be 0 or more")
-    return manifest
+    return parsed(Manifest, file_bytes(path), path)
 
 
 def file_bytes(path: Path) -> bytes:
@@ -203,16 +187,6 @@ def understood(path: Path) -> Iterator[None]:
         raise FileError(f"{path} is damaged: it has no {error.args[0]}; plan or scan again") from error
     except (PlannerError, ValueError, TypeError, IndexError) as error:
         raise FileError(f"{path} is damaged: {error}; plan or scan again") from error
-
-
-def _json(path: Path, content: bytes) -> dict[str, Any]:
-    try:
-        value = json.loads(content)
-    except ValueError as error:
-        raise FileError(f"{path} is damaged: it is not JSON ({error}); plan or scan again") from error
-    if not isinstance(value, dict):
-        raise FileError(f"{path} is damaged: it must hold one JSON object; plan or scan again")
-    return value
 
 
 def _no_folder(folder: Path) -> str:

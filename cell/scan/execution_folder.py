@@ -14,11 +14,13 @@ from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import JsonValue
 
 from cell.errors import FileError
 from cell.run import process
 from cell.run.executions import FOLDER
 from cell.run.folder import SCHEMA, RunFolder, json_text, versions
+from cell.run.manifest_json import Manifest, Resumed
 from cell.run.record import RunRecord
 
 EVENTS = "events.jsonl"
@@ -35,7 +37,7 @@ class ExecutionFolder(RunFolder):
 
     @classmethod
     def make(
-        cls, run: RunRecord, argv: list[str], seed: int, options: Mapping[str, Any], now: datetime
+        cls, run: RunRecord, argv: list[str], seed: int, options: Mapping[str, JsonValue], now: datetime
     ) -> "ExecutionFolder":
         """Make the next execution of a run.
 
@@ -70,50 +72,45 @@ class ExecutionFolder(RunFolder):
         folder = cls(
             path,
             path,
-            {
-                "schema": SCHEMA,
-                "status": "running",
-                "stage": "start",
-                "started": now.isoformat(timespec="seconds"),
-                "argv": argv,
-                "seed": seed,
-                "options": dict(options),
-                "plan": run.manifest.get("artefacts", {}).get("plan.json", ""),
-                "versions": versions(),
-                "seconds": {},
-                **process.this_process(),
-            },
+            process.begun_here(
+                Manifest(
+                    schema=SCHEMA,
+                    status="running",
+                    stage="start",
+                    started=now.isoformat(timespec="seconds"),
+                    argv=tuple(argv),
+                    seed=seed,
+                    options=dict(options),
+                    plan=run.plan_sha256,
+                    versions=versions(),
+                    seconds={},
+                )
+            ),
         )
         folder._write_manifest()
         return folder
 
     @classmethod
-    def reopen(cls, path: Path, manifest: Mapping[str, Any]) -> "ExecutionFolder":
+    def reopen(cls, path: Path, manifest: Manifest) -> "ExecutionFolder":
         """An execution that was made before, to make its report anew."""
-        seconds = {name: took for name, took in manifest.get("seconds", {}).items() if name == EXECUTING}
-        entries = {"schema": SCHEMA, **manifest, "seconds": seconds}
-        return cls(path, path, entries, "start", dict(manifest.get("artefacts", {})))
+        seconds = {name: took for name, took in manifest.seconds.items() if name == EXECUTING}
+        entries = manifest.but(schema_version=SCHEMA, seconds=seconds)
+        return cls(path, path, entries, "start", dict(manifest.artefacts))
 
     def resume(self, argv: list[str], driver: str) -> None:
         """Take a stopped execution up again: it runs, in this process, and its manifest says how often it was begun."""
-        again = {
-            "at": datetime.now(UTC).isoformat(timespec="seconds"),
-            "argv": argv,
-            "driver": driver,
-            "after": self.manifest.get("status", ""),
-        }
-        for name in ("exit_code", "finished", "reason"):
-            self.manifest.pop(name, None)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        again = Resumed(at=now, argv=tuple(argv), driver=driver, after=self.manifest.status or "")
         outdated = [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]
         kept = {name: sha for name, sha in sorted(self._artefacts.items()) if name not in outdated}
-        resumed = [*self.manifest.get("resumed", []), again]
-        self.note(status="running", resumed=resumed, artefacts=kept, **process.this_process())
+        self.manifest = process.begun_here(self.manifest.without("exit_code", "reason"))
+        self.note(status="running", resumed=(*self.manifest.resumed, again), artefacts=kept)
         for name in outdated:  # a report of what was there before; the manifest no longer promises it
             self.remove(name)
 
-    def note(self, **entries: Any) -> None:
+    def note(self, **entries: object) -> None:
         """Put entries into the manifest."""
-        self.manifest.update(entries)
+        self.manifest = self.manifest.but(**entries)
         self._write_manifest()
 
     def event(self, seconds: float, name: str, **details: Any) -> None:
@@ -158,12 +155,11 @@ class ExecutionFolder(RunFolder):
         self._artefacts.pop(name, None)
 
     def _close(self, status: str, exit_code: int | None) -> None:
-        for name in process.KEYS:  # only while it is written
-            self.manifest.pop(name, None)
+        self.manifest = self.manifest.without(*process.KEYS)  # they are for while it is written
         RunFolder._close(self, status, exit_code)
 
     def _write_manifest(self) -> None:
-        self._on_disk("manifest.json", lambda path: _replace(path, json_text(self.manifest).encode()))
+        self._on_disk("manifest.json", lambda path: _replace(path, json_text(self.manifest.as_json()).encode()))
 
     def _on_disk(self, name: str, write: Callable[[Path], None]) -> None:
         with self._writing(name):

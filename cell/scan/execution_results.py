@@ -81,7 +81,7 @@ def usable(
     """
     left_out = list(recorded.unreadable)
     scans: list[ExecutedScan] = []
-    known = recorded.manifest.get("artefacts", {})
+    known = recorded.manifest.artefacts
     for scan in recorded.scans:
         try:
             _require_unchanged(recorded, scan, known.get(f"scans/{scan.name}"))

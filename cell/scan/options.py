@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, JsonValue, ValidationError
 
 from cell.scene.fields import NotNegative, Positive, Table
 from cell.scene.option import Option
@@ -69,9 +69,9 @@ class ScanOptions(Table):
         moved = self.pose_error_mm > 0 or self.pose_error_deg > 0
         return moved if self.registration is None else self.registration
 
-    def kept(self) -> dict[str, object]:
+    def kept(self) -> dict[str, JsonValue]:
         """For the manifest: all that a report made later needs, settled."""
-        return {**self.model_dump(exclude={"registration"}), "register": self.registers}
+        return {**self.model_dump(mode="json", exclude={"registration"}), "register": self.registers}
 
     @classmethod
     def begun(cls, kept: Mapping[str, object]) -> "ScanOptions":

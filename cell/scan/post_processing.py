@@ -20,11 +20,12 @@ from cell.run.cell import RunCell, read_cell
 from cell.run.execution_json import ExecutedMotion, ExecutionReport
 from cell.run.executions import RecordedExecution, read_execution
 from cell.run.plan_json import PlanFile
-from cell.run.record import open_finished
+from cell.run.record import open_finished, understood
 from cell.scan import execute, execution_page
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
 from cell.scan.execution_summary import Results, execution_report, settings_of
+from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome, Work
 from planner.surface.closest import NearestSurface
 from planner.timing.motion import Motion
@@ -46,10 +47,10 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     """
     run = open_finished(run_folder)
     recorded = read_execution(run, execution)
-    ended = str(recorded.manifest.get("status", "running"))
+    ended = recorded.manifest.status or "running"
     if ended == "running" and process.lives(recorded.manifest):
         raise FileError(
-            f"execution {recorded.folder.name} is still running (process {recorded.manifest['pid']}); wait until it "
+            f"execution {recorded.folder.name} is still running (process {recorded.manifest.pid}); wait until it "
             "ends, or stop it with Ctrl-C"
         )
     if ended != "finished":
@@ -57,10 +58,9 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
             f"execution {recorded.folder.name} did not finish (its status is '{ended}'); what is there is used"
         )
     folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
-    options = folder.manifest.get("options", {})
-    cell = read_cell(run, options.get("resolution_deg"))
+    cell = read_cell(run, _options(recorded).resolution_deg)
     # The status tells how the execution ended, not how its report did.
-    status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.get("exit_code")
+    status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.exit_code
     summary = results(Work(run, folder, narrator), cell, run_reader.motion(run), recorded)
     for sentence in summary.left_out:
         narrator.note(sentence)
@@ -78,18 +78,19 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
 def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecution) -> ExecutionReport:
     """Merge, reconstruct, measure and report what the execution has on disk."""
     run, folder = work.run, work.folder
-    seed, options = int(folder.manifest.get("seed", run.manifest["seed"])), folder.manifest.get("options", {})
+    options, manifest = _options(recorded), folder.manifest
+    seed = run.seed if manifest.seed is None else manifest.seed
 
     with work.step("merge"):
         plan = run_reader.plan(run)
         scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
         nearest = NearestSurface(cell.reference)
-        cloud = merged(scans, nearest, registered=bool(options.get("register")))
+        cloud = merged(scans, nearest, registered=options.registers)
         folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop))
 
     with work.step("reconstruct"):
-        model = reconstruct(cloud.cloud, close=bool(options.get("close_holes")))
+        model = reconstruct(cloud.cloud, close=options.close_holes)
         for doubt in model.doubts:
             work.narrator.note(doubt)
         if model.mesh is None:
@@ -98,25 +99,29 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
             folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed))
 
     with work.step("measure"):
-        reached = achieved(scans, plan, cloud.cloud, cell, int(run.manifest["seed"]))
+        reached = achieved(scans, plan, cloud.cloud, cell, run.seed)
         off = None
         if model.mesh is not None:
             off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
 
     with work.step("report"):
-        legs = execute.legs_of(motion, options.get("view"))
+        legs = execute.legs_of(motion, options.view)
         # Of a resumed execution only the time of the last part is known.
-        timed = bool(folder.manifest.get("simulated_time")) and not folder.manifest.get("resumed")
-        times = ExecutedMotion(
-            planned_s=legs.planned_seconds, executed_s=folder.manifest.get("moving_s") if timed else None
-        )
+        timed = bool(manifest.simulated_time) and not manifest.resumed
+        times = ExecutedMotion(planned_s=legs.planned_seconds, executed_s=manifest.moving_s if timed else None)
         found = Results(scans, left_out, cloud, reached, model, off)
         stops = [leg.stop for leg in legs.legs if leg.stop]
-        summary = execution_report(cell, plan, settings_of(cell, options, seed), found, stops, times)
+        summary = execution_report(cell, plan, settings_of(cell, recorded.manifest.options, seed), found, stops, times)
         folder.write_json("report.json", summary.as_json())
         folder.write_text("report.md", execution_page.markdown(summary))
         _draw(folder, cell, plan, found)
     return summary
+
+
+def _options(recorded: RecordedExecution) -> ScanOptions:
+    """What the execution was asked for; the defaults where its manifest does not say it."""
+    with understood(recorded.folder / "manifest.json"):
+        return ScanOptions.begun(recorded.manifest.options)
 
 
 def _draw(folder: ExecutionFolder, cell: RunCell, plan: PlanFile, found: Results) -> None:

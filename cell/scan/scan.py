@@ -15,7 +15,7 @@ from cell.run import process
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell, taken_as_triangles
 from cell.run.executions import RecordedExecution, read_execution
-from cell.run.record import RunRecord, open_finished, understood
+from cell.run.record import RunRecord, open_finished, read_manifest, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, safety
 from cell.scan.execute import Legs
@@ -56,7 +56,7 @@ def scan(
     motion = run_reader.driven_motion(run)
     legs = execute.legs_of(motion, options.view)
     cell = read_cell(run, options.resolution_deg)
-    seed = options.seed if options.seed is not None else int(run.manifest["seed"])
+    seed = options.seed if options.seed is not None else run.seed
     driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run))
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
     with ExitStack() as connected:
@@ -101,9 +101,9 @@ def resume(
     settled = begun.resumed(options or ScanOptions())
     motion = run_reader.motion(run)
     cell = read_cell(run, begun.resolution_deg)
-    seed = int(recorded.manifest["seed"])
+    seed = recorded.manifest.require_seed(recorded.folder)
     legs, done = execute.legs_of(motion, begun.view), {scan.stop for scan in scans}
-    if recorded.manifest.get("status") == "finished" and done >= {leg.stop for leg in legs.legs if leg.stop}:
+    if recorded.manifest.status == "finished" and done >= {leg.stop for leg in legs.legs if leg.stop}:
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
@@ -130,14 +130,13 @@ def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
     Raises:
         FileError: if it runs, or its manifest is damaged, or it is of another plan.
     """
-    name, manifest = recorded.folder.name, recorded.manifest
+    name, manifest = recorded.folder.name, read_manifest(recorded.folder / "manifest.json")
     if process.lives(manifest):
-        raise FileError(f"execution {name} is still running (process {manifest['pid']}); stop it with Ctrl-C first")
-    if manifest.get("plan") != run.manifest.get("artefacts", {}).get("plan.json", ""):
+        raise FileError(f"execution {name} is still running (process {manifest.pid}); stop it with Ctrl-C first")
+    if manifest.plan != run.plan_sha256:
         raise FileError(f"execution {name} is not of the plan that is in {run.folder} now; scan anew")
     with understood(recorded.folder / "manifest.json"):
-        options, _ = dict(manifest["options"]), int(manifest["seed"])
-        return ScanOptions.begun(options)
+        return ScanOptions.begun(manifest.options)
 
 
 _NAMED = 10  # views named in a sentence
@@ -182,8 +181,9 @@ def _executed(
     connected.enter_context(_drivers_errors_as_ours())
     with work.step(EXECUTING) as progress, driver:
         folder.note(controller=driver.capabilities.controller, speed_fraction=round(speed, 6))
+        seed = folder.manifest.require_seed(folder.path)
         seconds = execute.run(
-            legs, driver, cell, Disturbance.of(options), folder, seed=int(folder.manifest["seed"]), speed=speed,
+            legs, driver, cell, Disturbance.of(options), folder, seed=seed, speed=speed,
             clock=clock, progress=progress,
         )  # fmt: skip
         folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)

@@ -79,7 +79,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
             narrator.note(sentence)
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with narrator.stage("what stays open"):
-        samples = held_out(cell.reference, cell.planning, int(run.manifest["seed"]), count)
+        samples = held_out(cell.reference, cell.planning, run.seed, count)
         targets = Targets.of(samples.points, samples.normals)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
         covered = coverage.visible(views, samples, scanner, (part_caster, occluder_caster)).covered

@@ -46,7 +46,7 @@ def report_of(answer: Answer, run: RunRecord) -> WhyReport:
     """The content of why.json."""
     return WhyReport(
         part=answer.part_name,
-        plan=run.manifest.get("artefacts", {}).get("plan.json", ""),
+        plan=run.plan_sha256,
         samples=len(answer.samples),
         area_mm2=round(float(answer.samples.areas.sum()) * 1e6, 3),
         visible=answer.share(np.flatnonzero(answer.covered)),

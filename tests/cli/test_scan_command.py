@@ -20,6 +20,7 @@ from cell.commands.terminal import Terminal
 from cell.errors import DriverFailureError, FileError
 from cell.run import process
 from cell.run.executions import execution_ids, read_execution, read_scan
+from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord, open_run
 from cell.scan import post_processing
 from cell.scan import scan as scan_command
@@ -358,15 +359,15 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
     path = copied / "executions" / "0001" / "manifest.json"
     manifest = json.loads(path.read_text())
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    here = process.this_process()
-    entries = {"pid": child.pid, "pid_began": process._stat(child.pid)[1], "machine": here["machine"]}
+    here = process.begun_here(Manifest())
+    entries = Manifest(pid=child.pid, pid_began=process._stat(child.pid)[1], machine=here.machine)
     for living in (here, entries):
-        path.write_text(json.dumps({**manifest, **living}))
+        path.write_text(json.dumps({**manifest, **living.as_json()}))
         before = path.read_bytes()
-        with pytest.raises(FileError, match=f"still running .process {living['pid']}"):
+        with pytest.raises(FileError, match=f"still running .process {living.pid}"):
             _remake(copied)
         assert path.read_bytes() == before
-    assert not process.lives({**here, "machine": here["machine"] + "-other"})
+    assert not process.lives(here.but(machine=f"{here.machine}-other"))
     child.communicate()
     assert not process.lives(entries)
     assert _remake(copied).complete
@@ -410,7 +411,7 @@ def test_a_damaged_value_in_the_manifest_of_the_plan_is_a_file_error(copied: Pat
     path = copied / "manifest.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **entry}))
     for work in (_scan, _remake):
-        with pytest.raises(FileError, match=f"its {next(iter(entry))} is"):
+        with pytest.raises(FileError, match=f"damaged: {next(iter(entry))} is"):
             work(copied)
 
 
@@ -419,7 +420,7 @@ def test_executions_are_those_with_a_number_in_order_of_it(tmp_path: Path) -> No
     for name in ("9999", "10000", "0002", "notes", "0001.bak"):
         (tmp_path / "executions" / name).mkdir(parents=True)
     (tmp_path / "executions" / "20000").write_text("")
-    run = RunRecord(tmp_path, {})
+    run = RunRecord(tmp_path, Manifest())
     assert execution_ids(run) == ["0002", "9999", "10000"]
     assert read_execution(run, "latest").folder.name == "10000"
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError
+from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord
 from cell.scan.execute import Leg, Legs
 from cell.scan.resume import Rest, rest_of
@@ -17,7 +18,7 @@ from planner.timing.motion import Motion, retime
 
 HOME = to_rad(from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])))
 LIMITS = JointLimits(to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration, kr16().jerk)
-RUN = RunRecord(Path("no such run"), {})
+RUN = RunRecord(Path("no such run"), Manifest())
 
 
 def at(degrees: float) -> np.ndarray:

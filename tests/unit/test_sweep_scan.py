@@ -13,6 +13,7 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.run.cell import RunCell
 from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
+from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord
 from cell.run.scene_json import ScannerKeys
 from cell.scan import execute
@@ -95,7 +96,7 @@ class _Driver:
 
 
 def _folder(tmp_path: Path) -> ExecutionFolder:
-    run = RunRecord(tmp_path, {"schema": SCHEMA, "artefacts": {}})
+    run = RunRecord(tmp_path, Manifest(schema=SCHEMA))
     return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
 
 
