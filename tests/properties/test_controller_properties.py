@@ -39,13 +39,13 @@ times = st.floats(0.0, 3.0)
 
 
 class ControllerMachine(RuleBasedStateMachine):
-    """A controller with a queue of three, and an independent, simple-minded account of what it must have done."""
+    """A controller, and an independent, simple-minded account of what it must have done."""
 
     def __init__(self) -> None:
         super().__init__()
         self.clock = SimulatedClock()
         self.plant = IdealPlant(np.zeros(6))
-        self.controller = Controller(self.plant, LIMITS, self.clock, queue_length=3)
+        self.controller = Controller(self.plant, LIMITS, self.clock)
         self.sequence = 0
         self.last: Command | None = None
         self.waiting: list[tuple[int, SetPoints]] = []  # accepted moves that have not ended
@@ -66,8 +66,8 @@ class ControllerMachine(RuleBasedStateMachine):
         return Result(answer.result)
 
     @rule(points=good, more=good, speed=fractions, seconds=times)
-    def fill_the_queue(self, points: SetPoints, more: SetPoints, speed: float, seconds: float) -> None:
-        """Two moves at once, and some way along them."""
+    def move_twice(self, points: SetPoints, more: SetPoints, speed: float, seconds: float) -> None:
+        """Two moves at once, of which the second is refused unless the first is none, and some way along."""
         self.move(points, speed)
         self.move(more, speed)
         self.clock.wait(seconds)
@@ -93,11 +93,10 @@ class ControllerMachine(RuleBasedStateMachine):
     def move(self, points: SetPoints, speed: float) -> None:
         """Accepted exactly when nothing speaks against it; the reasons come in their order."""
         before = self.controller.state()
-        start = self.waiting[-1][1][-1] if self.waiting and before.queue_depth else before.axes
-        steps = np.abs(np.diff(np.concatenate([start[None], points]).astype(int), axis=0))
+        steps = np.abs(np.diff(np.concatenate([before.axes[None], points]).astype(int), axis=0))
         if before.mode in (Mode.FAULT, Mode.EMERGENCY_STOP):
             expected = {Result.IN_FAULT}
-        elif before.queue_depth == 3 or (before.mode is Mode.MOVING and before.queue_depth == 0):
+        elif before.mode is Mode.MOVING:
             expected = {Result.BUSY}
         elif np.abs(points).max() > RANGE:
             expected = {Result.LIMIT}
