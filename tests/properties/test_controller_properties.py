@@ -195,15 +195,15 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @invariant()
     def never_leaves_the_limits(self) -> None:
-        """Reported and true axes, at every instant that is looked at."""
+        """The controller's axes and the plant's, at every instant that is looked at."""
         state = self.controller.state()
         assert (np.abs(state.axes) <= RANGE).all()
-        assert (np.abs(self.plant.true_axes) <= to_rad(LIMITS.upper)).all()
+        assert (np.abs(self.plant.reported_axes) <= to_rad(LIMITS.upper)).all()
 
     @invariant()
     def is_on_the_commanded_path(self) -> None:
         """The arm is on the polyline through what was accepted, moving, braking or standing."""
-        here, corners = self.plant.true_axes, np.array(self.corners)
+        here, corners = self.plant.reported_axes, np.array(self.corners)
         a, b = corners[:-1], corners[1:]
         if len(a) == 0:
             assert np.abs(here - corners[0]).max() < 1e-12
@@ -228,15 +228,15 @@ class ControllerMachine(RuleBasedStateMachine):
                 self.cut = True
             elif state.standing:
                 assert (state.axes == points[-1]).all()
-                assert (self.plant.true_axes == to_rad(points[-1])).all()
+                assert (self.plant.reported_axes == to_rad(points[-1])).all()
         assert state.queue_depth == len(self.waiting)
         if self.cut and state.standing:
-            self.corners, self.cut = [self.plant.true_axes], False  # what comes next begins here
+            self.corners, self.cut = [self.plant.reported_axes], False  # what comes next begins here
 
     @invariant()
     def never_jumps(self) -> None:
         """Between two looks no axis goes farther than its full speed allows."""
-        now, here = self.clock.now(), self.plant.true_axes
+        now, here = self.clock.now(), self.plant.reported_axes
         then, there = self.seen
         assert (np.abs(here - there) <= LIMITS.velocity * (now - then) + 1e-12).all()
         self.seen = now, here
