@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 from drivers.errors import DriverError
@@ -46,8 +45,7 @@ class SimulatedClock:
         Raises:
             DriverError: if `seconds` is negative or not finite.
         """
-        if not 0 <= seconds < math.inf:
-            raise DriverError(f"a clock was asked to wait {seconds} s; it must be a finite time of at least 0")
+        _require_duration(seconds)
         self._now += seconds
 
 
@@ -56,27 +54,18 @@ class RealTimeClock:
 
     Args:
         speed: seconds of this clock per real second; 1 is real time.
-        monotonic: source of real time [s].
-        sleep: blocks for real seconds.
     """
 
     simulated = False
 
-    def __init__(
-        self,
-        speed: float = 1.0,
-        *,
-        monotonic: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
+    def __init__(self, speed: float = 1.0) -> None:
         if not 0 < speed < math.inf:
             raise DriverError(f"the speed of a clock is {speed}; it must be above 0 and finite")
-        self._speed, self._monotonic, self._sleep = float(speed), monotonic, sleep
-        self._zero = monotonic()
+        self._speed, self._zero = float(speed), time.monotonic()
 
     def now(self) -> float:
         """Time since the clock was made [s]."""
-        return (self._monotonic() - self._zero) * self._speed
+        return (time.monotonic() - self._zero) * self._speed
 
     def wait(self, seconds: float) -> None:
         """Block, at most `LONGEST_WAIT` of real time.
@@ -84,6 +73,10 @@ class RealTimeClock:
         Raises:
             DriverError: if `seconds` is negative or not finite.
         """
-        if not 0 <= seconds < math.inf:
-            raise DriverError(f"a clock was asked to wait {seconds} s; it must be a finite time of at least 0")
-        self._sleep(min(seconds / self._speed, LONGEST_WAIT))
+        _require_duration(seconds)
+        time.sleep(min(seconds / self._speed, LONGEST_WAIT))
+
+
+def _require_duration(seconds: float) -> None:
+    if not 0 <= seconds < math.inf:
+        raise DriverError(f"a clock was asked to wait {seconds} s; it must be a finite time of at least 0")

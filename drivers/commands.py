@@ -13,58 +13,34 @@ number up. Stopping is always safe, so a stop is obeyed whatever its number and 
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 
+from drivers.codes import Code
 from drivers.setpoints import SetPoints, check
 
 LAST_SEQUENCE: Final = 65535
 
 
-class Result(IntEnum):
+class Result(Code):
     """The answer to a command, and how a move ended; the numbers go over wires."""
 
-    OK = 0
-    UNKNOWN_COMMAND = 1
-    IN_FAULT = 2
-    LIMIT = 3
-    SPEED = 4
-    STEP = 5
-    BUSY = 7
-    SEQUENCE = 8
-    REUSED = 9
-    STALE = 10
-    ESTOP_PRESSED = 11
-    TOO_MANY_POINTS = 12
-    INCOMPLETE = 13
-    STOPPED = 20
-    FAULTED = 21
-
-    @property
-    def sentence(self) -> str:
-        """The result in words."""
-        return _RESULT_SENTENCES[self]
-
-
-_RESULT_SENTENCES = {
-    Result.OK: "done",
-    Result.UNKNOWN_COMMAND: "the controller does not know this command",
-    Result.IN_FAULT: "a fault is latched; reset first",
-    Result.LIMIT: "a set-point is outside the axis limits",
-    Result.SPEED: "the speed fraction is outside its range",
-    Result.STEP: "a step from one via point to the next is larger than the controller allows",
-    Result.BUSY: "the controller is braking or its queue is full; wait until the arm stands",
-    Result.SEQUENCE: "the sequence number is outside 1 to 65535",
-    Result.REUSED: "the sequence number was already used for another command",
-    Result.STALE: "the sequence number is older than the last one; another client, or a late duplicate",
-    Result.ESTOP_PRESSED: "the emergency stop is still pressed; release it first",
-    Result.TOO_MANY_POINTS: "the move has more via points than the controller takes",
-    Result.INCOMPLETE: "the via points that were staged are not those of the move; stage them again",
-    Result.STOPPED: "the move was stopped on command",
-    Result.FAULTED: "the move was ended by a fault",
-}
+    OK = 0, "done"
+    UNKNOWN_COMMAND = 1, "the controller does not know this command"
+    IN_FAULT = 2, "a fault is latched; reset first"
+    LIMIT = 3, "a set-point is outside the axis limits"
+    SPEED = 4, "the speed fraction is outside its range"
+    STEP = 5, "a step from one via point to the next is larger than the controller allows"
+    BUSY = 7, "the controller is braking or its queue is full; wait until the arm stands"
+    SEQUENCE = 8, "the sequence number is outside 1 to 65535"
+    REUSED = 9, "the sequence number was already used for another command"
+    STALE = 10, "the sequence number is older than the last one; another client, or a late duplicate"
+    ESTOP_PRESSED = 11, "the emergency stop is still pressed; release it first"
+    TOO_MANY_POINTS = 12, "the move has more via points than the controller takes"
+    INCOMPLETE = 13, "the via points that were staged are not those of the move; stage them again"
+    STOPPED = 20, "the move was stopped on command"
+    FAULTED = 21, "the move was ended by a fault"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,13 +12,14 @@ checked plan needs. Axes travel as set-points (`drivers.setpoints`), so every dr
 This layer is no safety device: see docs/drivers.md.
 """
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import IntEnum
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
+from drivers.codes import Code
 from drivers.errors import DriverError
 from drivers.setpoints import AXES, Floats, SetPoints, frozen, to_rad
 
@@ -26,51 +27,22 @@ from drivers.setpoints import AXES, Floats, SetPoints, frozen, to_rad
 class Mode(IntEnum):
     """The states of a controller; the numbers go over wires."""
 
-    IDLE = 0
-    MOVING = 1
-    IN_POSITION = 2
-    FAULT = 3
-    EMERGENCY_STOP = 4
-
-    @property
-    def sentence(self) -> str:
-        """The state in words."""
-        return _MODE_SENTENCES[self]
+    IDLE = 0  # stands, and not at the end of a move: after start, stop or reset
+    MOVING = 1  # moves, or brakes after a stop
+    IN_POSITION = 2  # stands at the last set-point of its last move
+    FAULT = 3  # a fault is latched; only reset helps
+    EMERGENCY_STOP = 4  # the emergency stop is or was pressed; release it, then reset
 
 
-_MODE_SENTENCES = {
-    Mode.IDLE: "the arm stands, and not at the end of a move (after start, stop or reset)",
-    Mode.MOVING: "the arm moves, or brakes after a stop",
-    Mode.IN_POSITION: "the arm stands at the last set-point of its last move",
-    Mode.FAULT: "a fault is latched; only reset helps",
-    Mode.EMERGENCY_STOP: "the emergency stop is or was pressed; release it, then reset",
-}
-
-
-class Fault(IntEnum):
+class Fault(Code):
     """The faults of our own controller; a foreign controller may report other numbers with its own sentence."""
 
     NONE = 0
-    WATCHDOG = 4001
-    PLANT = 4002
-    NOT_SETTLED = 4003
-    RESTARTED = 4004
-    EMERGENCY_STOP = 4010
-
-    @property
-    def sentence(self) -> str:
-        """The fault in words; empty for none."""
-        return _FAULT_SENTENCES[self]
-
-
-_FAULT_SENTENCES = {
-    Fault.NONE: "",
-    Fault.WATCHDOG: "the client's heartbeat was lost, so the arm was stopped on its path",
-    Fault.PLANT: "the arm does not follow its set-points",
-    Fault.NOT_SETTLED: "the arm did not come to rest at its set-point in time",
-    Fault.RESTARTED: "the controller was restarted; what it did before is lost",
-    Fault.EMERGENCY_STOP: "the emergency stop was pressed",
-}
+    WATCHDOG = 4001, "the client's heartbeat was lost, so the arm was stopped on its path"
+    PLANT = 4002, "the arm does not follow its set-points"
+    NOT_SETTLED = 4003, "the arm did not come to rest at its set-point in time"
+    RESTARTED = 4004, "the controller was restarted; what it did before is lost"
+    EMERGENCY_STOP = 4010, "the emergency stop was pressed"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,8 +120,11 @@ class Capabilities:
             object.__setattr__(self, name, frozen(getattr(self, name), np.int32))
 
 
-class Driver(Protocol):
-    """One robot controller, reached over one wire. Several threads may call it; moves are one at a time."""
+class Driver(AbstractContextManager["Driver"], Protocol):
+    """One robot controller, reached over one wire. Several threads may call it; moves are one at a time.
+
+    `with` connects, and closes at its end.
+    """
 
     def connect(self) -> None:
         """Open the wire and learn the controller's state; nothing moves. A second call does nothing.
@@ -161,16 +136,6 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Stop an arm that moves, and give the wire back. May be called twice, and after any failure."""
-        ...
-
-    def __enter__(self) -> Self:
-        """Connect."""
-        ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
         ...
 
     @property

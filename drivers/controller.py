@@ -5,16 +5,14 @@
                +--- stop ------+         fault (any state) --> FAULT            --reset--> IDLE
                (brakes first)            e-stop (any state) --> EMERGENCY_STOP  --release, reset--> IDLE
 
-A fault and the emergency stop brake on the path and drop the queue; until a reset every move is refused. Limits are
+A fault and the emergency stop brake on the path; until a reset every move is refused. Limits are
 checked here, whatever the client checked. Commands follow the sequence-number rule of `drivers.commands`. The
 controller has no thread: each call first lets the time pass that the clock says has passed. A clock that jumps back is
 taken as standing still, one that jumps ahead finishes the motion.
 """
 
 import math
-from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
 
 from drivers.clock import Clock
 from drivers.commands import LAST_SEQUENCE, Answer, Command, Move, Reset, Result, Stop, is_newer, same
@@ -23,7 +21,7 @@ from drivers.errors import DriverError, SetPointError
 from drivers.limits import Limits, refuse
 from drivers.plant import Plant
 from drivers.profile import TICK, interpolate, resting
-from drivers.setpoints import SetPoints, from_rad, text, to_rad
+from drivers.setpoints import from_rad, text, to_rad
 
 CYCLE = 0.004
 """Interpolation cycle [s] in which the controller looks whether the plant has settled."""
@@ -35,14 +33,6 @@ SETTLE_LIMIT = 5.0
 """Time [s] that a plant may take to settle after its reference ended, before that is a fault."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Job:
-    """An accepted move."""
-
-    sequence: int
-    move: Move
-
-
 class Controller:
     """A robot controller in software.
 
@@ -52,26 +42,21 @@ class Controller:
         plant: the arm that it moves.
         limits: what it lets the arm do.
         clock: its time.
-        queue_length: how many moves it takes at once, the one that moves included.
 
     Raises:
         DriverError: if the plant stands outside the limits.
     """
 
-    def __init__(self, plant: Plant, limits: Limits, clock: Clock, *, queue_length: int = 1) -> None:
-        if queue_length < 1:
-            raise DriverError(f"a controller's queue of {queue_length} moves takes none; it must be at least 1")
+    def __init__(self, plant: Plant, limits: Limits, clock: Clock) -> None:
         self.plant, self.limits = plant, limits
         self._clock, self._now = clock, _finite(clock.now())
-        self._queue_length = queue_length
         self._axes = from_rad(plant.reported_axes)
         if ((self._axes < limits.lower) | (self._axes > limits.upper)).any():
             raise DriverError(
                 f"the arm stands at {text(self._axes)}, outside the controller's limits; it must start inside"
             )
         self._reference, self._elapsed = resting(plant.reported_axes), 0.0
-        self._running: _Job | None = None
-        self._queue: deque[_Job] = deque()
+        self._running = 0  # number of the move that is driven; 0: none
         self._braking = False
         self._in_position = False
         self._fault = Fault.NONE
@@ -114,13 +99,13 @@ class Controller:
             ack_result=self._answer.result,
             done_sequence=self._done,
             done_result=self._done_result,
-            queue_depth=self._depth(),
+            queue_depth=int(self._running > 0),
             fault_code=self._fault,
             fault_sentence=self._fault_detail or self._fault.sentence,
         )
 
     def latch(self, fault: Fault, detail: str = "") -> None:
-        """Latch a fault from outside (a watchdog, a restart): brake, drop the queue. The first of several is kept.
+        """Latch a fault from outside (a watchdog, a restart), and brake. The first of several is kept.
 
         Args:
             fault: which one; never NONE.
@@ -154,11 +139,11 @@ class Controller:
             return self._reset()
         if self._fault:
             return Result.IN_FAULT, f"{self._fault_detail or self._fault.sentence}; reset first"
-        if self._braking or self._depth() >= self._queue_length:
+        if not self._standing():
             return Result.BUSY, ""
-        result, detail = refuse(command, self._start_of_next(), self.limits)
+        result, detail = refuse(command, from_rad(self._reference.end), self.limits)
         if result is Result.OK:
-            self._queue.append(_Job(sequence, command))
+            self._start(sequence, command)
         return result, detail
 
     def _reset(self) -> tuple[Result, str]:
@@ -182,17 +167,15 @@ class Controller:
         self._run(seconds)
 
     def _run(self, seconds: float) -> None:
-        """Let time pass; moves begin and end on the way. A plant that failed is left as it is."""
+        """Let time pass; a move ends on the way. A plant that failed is left as it is."""
         if self._plant_failed():
             return
         while True:
             if self._standing():
-                if not self._queue:
-                    if seconds > 0.0:
-                        self.plant.advance(seconds)
-                        self._plant_failed()
-                    return
-                self._start(self._queue.popleft())
+                if seconds > 0.0:
+                    self.plant.advance(seconds)
+                    self._plant_failed()
+                return
             left = self._reference.duration - self._elapsed
             step = min(seconds, left if left > 0.0 else CYCLE)
             self.plant.advance(step)
@@ -211,29 +194,26 @@ class Controller:
             if seconds <= 0.0:
                 return
 
-    def _start(self, job: _Job) -> None:
-        velocity = self.limits.velocity * job.move.speed
+    def _start(self, sequence: int, move: Move) -> None:
+        limits = self.limits
         self._reference = interpolate(
-            self._reference.end, to_rad(job.move.set_points), velocity, self.limits.acceleration, self.limits.jerk
+            self._reference.end, to_rad(move.set_points), limits.velocity * move.speed, limits.acceleration, limits.jerk
         )
-        self._elapsed, self._running, self._in_position = 0.0, job, False
+        self._elapsed, self._running, self._in_position = 0.0, sequence, False
         self.plant.follow(self._reference)
 
     def _finish(self) -> None:
         """The arm stands at the end of its reference."""
-        if self._running is not None:
-            self._done, self._done_result = self._running.sequence, Result.OK
+        if self._running:
+            self._done, self._done_result = self._running, Result.OK
             self._in_position = True
-        self._running, self._braking = None, False
+        self._running, self._braking = 0, False
 
     def _brake(self, result: Result) -> None:
-        """Stay on the path, stand as soon as the limits allow, and drop what was accepted."""
-        dropped = ([self._running] if self._running else []) + list(self._queue)
-        self._queue.clear()
-        if dropped:
-            self._done, self._done_result = dropped[-1].sequence, result
-        if self._running is not None:
-            self._running, self._braking = None, True
+        """End the move on its path, standing as soon as the limits allow."""
+        if self._running:
+            self._done, self._done_result = self._running, result
+            self._running, self._braking = 0, True
             self._reference, self._elapsed = self._reference.braked(self._elapsed), 0.0
             self.plant.follow(self._reference)
 
@@ -262,11 +242,8 @@ class Controller:
             return "its axes are no numbers"
         return ""
 
-    def _depth(self) -> int:
-        return len(self._queue) + (self._running is not None)
-
     def _standing(self) -> bool:
-        return self._running is None and not self._braking
+        return not self._running and not self._braking
 
     def _mode(self) -> Mode:
         if self._fault is Fault.EMERGENCY_STOP:
@@ -276,10 +253,6 @@ class Controller:
         if not self._standing():
             return Mode.MOVING
         return Mode.IN_POSITION if self._in_position else Mode.IDLE
-
-    def _start_of_next(self) -> SetPoints:
-        """(6,) where the next accepted move will begin, counts."""
-        return self._queue[-1].move.set_points[-1] if self._queue else from_rad(self._reference.end)
 
 
 def _finite(now: float) -> float:

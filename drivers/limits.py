@@ -2,45 +2,16 @@
 
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.commands import Move, Result
+from drivers.contract import Capabilities
 from drivers.errors import DriverError
 from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, frozen
 
 _ROUNDING = 1e-3  # counts; a limit that is a count but for the rounding of its radians is that count
-
-
-class Bounds(Protocol):
-    """What `refuse` checks against: a controller's limits, or what a driver says of them."""
-
-    @property
-    def lower(self) -> SetPoints:
-        """(6,) smallest set-points, counts."""
-        ...
-
-    @property
-    def upper(self) -> SetPoints:
-        """(6,) largest set-points, counts."""
-        ...
-
-    @property
-    def max_step(self) -> SetPoints:
-        """(6,) largest change of an axis from one via point to the next, counts."""
-        ...
-
-    @property
-    def max_speed(self) -> float:
-        """Largest speed fraction."""
-        ...
-
-    @property
-    def max_via(self) -> int | None:
-        """Most via points in one move; None: no bound."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,38 +69,30 @@ class Limits:
         velocity: ArrayLike,
         acceleration: ArrayLike,
         *,
-        max_step: ArrayLike | None = None,
-        max_speed: float = 1.0,
         jerk: ArrayLike | None = None,
     ) -> "Limits":
-        """Limits in radians, rounded inwards to counts.
+        """Limits in radians, rounded inwards to counts; a step may be the whole range.
 
         Args:
             lower: (6,) smallest joint angles [rad].
             upper: (6,) largest joint angles [rad].
             velocity: (6,) axis speeds [rad/s].
             acceleration: (6,) axis accelerations [rad/s^2].
-            max_step: () or (6,) largest step [rad]; None: the whole range.
-            max_speed: largest speed fraction.
             jerk: (6,) axis jerks [rad/s^3]; None: not limited.
         """
         low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (lower, upper))
         low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
-        if max_step is None:
-            step = np.maximum(high - low, 1)
-        else:
-            step = np.floor(np.broadcast_to(np.degrees(max_step), AXES) * PER_DEGREE + _ROUNDING)
         most = np.full(AXES, np.inf) if jerk is None else np.asarray(jerk)
-        return cls(low, high, np.asarray(velocity), np.asarray(acceleration), step, max_speed, jerk=most)
+        return cls(low, high, np.asarray(velocity), np.asarray(acceleration), np.maximum(high - low, 1), jerk=most)
 
 
-def refuse(move: Move, start: SetPoints, bounds: Bounds) -> tuple[Result, str]:
+def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple[Result, str]:
     """The first reason against a move, with via point, axis and value, or (OK, ""); the same on both sides of a wire.
 
     Args:
         move: what is asked for.
         start: (6,) where the arm will stand when the move begins, counts.
-        bounds: what is allowed.
+        bounds: what is allowed: a controller's limits, or what a driver says of them.
     """
     points = move.set_points
     if bounds.max_via is not None and len(points) > bounds.max_via:

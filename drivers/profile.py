@@ -40,10 +40,8 @@ class Reference:
         via: (N, 6) via points [rad], the first one where the move starts.
         leg: (K,) leg of each piece: leg k goes from via[k] to via[k + 1].
         begin: (K,) start of each piece [s], not decreasing, the first one 0.
-        s: (K,) path parameter of the leg where the piece begins, in [0, 1].
-        sd: (K,) its speed there [1/s].
-        sdd: (K,) its acceleration there [1/s^2].
-        sddd: (K,) its jerk [1/s^3].
+        s: (K, 4) path parameter of the leg where the piece begins, in [0, 1], its speed [1/s], acceleration [1/s^2]
+            and jerk [1/s^3] there.
         acceleration: (6,) largest axis accelerations [rad/s^2], for braking.
         jerk: (6,) largest axis jerks [rad/s^3], for braking; inf: not limited.
         duration: time until the reference is at rest for good [s].
@@ -54,16 +52,13 @@ class Reference:
     leg: NDArray[np.int64]
     begin: Floats
     s: Floats
-    sd: Floats
-    sdd: Floats
-    sddd: Floats
     acceleration: Floats
     jerk: Floats
     duration: float
     end: Floats
 
     def __post_init__(self) -> None:
-        for name in ("via", "leg", "begin", "s", "sd", "sdd", "sddd", "acceleration", "jerk", "end"):
+        for name in ("via", "leg", "begin", "s", "acceleration", "jerk", "end"):
             array: NDArray[Any] = getattr(self, name)
             array.flags.writeable = False  # made by this module alone, so nothing is copied
 
@@ -120,10 +115,7 @@ class Reference:
             via=np.stack([a, b]),
             leg=np.zeros(3, dtype=np.int64),
             begin=begin,
-            s=phases[:, 0].copy(),
-            sd=phases[:, 1].copy(),
-            sdd=phases[:, 2].copy(),
-            sddd=phases[:, 3].copy(),
+            s=phases,
             acceleration=self.acceleration,
             jerk=self.jerk,
             duration=rise + hold + fall,
@@ -134,7 +126,7 @@ class Reference:
         """Leg, path parameter, its speed and its acceleration at the times t (M,), all in [0, duration)."""
         piece = np.searchsorted(self.begin, t, side="right") - 1
         tau = t - self.begin[piece]
-        s, sd, sdd, sddd = self.s[piece], self.sd[piece], self.sdd[piece], self.sddd[piece]
+        s, sd, sdd, sddd = self.s[piece].T
         s = s + tau * (sd + tau * (sdd / 2 + tau * sddd / 6))
         sd = np.maximum(sd + tau * (sdd + tau * sddd / 2), 0.0)
         return self.leg[piece], np.clip(s, 0.0, 1.0), sd, sdd + tau * sddd
@@ -142,19 +134,16 @@ class Reference:
 
 def resting(at: Floats) -> Reference:
     """The reference that stands still at (6,) axes [rad]."""
-    nothing = np.zeros(0)
+    at = np.array(at, dtype=np.float64)
     return Reference(
-        via=np.array(at, dtype=np.float64)[None],
+        via=at[None],
         leg=np.zeros(0, dtype=np.int64),
-        begin=nothing,
-        s=nothing.copy(),
-        sd=nothing.copy(),
-        sdd=nothing.copy(),
-        sddd=nothing.copy(),
+        begin=np.zeros(0),
+        s=np.zeros((0, 4)),
         acceleration=np.full(AXES, np.inf),
         jerk=np.full(AXES, np.inf),
         duration=0.0,
-        end=np.array(at, dtype=np.float64),
+        end=at,
     )
 
 
@@ -183,16 +172,19 @@ def interpolate(
     s = np.stack([zero, rate * ease**2 / 6, rate * (0.5 * ramp * (ramp - ease) + ease**2 / 6), 0.5 * peak * up], axis=1)
     sd = np.stack([zero, 0.5 * rate * ease, peak - 0.5 * rate * ease, peak], axis=1)
     # The second half is the first one backwards.
+    phases = (
+        np.concatenate([s, 1.0 - s[:, :0:-1]], axis=1),
+        np.concatenate([sd, sd[:, :0:-1]], axis=1),
+        np.stack([zero, rate, rate, zero, zero, -rate, -rate], axis=1),
+        np.stack([change, zero, -change, zero, -change, zero, change], axis=1),
+    )
     ends = np.cumsum(cruise + up)
     marks = np.stack([zero, ease, ramp, up, cruise, cruise + ease, cruise + ramp], axis=1)
     return Reference(
         via=points,
         leg=np.repeat(legs, 7),
         begin=(np.concatenate([[0.0], ends[:-1]])[:, None] + marks).ravel(),
-        s=np.concatenate([s, 1.0 - s[:, :0:-1]], axis=1).ravel(),
-        sd=np.concatenate([sd, sd[:, :0:-1]], axis=1).ravel(),
-        sdd=np.stack([zero, rate, rate, zero, zero, -rate, -rate], axis=1).ravel(),
-        sddd=np.stack([change, zero, -change, zero, -change, zero, change], axis=1).ravel(),
+        s=np.stack(phases, axis=-1).reshape(-1, 4),
         acceleration=np.array(acceleration, dtype=np.float64),
         jerk=np.array(jerk, dtype=np.float64),
         duration=float(ends[-1]),

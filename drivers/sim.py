@@ -23,7 +23,7 @@ from drivers.contract import Capabilities, RobotState
 from drivers.controller import Controller
 from drivers.errors import DriverUrlError
 from drivers.limits import kr16
-from drivers.plant import IdealPlant, Plant
+from drivers.plant import IdealPlant
 from drivers.registry import Context
 from drivers.setpoints import PER_DEGREE, from_rad, to_rad
 from drivers.url import DriverUrl
@@ -73,18 +73,12 @@ class SimDriver(ControllerClient):
 
     Attributes:
         controller: for what a wire does not offer: pressing the emergency stop, latching faults.
-        plant: for what a real controller cannot tell: `plant.true_axes`.
         clock: simulated or real time.
     """
 
     def __init__(self, controller: Controller, clock: Clock) -> None:
         super().__init__(_InProcess(controller, clock.simulated), clock)
         self.controller, self.clock = controller, clock
-
-    @property
-    def plant(self) -> Plant:
-        """The arm itself, with its true axes."""
-        return self.controller.plant
 
     @classmethod
     def from_url(cls, url: DriverUrl, context: Context) -> "SimDriver":

@@ -174,13 +174,9 @@ class Staging:
     """The controller's buffer of via points.
 
     It belongs to one sequence number at a time; a piece under another number empties it first.
-
-    Args:
-        most: points that it holds.
     """
 
-    def __init__(self, most: int = MOST_POINTS) -> None:
-        self._most = most
+    def __init__(self) -> None:
         self.sequence = 0
         self._bytes = bytearray()
 
@@ -192,7 +188,7 @@ class Staging:
         """Write a piece; False where it would leave a gap or not fit."""
         if sequence != self.sequence:
             self.sequence, self._bytes = sequence, bytearray()
-        if piece.offset > len(self) or piece.offset + len(piece.points) > self._most:
+        if piece.offset > len(self) or piece.offset + len(piece.points) > MOST_POINTS:
             return False
         begin = piece.offset * _POINT_BYTES
         data = np.ascontiguousarray(piece.points, dtype=">i4").tobytes()
@@ -205,7 +201,7 @@ class Staging:
         The buffer stays as it is, so that a repeated commit gives the same points.
         """
         before = commit.count - len(commit.tail)
-        if not (before >= 0 and len(commit.tail) and commit.count <= self._most):
+        if not (before >= 0 and len(commit.tail) and commit.count <= MOST_POINTS):
             return None
         if before and (sequence != self.sequence or before > len(self)):
             return None

@@ -80,8 +80,8 @@ def emulate(settings: Settings, plant: PlantFactory, announce: Callable[[str], N
     pose_of = _pose_of() if settings.protocol != "serial" else None
     try:
         endpoint = Endpoint(
-            plant(to_rad(axes)), kr16(), RealTimeClock(settings.time_scale), wire_clock,
-            boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, witness=memory, pose_of=pose_of,
+            plant(to_rad(axes)), kr16(), RealTimeClock(settings.time_scale), wire_clock, memory,
+            boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, pose_of=pose_of,
         )  # fmt: skip
         line, url = _line(settings)
     except DriverError as error:

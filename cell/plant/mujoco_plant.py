@@ -4,7 +4,7 @@ Time is cut into steps of the simulation, counted from the plant's making and no
 is carried to the next, so the trajectory does not depend on how `advance` is cut up. At each step the servo
 (`cell.plant.servo`) sees the joint angles, compares them with the reference, and sets the torques.
 
-The encoders sit on the joints of a rigid arm, so the reported axes are the true ones; they are those at the last step.
+The encoders sit on the joints of a rigid arm, so the reported axes are where it is, at the last step.
 
 The plant fails, and says why, when the arm is further from its reference than `FOLLOWING_ERROR` (every controller
 watches that; a simulation that diverges passes it on its way), faster than `OVERSPEED`, or when its state is no number
@@ -113,12 +113,7 @@ class MujocoPlant:
 
     @property
     def reported_axes(self) -> Floats:
-        """(6,) axes as the encoders see them [rad]: the true ones."""
-        return np.array(self.data.qpos)
-
-    @property
-    def true_axes(self) -> Floats:
-        """(6,) axes where the arm really is [rad]."""
+        """(6,) axes as the encoders see them [rad]."""
         return np.array(self.data.qpos)
 
     @property

@@ -11,13 +11,13 @@ The watchdog runs on the wire's clock, which is real time even where the simulat
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.commands import Answer, Command, Move, Reset, Result, Stop, is_newer
+from drivers.commands import Answer, Command, Move, Result, is_newer
 from drivers.contract import Capabilities, Fault, RobotState
 from drivers.controller import Controller
 from drivers.limits import Limits
@@ -26,12 +26,12 @@ from drivers.setpoints import Floats
 from drivers.wire import (
     DEFAULT_WATCHDOG_MS,
     MOST_POINTS,
-    SPEEDS,
     WATCHDOG_RANGE_MS,
     Commit,
     Stage,
     Staging,
     speed_from_wire,
+    speed_to_wire,
 )
 
 HEARTBEAT_PERIOD = 0.01
@@ -54,16 +54,6 @@ class Witness(Protocol):
     def seen(self, state: RobotState) -> None:
         """This is told to the client next."""
         ...
-
-
-class Nobody:
-    """A witness that forgets."""
-
-    def entry(self, entry: Entry) -> None:
-        """Nothing."""
-
-    def seen(self, state: RobotState) -> None:
-        """Nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +81,9 @@ class Endpoint:
         limits: the controller's.
         clock: the controller's time, which may be faster than real.
         wire_clock: the watchdog's and heartbeat's time: real.
+        witness: who is told.
         boot: number of this start, 1 to 65535; each restart counts on.
         restarted: latch the fault RESTARTED at once: the last run did not end in order.
-        witness: who is told.
         pose_of: for monitors.
     """
 
@@ -103,17 +93,16 @@ class Endpoint:
         limits: Limits,
         clock: Clock,
         wire_clock: Clock,
+        witness: Witness,
         *,
         boot: int = 1,
         restarted: bool = False,
-        witness: Witness | None = None,
         pose_of: PoseOf | None = None,
     ) -> None:
         self.limits, self.boot = limits, boot
         self.moves = 0  # accepted so far
         self._plant, self._clock, self._wire_clock = plant, clock, wire_clock
-        self._witness: Witness = witness or Nobody()
-        self._pose_of = pose_of
+        self._witness, self._pose_of = witness, pose_of
         self._start(restarted)
 
     def _start(self, restarted: bool) -> None:
@@ -121,12 +110,12 @@ class Endpoint:
         self._staging = Staging()
         self._watchdog_ms = DEFAULT_WATCHDOG_MS
         self._heard = self._wire_clock.now()
-        self._faults, self._fault = 0, Fault.NONE
+        self._faults, self._fault = 0, 0
         self._done = 0
         if restarted:
             self.controller.latch(Fault.RESTARTED)
         state = self.controller.state()
-        self._witness.entry({"event": "start", "boot": self.boot, "axes": state.axes.tolist()})
+        self._tell("start", {"axes": state.axes.tolist()})
         self._witness.seen(state)
 
     @property
@@ -138,7 +127,7 @@ class Endpoint:
             lower=limits.lower,
             upper=limits.upper,
             max_step=limits.max_step,
-            max_speed=int(limits.max_speed * SPEEDS + 1e-6) / SPEEDS,
+            max_speed=speed_from_wire(speed_to_wire(limits.max_speed)),
             max_via=min(limits.max_via or MOST_POINTS, MOST_POINTS),
             hardware=True,
             simulated_time=False,
@@ -194,28 +183,12 @@ class Endpoint:
         new = answer.result == Result.OK and before.ack_sequence != sequence
         if new and isinstance(command, Move):
             self.moves += 1
-            self._witness.entry(
-                {
-                    "event": "move",
-                    "boot": self.boot,
-                    "sequence": sequence,
-                    "speed": command.speed,
-                    "from": before.axes.tolist(),
-                    "set_points": command.set_points.tolist(),
-                }
-            )
+            driven = {"from": before.axes.tolist(), "set_points": command.set_points.tolist()}
+            self._tell("move", {"sequence": sequence, "speed": command.speed, **driven})
         elif new:
-            self._witness.entry({"event": type(command).__name__.lower(), "boot": self.boot, "sequence": sequence})
+            self._tell(type(command).__name__.lower(), {"sequence": sequence})
         self._observe()
         return answer
-
-    def stop(self, sequence: int) -> Answer:
-        """Brake."""
-        return self.command(sequence, Stop())
-
-    def reset(self, sequence: int) -> Answer:
-        """Clear a fault."""
-        return self.command(sequence, Reset())
 
     def emergency_stop(self, pressed: bool = True) -> None:
         """Press or release the emergency stop."""
@@ -241,30 +214,21 @@ class Endpoint:
 
     def _observe(self) -> RobotState:
         """The state with the boot number; tells the witness what has changed."""
-        found = self.controller.state()
-        state = RobotState(
-            found.mode, found.axes, found.standing, found.ack_sequence, found.ack_result, found.done_sequence,
-            found.done_result, found.queue_depth, found.fault_code, found.fault_sentence, self.boot,
-        )  # fmt: skip
+        state = replace(self.controller.state(), boot=self.boot)
         if state.done_sequence != self._done:
             self._done = state.done_sequence
-            self._witness.entry(
-                {
-                    "event": "end",
-                    "boot": self.boot,
-                    "sequence": self._done,
-                    "result": int(state.done_result),
-                    "axes": state.axes.tolist(),
-                }
-            )
-        fault = Fault(state.fault_code)
-        if fault != self._fault:
-            self._fault = fault
-            self._faults += fault != Fault.NONE
-            if fault:
-                self._witness.entry({"event": "fault", "boot": self.boot, "code": int(fault)})
+            end = {"sequence": self._done, "result": int(state.done_result), "axes": state.axes.tolist()}
+            self._tell("end", end)
+        if state.fault_code != self._fault:
+            self._fault = state.fault_code
+            if self._fault:
+                self._faults += 1
+                self._tell("fault", {"code": int(self._fault)})
         self._witness.seen(state)
         return state
+
+    def _tell(self, event: str, more: Entry) -> None:
+        self._witness.entry({"event": event, "boot": self.boot, **more})
 
 
 def counts_of_pose(pose: Floats) -> tuple[int, ...]:

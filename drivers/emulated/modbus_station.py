@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from drivers.commands import Answer, Result
+from drivers.commands import Answer, Reset, Result, Stop
 from drivers.contract import Mode
-from drivers.emulated.endpoint import Endpoint, Report, counts_of_pose
+from drivers.emulated.endpoint import Endpoint, counts_of_pose
 from drivers.errors import ProtocolError
 from drivers.setpoints import AXES
 from drivers.wire import Commit, Stage, speed_to_wire
@@ -47,14 +47,13 @@ class ModbusStation:
         if unpacked is None or unpacked[0].unit != self._unit:
             return b""
         header, pdu = unpacked
-        request = adu.request_of(pdu)
-        if isinstance(request, adu.Read):
-            answer = self._read(request)
-        elif isinstance(request, adu.Write):
-            answer = self._write(request)
-        else:
-            answer = adu.refusal_pdu(request)
-        return adu.pack(header, answer)
+        match adu.request_of(pdu):
+            case adu.Read() as request:
+                return adu.pack(header, self._read(request))
+            case adu.Write() as request:
+                return adu.pack(header, self._write(request))
+            case refusal:
+                return adu.pack(header, adu.refusal_pdu(refusal))
 
     def refuse(self, packet: bytes) -> bytes:
         """An exception telegram, nothing executed: the device failed."""
@@ -102,16 +101,15 @@ class ModbusStation:
             case registers.STAGE if len(points):
                 return self.endpoint.stage(sequence, Stage(whole["offset"], points))
             case registers.STOP:
-                return self.endpoint.stop(sequence)
+                return self.endpoint.command(sequence, Stop())
             case registers.RESET:
-                return self.endpoint.reset(sequence)
+                return self.endpoint.command(sequence, Reset())
         return Answer(sequence, Result.UNKNOWN_COMMAND)
 
     def _status(self) -> dict[str, registers.Value]:
-        report: Report = self.endpoint.report()
+        report = self.endpoint.report()
         state = report.state
-        moving = not state.standing
-        flags = (state.standing, moving, state.mode is Mode.IN_POSITION, state.mode is Mode.FAULT,
+        flags = (state.standing, not state.standing, state.mode is Mode.IN_POSITION, state.mode is Mode.FAULT,
                  state.mode is Mode.EMERGENCY_STOP, report.pose is not None)  # fmt: skip
         return {
             **_IDENTITY,

@@ -3,7 +3,7 @@
 import logging
 import math
 
-from drivers.commands import Answer, Reset, Result, Stop
+from drivers.commands import Reset, Stop
 from drivers.emulated.endpoint import Endpoint
 from drivers.wire import Commit, Stage
 from drivers.wires.serial.frames import Frame, decode, encode, split
@@ -11,6 +11,7 @@ from drivers.wires.serial.messages import (
     VERSION,
     Beat,
     Hello,
+    Request,
     Status,
     answer_frame,
     hello_frame,
@@ -62,7 +63,7 @@ class SerialStation:
         frame = decode(packet)
         return encode(trouble_frame(frame.number, "the controller is occupied")) if frame else b""
 
-    def _answer(self, frame: Frame, request: object) -> Frame:
+    def _answer(self, frame: Frame, request: Request) -> Frame:
         number = frame.number
         match request:
             case Hello(version):
@@ -75,11 +76,8 @@ class SerialStation:
                 report = self.endpoint.report()
                 return status_frame(number, Status(report.heartbeat, report.state))
             case Stage():
-                return answer_frame("POINTS", self.endpoint.stage(number, request))
+                return answer_frame(frame.kind, self.endpoint.stage(number, request))
             case Commit():
-                return answer_frame("MOVE", self.endpoint.commit(number, request))
-            case Stop():
-                return answer_frame("STOP", self.endpoint.stop(number))
-            case Reset():
-                return answer_frame("RESET", self.endpoint.reset(number))
-        return answer_frame(frame.kind, Answer(number, Result.UNKNOWN_COMMAND))
+                return answer_frame(frame.kind, self.endpoint.commit(number, request))
+            case Stop() | Reset():
+                return answer_frame(frame.kind, self.endpoint.command(number, request))

@@ -244,7 +244,7 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
         time_scale: how much faster the arm's time goes than the wire's.
     """
     clock, journal, line = BenchClock(), Journal(), MemoryLine()
-    endpoint = Endpoint(IdealPlant(HOME), kr16(), FastClock(clock, time_scale), clock, witness=journal)
+    endpoint = Endpoint(IdealPlant(HOME), kr16(), FastClock(clock, time_scale), clock, journal)
     station: Station
     link: ReopeningLink
     port: BytePort | RegisterPort

@@ -282,5 +282,5 @@ def test_a_small_error_dies_out_as_the_linear_servo_says() -> None:
     for _ in range(20):
         state = expm(A * 0.01) @ state
     assert abs(state[1]) > 1e-8
-    error = (HOME + offset - plant.true_axes)[5]
+    error = (HOME + offset - plant.reported_axes)[5]
     assert error == pytest.approx(state[1], abs=5e-6)

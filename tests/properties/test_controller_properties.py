@@ -39,13 +39,13 @@ times = st.floats(0.0, 3.0)
 
 
 class ControllerMachine(RuleBasedStateMachine):
-    """A controller with a queue of three, and an independent, simple-minded account of what it must have done."""
+    """A controller, and an independent, simple-minded account of what it must have done."""
 
     def __init__(self) -> None:
         super().__init__()
         self.clock = SimulatedClock()
         self.plant = IdealPlant(np.zeros(6))
-        self.controller = Controller(self.plant, LIMITS, self.clock, queue_length=3)
+        self.controller = Controller(self.plant, LIMITS, self.clock)
         self.sequence = 0
         self.last: Command | None = None
         self.waiting: list[tuple[int, SetPoints]] = []  # accepted moves that have not ended
@@ -66,8 +66,8 @@ class ControllerMachine(RuleBasedStateMachine):
         return Result(answer.result)
 
     @rule(points=good, more=good, speed=fractions, seconds=times)
-    def fill_the_queue(self, points: SetPoints, more: SetPoints, speed: float, seconds: float) -> None:
-        """Two moves at once, and some way along them."""
+    def move_twice(self, points: SetPoints, more: SetPoints, speed: float, seconds: float) -> None:
+        """Two moves at once, of which the second is refused unless the first is none, and some way along."""
         self.move(points, speed)
         self.move(more, speed)
         self.clock.wait(seconds)
@@ -93,11 +93,10 @@ class ControllerMachine(RuleBasedStateMachine):
     def move(self, points: SetPoints, speed: float) -> None:
         """Accepted exactly when nothing speaks against it; the reasons come in their order."""
         before = self.controller.state()
-        start = self.waiting[-1][1][-1] if self.waiting and before.queue_depth else before.axes
-        steps = np.abs(np.diff(np.concatenate([start[None], points]).astype(int), axis=0))
+        steps = np.abs(np.diff(np.concatenate([before.axes[None], points]).astype(int), axis=0))
         if before.mode in (Mode.FAULT, Mode.EMERGENCY_STOP):
             expected = {Result.IN_FAULT}
-        elif before.queue_depth == 3 or (before.mode is Mode.MOVING and before.queue_depth == 0):
+        elif before.mode is Mode.MOVING:
             expected = {Result.BUSY}
         elif np.abs(points).max() > RANGE:
             expected = {Result.LIMIT}
@@ -196,15 +195,15 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @invariant()
     def never_leaves_the_limits(self) -> None:
-        """Reported and true axes, at every instant that is looked at."""
+        """The controller's axes and the plant's, at every instant that is looked at."""
         state = self.controller.state()
         assert (np.abs(state.axes) <= RANGE).all()
-        assert (np.abs(self.plant.true_axes) <= to_rad(LIMITS.upper)).all()
+        assert (np.abs(self.plant.reported_axes) <= to_rad(LIMITS.upper)).all()
 
     @invariant()
     def is_on_the_commanded_path(self) -> None:
         """The arm is on the polyline through what was accepted, moving, braking or standing."""
-        here, corners = self.plant.true_axes, np.array(self.corners)
+        here, corners = self.plant.reported_axes, np.array(self.corners)
         a, b = corners[:-1], corners[1:]
         if len(a) == 0:
             assert np.abs(here - corners[0]).max() < 1e-12
@@ -229,15 +228,15 @@ class ControllerMachine(RuleBasedStateMachine):
                 self.cut = True
             elif state.standing:
                 assert (state.axes == points[-1]).all()
-                assert (self.plant.true_axes == to_rad(points[-1])).all()
+                assert (self.plant.reported_axes == to_rad(points[-1])).all()
         assert state.queue_depth == len(self.waiting)
         if self.cut and state.standing:
-            self.corners, self.cut = [self.plant.true_axes], False  # what comes next begins here
+            self.corners, self.cut = [self.plant.reported_axes], False  # what comes next begins here
 
     @invariant()
     def never_jumps(self) -> None:
         """Between two looks no axis goes farther than its full speed allows."""
-        now, here = self.clock.now(), self.plant.true_axes
+        now, here = self.clock.now(), self.plant.reported_axes
         then, there = self.seen
         assert (np.abs(here - there) <= LIMITS.velocity * (now - then) + 1e-12).all()
         self.seen = now, here

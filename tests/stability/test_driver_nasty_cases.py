@@ -28,9 +28,9 @@ class SetClock(SimulatedClock):
         self._now = now
 
 
-def controller(clock: SimulatedClock | None = None, **options: int) -> Controller:
+def controller(clock: SimulatedClock | None = None) -> Controller:
     """A KR 16 at home."""
-    return Controller(IdealPlant(to_rad(START)), kr16(), clock or SimulatedClock(), **options)
+    return Controller(IdealPlant(to_rad(START)), kr16(), clock or SimulatedClock())
 
 
 def turned(*degrees: float) -> SetPoints:
@@ -125,29 +125,27 @@ def test_a_clock_that_jumps_back_stands_still() -> None:
     assert robot.state().axes.tolist() == turned(90.0)[0].tolist()
 
 
-def test_a_clock_that_jumps_a_year_ahead_ends_the_queue() -> None:
-    """All queued moves are done, in order, at the last set-point."""
+def test_a_clock_that_jumps_a_year_ahead_ends_the_move() -> None:
+    """It is done, at its last set-point; another one was refused before, and left nothing behind."""
     clock = SetClock()
-    robot = controller(clock, queue_length=3)
-    for number, angle in ((1, 10.0), (2, -20.0), (3, 30.0)):
-        assert robot.command(number, Move(turned(angle), 0.01)).result == Result.OK
-    assert robot.command(4, Move(turned(0.0), 1.0)).result == Result.BUSY
+    robot = controller(clock)
+    assert robot.command(1, Move(turned(10.0, -20.0, 30.0), 0.01)).result == Result.OK
+    assert robot.command(2, Move(turned(0.0), 1.0)).result == Result.BUSY
     clock.set(3.2e7)
     state = robot.state()
-    assert (state.mode, state.done_sequence) == (Mode.IN_POSITION, 3)
+    assert (state.mode, state.done_sequence) == (Mode.IN_POSITION, 1)
     assert state.axes.tolist() == turned(30.0)[0].tolist()
 
 
 @pytest.mark.parametrize("how", ["stop", "fault", "emergency stop"])
-def test_whatever_stops_the_arm_empties_the_queue(how: str) -> None:
-    """Queued moves never begin afterwards, and the last of them is reported as cut."""
+def test_whatever_stops_the_arm_ends_the_move(how: str) -> None:
+    """It does not go on afterwards, and is reported as cut."""
     clock = SimulatedClock()
-    robot = controller(clock, queue_length=3)
-    for number, angle in ((1, 10.0), (2, -20.0), (3, 30.0)):
-        robot.command(number, Move(turned(angle), 0.5))
+    robot = controller(clock)
+    robot.command(1, Move(turned(10.0, -20.0, 30.0), 0.5))
     clock.wait(0.1)
     if how == "stop":
-        robot.command(4, Stop())
+        robot.command(2, Stop())
     elif how == "fault":
         robot.latch(Fault.WATCHDOG)
     else:
@@ -157,7 +155,7 @@ def test_whatever_stops_the_arm_empties_the_queue(how: str) -> None:
     state = robot.state()
     assert state.standing
     assert 0 < state.axes[0] < 100_000
-    assert (state.done_sequence, state.done_result) == (3, Result.STOPPED if how == "stop" else Result.FAULTED)
+    assert (state.done_sequence, state.done_result) == (1, Result.STOPPED if how == "stop" else Result.FAULTED)
 
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])
@@ -344,8 +342,6 @@ def test_an_arm_outside_the_limits_has_no_controller() -> None:
     outside[1] = kr16().upper[1] + 1
     with pytest.raises(DriverError, match="outside the controller's limits"):
         Controller(IdealPlant(to_rad(outside)), kr16(), SimulatedClock())
-    with pytest.raises(DriverError, match="queue"):
-        controller(queue_length=0)
 
 
 def test_a_step_one_count_too_large_is_refused_anywhere() -> None:

@@ -1,16 +1,18 @@
 """Set-points, limits, commands, clocks, plant: the small parts of the driver layer."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from drivers import clock as clocks
 from drivers.clock import RealTimeClock, SimulatedClock
 from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop, is_newer, next_sequence, same, sentence_of
-from drivers.contract import Fault, Mode
+from drivers.contract import Fault
 from drivers.errors import DriverError, SetPointError
 from drivers.limits import Limits, kr16
 from drivers.plant import IdealPlant
-from drivers.profile import interpolate, resting
+from drivers.profile import interpolate
 from drivers.setpoints import check, from_rad, to_deg, to_rad
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
@@ -70,10 +72,10 @@ def test_limits_between_counts_are_rounded_inwards() -> None:
     """A range that ends between two counts holds only the inner one."""
     robot = kr16()
     low, high = np.radians(np.full(6, -10.00004)), np.radians(np.full(6, 10.00006))
-    limits = Limits.from_rad(low, high, robot.velocity, robot.acceleration, max_step=np.radians(3.0))
+    limits = Limits.from_rad(low, high, robot.velocity, robot.acceleration)
     assert limits.lower.tolist() == [-100_000] * 6
     assert limits.upper.tolist() == [100_000] * 6
-    assert limits.max_step.tolist() == [30_000] * 6
+    assert limits.max_step.tolist() == [200_000] * 6
 
 
 @pytest.mark.parametrize(
@@ -128,7 +130,6 @@ def test_every_code_has_a_sentence() -> None:
     for result in Result:
         assert sentence_of(result) == result.sentence != ""
     assert "4711" in sentence_of(4711)
-    assert all(mode.sentence for mode in Mode)
     assert all(fault.sentence for fault in Fault if fault)
 
 
@@ -142,7 +143,7 @@ def test_a_simulated_clock_jumps_by_what_is_asked() -> None:
             clock.wait(bad)
 
 
-def test_a_real_time_clock_scales_and_blocks_briefly() -> None:
+def test_a_real_time_clock_scales_and_blocks_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
     """now() is scaled real time; one wait blocks at most LONGEST_WAIT, whatever is asked for."""
     real = [100.0]
     slept: list[float] = []
@@ -151,7 +152,8 @@ def test_a_real_time_clock_scales_and_blocks_briefly() -> None:
         slept.append(seconds)
         real[0] += seconds
 
-    clock = RealTimeClock(4.0, monotonic=lambda: real[0], sleep=sleep)
+    monkeypatch.setattr(clocks, "time", SimpleNamespace(monotonic=lambda: real[0], sleep=sleep))
+    clock = RealTimeClock(4.0)
     assert clock.now() == 0.0
     clock.wait(0.1)
     assert clock.now() == pytest.approx(0.1)
@@ -183,47 +185,10 @@ def test_an_ideal_plant_is_where_its_reference_is_whatever_the_steps() -> None:
     coarse.advance(1e9)
     assert coarse.settled
     assert (coarse.reported_axes == HOME + np.radians(40.0)).all()
-    assert (coarse.true_axes == coarse.reported_axes).all()
-
-
-def test_the_executed_offset_shows_in_the_true_axes_alone() -> None:
-    """It is drawn once per move for the move's end, grows without a jump, stays at rest, and survives a brake."""
-    rng = np.random.default_rng(7)
-    asked: list[np.ndarray] = []
-
-    def offset(axes: np.ndarray) -> np.ndarray:
-        asked.append(axes.copy())
-        return rng.normal(0.0, 1e-3, 6)
-
-    plant = IdealPlant(HOME, offset=offset)
-    assert (plant.true_axes == HOME).all()
-    draws = np.random.default_rng(7).normal(0.0, 1e-3, (2, 6))
-    far(plant)
-    assert (plant.true_axes == plant.reported_axes).all()
-    errors = []
-    while not plant.settled:
-        plant.advance(0.01)
-        errors.append(plant.true_axes - plant.reported_axes)
-    assert (plant.reported_axes == HOME + np.radians(40.0)).all()
-    assert errors[-1] == pytest.approx(draws[0], abs=1e-15)
-    assert np.abs(np.diff([np.zeros(6), *errors], axis=0)).max() < 0.02 * np.abs(draws[0]).max()
-
-    plant.follow(resting(plant.reported_axes))  # nothing moves, nothing is drawn
-    assert len(asked) == 1
-    assert (asked[0] == HOME + np.radians(40.0)).all()
-
-    reference = interpolate(plant.reported_axes, HOME[None], np.ones(6), np.ones(6))
-    plant.follow(reference)
-    plant.advance(0.5)
-    grown = plant.true_axes - plant.reported_axes
-    plant.follow(reference.braked(0.5))
-    plant.advance(100.0)
-    assert plant.true_axes - plant.reported_axes == pytest.approx(grown, abs=1e-15)
-    assert len(asked) == 2
 
 
 def test_a_plant_refuses_what_is_no_place_and_no_time() -> None:
-    """NaN axes, wrong shapes, negative time, and an offset that is none."""
+    """NaN axes, wrong shapes, negative time."""
     for bad in (np.full(6, np.nan), np.zeros(5)):
         with pytest.raises(DriverError, match="finite joint angles"):
             IdealPlant(bad)
@@ -231,5 +196,3 @@ def test_a_plant_refuses_what_is_no_place_and_no_time() -> None:
     for seconds in (-1e-9, np.nan):
         with pytest.raises(DriverError, match="forwards"):
             plant.advance(seconds)
-    with pytest.raises(DriverError, match="offset"):
-        far(IdealPlant(HOME, offset=lambda axes: np.full(6, np.nan)))

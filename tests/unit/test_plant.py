@@ -29,14 +29,14 @@ URL = "sim://?plant=mujoco"
 
 
 def test_a_move_ends_in_position_within_the_repeatability() -> None:
-    """The controller waits until no point of the tool is off by 0.05 mm; reported axes are the true ones, in counts."""
+    """The controller waits until no point of the tool is off by 0.05 mm; it reports the plant's axes, in counts."""
     kinematics = Kr16Kinematics.from_model(robot.load())
     goal = np.array([[200_000, -850_000, 800_000, 300_000, 600_000, -400_000]], dtype=np.int32)
     with open_driver(URL, CONTEXT) as driver:
         assert isinstance(driver, SimDriver)
         state = driver.move(goal, 1.0)
         assert state.mode is Mode.IN_POSITION
-        assert (from_rad(driver.plant.true_axes) == state.axes).all()
+        assert (from_rad(driver.controller.plant.reported_axes) == state.axes).all()
         reached = kinematics.forward(np.stack([state.q, np.radians(goal[0] / 1e4)]))
         for lever in (np.zeros(3), np.array([0.1, 0.05, 0.12])):  # the flange, a point of the housing
             points = reached[:, :3, 3] + reached[:, :3, :3] @ lever
@@ -68,7 +68,7 @@ def test_once_at_rest_it_stays_within_the_repeatability() -> None:
         while not plant.settled:
             plant.advance(0.004)
         for _ in range(100):
-            assert levers @ np.abs(goal - plant.true_axes) < 5e-5
+            assert levers @ np.abs(goal - plant.reported_axes) < 5e-5
             plant.advance(0.008)
         at = goal
 
@@ -96,7 +96,7 @@ def test_the_scanner_keeps_to_its_path_faster_than_real_time(with_jerk: bool) ->
     began = process_time()
     unwatched.advance(move.duration)
     assert move.duration / (process_time() - began) > 10.0
-    assert watched.true_axes.tobytes() == unwatched.true_axes.tobytes()
+    assert watched.reported_axes.tobytes() == unwatched.reported_axes.tobytes()
 
 
 def test_a_stop_brakes_on_the_path_and_settles() -> None:
@@ -112,7 +112,7 @@ def test_a_stop_brakes_on_the_path_and_settles() -> None:
     plant.advance(braked.duration + 0.5)
     assert plant.settled
     assert plant.failure == ""
-    np.testing.assert_allclose(plant.true_axes, braked.end, atol=1e-4)
+    np.testing.assert_allclose(plant.reported_axes, braked.end, atol=1e-4)
 
 
 def test_it_starts_at_rest_and_stays_there() -> None:
@@ -122,7 +122,7 @@ def test_it_starts_at_rest_and_stays_there() -> None:
         assert plant.settled
         plant.advance(1.0)
         assert plant.settled
-        np.testing.assert_allclose(plant.true_axes, start, atol=1e-8)
+        np.testing.assert_allclose(plant.reported_axes, start, atol=1e-8)
 
 
 def test_a_move_of_no_length_is_settled_at_once() -> None:

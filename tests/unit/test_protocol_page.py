@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.emulate.memory import Memory
 from drivers.clock import SimulatedClock
 from drivers.commands import Result
 from drivers.emulated.endpoint import Endpoint
@@ -26,7 +27,8 @@ SERIAL, MODBUS = re.findall(r"^```\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DO
 def endpoint() -> tuple[Endpoint, SimulatedClock]:
     """A KR 16 at home, as the page says, and its clock."""
     clock = SimulatedClock()
-    return Endpoint(IdealPlant(np.radians([0, -90, 90, 0, 90, 0])), kr16(), clock, clock), clock
+    plant = IdealPlant(np.radians([0, -90, 90, 0, 90, 0]))
+    return Endpoint(plant, kr16(), clock, clock, Memory(None, None)), clock
 
 
 def lines(session: str) -> list[str]:

@@ -30,7 +30,7 @@ from drivers.commands import Answer, Command, Move, Stop
 from drivers.contract import Capabilities, Fault, Mode, RobotState
 from drivers.errors import DriverUrlError, LinkLostError, ProtocolError
 from drivers.registry import Context
-from drivers.reopening import ReopeningLink
+from drivers.reopening import Line, ReopeningLink
 from drivers.setpoints import SetPoints
 from drivers.url import DriverUrl
 from drivers.wire import Patience, pieces, speed_from_wire
@@ -41,18 +41,8 @@ from drivers.wires.serial.link import port_path, require_taken
 STANDING_FLAG = 0b01
 
 
-class Port(Protocol):
+class Port(Line, Protocol):
     """Registers of one device (`drivers.wires.modbus.port.ModbusPort`); it raises LinkErrors."""
-
-    name: str
-
-    def open(self) -> None:
-        """Take the line."""
-        ...
-
-    def close(self) -> None:
-        """Give it back."""
-        ...
 
     def read(self, address: int, count: int) -> list[int]:
         """Input registers, in one FC04."""

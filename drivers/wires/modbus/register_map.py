@@ -120,19 +120,12 @@ class Block:
         """
         more = len(registers) - self.registers
         if more < 0 or (more and not self.optional_points) or more % REGISTERS_PER_POINT:
-            raise ProtocolError(f"the {self.name} block has {len(registers)} registers; it must have {self._lengths()}")
+            lengths = f"{self.registers}" + f" and {REGISTERS_PER_POINT} for each via point" * self.optional_points
+            raise ProtocolError(f"the {self.name} block has {len(registers)} registers; it must have {lengths}")
         data = struct.pack(f">{len(registers)}H", *registers)
         if zlib.crc32(data[:-4]) != struct.unpack(">I", data[-4:])[0]:
             raise ProtocolError(f"the CRC-32 of the {self.name} block is wrong; it is torn, or its words are swapped")
-        values: dict[str, Value] = {}
-        at = 0
-        for field in self.fields:
-            values[field.name] = _unpack(field, data[2 * at : 2 * (at + field.registers)])
-            at += field.registers
-        return values, struct.unpack(f">{more // 2}i", data[2 * at : -4])
-
-    def _lengths(self) -> str:
-        return f"{self.registers}" + f" and {REGISTERS_PER_POINT} for each via point" * self.optional_points
+        return _values(self.fields, data), struct.unpack(f">{more // 2}i", data[-4 - 2 * more : -4])
 
 
 def _pack(field: Field, value: Value) -> bytes:
@@ -145,11 +138,17 @@ def _pack(field: Field, value: Value) -> bytes:
     return struct.pack(f">{field.count}{_CODE[field.type]}", *values)
 
 
-def _unpack(field: Field, data: bytes) -> Value:
-    if field.type == "text":
-        return data.rstrip(b"\0").decode("ascii", "replace")
-    values: tuple[int, ...] = struct.unpack(f">{field.count}{_CODE[field.type]}", data)
-    return values if field.count > 1 else values[0]
+def _values(fields: Sequence[Field], data: bytes) -> dict[str, Value]:
+    """Of the fields that stand at the beginning of the data."""
+    found: dict[str, Value] = {}
+    for field in fields:
+        own, data = data[: 2 * field.registers], data[2 * field.registers :]
+        if field.type == "text":
+            found[field.name] = own.rstrip(b"\0").decode("ascii", "replace")
+        else:
+            values: tuple[int, ...] = struct.unpack(f">{field.count}{_CODE[field.type]}", own)
+            found[field.name] = values if field.count > 1 else values[0]
+    return found
 
 
 _IDENTITY = (
@@ -220,12 +219,15 @@ CAPABILITIES: Final = Block(
 BLOCKS: Final = (COMMAND, STATUS, CAPABILITIES)
 
 
-def identify(values: Mapping[str, Value]) -> None:
+def check_identity(registers: Sequence[int]) -> None:
     """Make sure that a block comes from a controller of ours, in our word order.
 
+    Looks at its first four registers alone, before its CRC: the better sentence.
+
     Raises:
-        ProtocolError: else.
+        ProtocolError: if it does not.
     """
+    values = _values(_IDENTITY, struct.pack(">4H", *registers[:4]))
     if values["magic"] != MAGIC:
         raise ProtocolError(f"register 0 reads {values['magic']}; a controller of ours has {MAGIC} (0x{MAGIC:04X})")
     word_order = values["word_order"]
@@ -235,17 +237,6 @@ def identify(values: Mapping[str, Value]) -> None:
         )
     if values["version"] != MAP_VERSION:
         raise ProtocolError(f"the controller has map version {values['version']}; this driver speaks {MAP_VERSION}")
-
-
-def check_identity(registers: Sequence[int]) -> None:
-    """`identify` for the first four registers of a block, before its CRC is looked at: the better sentence."""
-    values = {}
-    at = 0
-    data = struct.pack(">4H", *registers[:4])
-    for field in _IDENTITY:
-        values[field.name] = _unpack(field, data[2 * at : 2 * (at + field.registers)])
-        at += field.registers
-    identify(values)
 
 
 def page() -> str:

@@ -25,14 +25,9 @@ from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
 from drivers.commands import Answer, Command, Move, Result
 from drivers.contract import Capabilities, RobotState
-from drivers.errors import (
-    AnswerTimeoutError,
-    DriverUrlError,
-    LinkLostError,
-    ProtocolError,
-)
+from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, ProtocolError
 from drivers.registry import Context
-from drivers.reopening import ReopeningLink
+from drivers.reopening import Line, ReopeningLink
 from drivers.url import DriverUrl
 from drivers.wire import Patience, pieces
 from drivers.wires.serial.frames import Frame, decode, encode, split
@@ -43,7 +38,6 @@ from drivers.wires.serial.messages import (
     Request,
     answer_of,
     hello_of,
-    kind_of,
     request_frame,
     status_of,
     trouble_of,
@@ -56,18 +50,8 @@ BITS_PER_BYTE = 10
 _ANSWER_BYTES = 500  # more than any answer but a hello needs
 
 
-class Port(Protocol):
+class Port(Line, Protocol):
     """Bytes in and out (`drivers.wires.serial.port.SerialPort`); it raises LinkLostError."""
-
-    name: str
-
-    def open(self) -> None:
-        """Take it."""
-        ...
-
-    def close(self) -> None:
-        """Give it back."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Send, and forget what came in before."""
@@ -113,7 +97,8 @@ class SerialLink(ReopeningLink):
                 require_taken(self._again(partial(self._ask, sequence, stage, partial(answer_of, kind="POINTS"))))
         else:
             request = command
-        answer = self._ask(sequence, request, partial(answer_of, kind=kind_of(request)))
+        kind = request_frame(sequence, request).kind
+        answer = self._ask(sequence, request, partial(answer_of, kind=kind))
         require_taken(answer)
         return answer
 
@@ -147,7 +132,7 @@ class SerialLink(ReopeningLink):
                     if frame.number != number:
                         continue
                     if (trouble := trouble_of(frame)) is not None:
-                        raise ProtocolError(f"the controller could not answer {kind}: {trouble.text}")
+                        raise ProtocolError(f"the controller could not answer {kind}: {trouble}")
                     if (answer := read(frame)) is not None:
                         return answer
         except LinkLostError:

@@ -63,13 +63,6 @@ class Status:
     state: RobotState
 
 
-@dataclass(frozen=True, slots=True)
-class Trouble:
-    """The answer to what the controller understood as a frame and cannot answer otherwise."""
-
-    text: str
-
-
 def request_frame(number: int, request: Request) -> Frame:
     """The frame of a request."""
     match request:
@@ -88,11 +81,6 @@ def request_frame(number: int, request: Request) -> Frame:
     return Frame(TO_CONTROLLER, number, body)
 
 
-def kind_of(request: Request) -> str:
-    """The kind of a request's frame and of its answer's."""
-    return request_frame(0, request).kind
-
-
 def request_of(frame: Frame) -> Request | None:
     """The request of a frame, or None where it is none of ours."""
     if frame.start != TO_CONTROLLER:
@@ -106,11 +94,9 @@ def request_of(frame: Frame) -> Request | None:
             case "STATE":
                 request = Beat(_integer(words, 0, 65535))
             case "POINTS":
-                offset = _integer(words, 0)
-                request = Stage(offset, _points(words, 1))
+                request = Stage(_integer(words, 0), _points(words))
             case "MOVE":
-                speed, count, crc = _integer(words, 0, 65535), _integer(words, 1), _crc(words)
-                request = Commit(speed, count, crc, _points(words, 1))
+                request = Commit(_integer(words, 0, 65535), _integer(words, 1), _crc(words), _points(words))
             case "STOP":
                 request = Stop()
             case "RESET":
@@ -155,7 +141,7 @@ def status_of(frame: Frame) -> Status | None:
         heartbeat, boot = _integer(words, 0, 65535), _integer(words, 0, 65535)
         mode, standing = Mode(_integer(words, 0, 65535)), _integer(words, 0, 1) == 1
         ack, ack_result, done, done_result, queue, fault = (_integer(words, 0, 65535) for _ in range(6))
-        axes = np.array([_integer32(words) for _ in range(AXES)], dtype=np.int32)
+        axes = _axes(words)
         state = RobotState(mode, axes, standing, ack, ack_result, done, done_result, queue, fault, _text(words), boot)
     except (ValueError, StopIteration, RuntimeError):
         return None
@@ -183,7 +169,7 @@ def hello_of(frame: Frame) -> Capabilities | None:
         if version != VERSION:
             raise ProtocolError(f"the controller speaks version {version} of the protocol; this driver {VERSION}")
         speed, max_via = _integer(words, 1, SPEEDS), _integer(words, 0)
-        lower, upper, step = (np.array([_integer32(words) for _ in range(AXES)], dtype=np.int32) for _ in range(3))
+        lower, upper, step = (_axes(words) for _ in range(3))
         return Capabilities(
             controller=_text(words), lower=lower, upper=upper, max_step=step, max_speed=speed_from_wire(speed),
             max_via=max_via or None, hardware=True, simulated_time=False,
@@ -197,11 +183,11 @@ def trouble_frame(number: int, text: str) -> Frame:
     return Frame(FROM_CONTROLLER, number, _with_text("ERROR", text))
 
 
-def trouble_of(frame: Frame) -> Trouble | None:
-    """The trouble of a frame, or None."""
+def trouble_of(frame: Frame) -> str | None:
+    """The text of such a frame, or None."""
     name, words = _start(frame)
     try:
-        return Trouble(_text(words)) if name == "ERROR" else None
+        return _text(words) if name == "ERROR" else None
     except StopIteration:
         return None
 
@@ -228,8 +214,8 @@ def _integer(words: Iterator[str], least: int = -(2**63), most: int = 2**63 - 1)
     return int(word)
 
 
-def _integer32(words: Iterator[str]) -> int:
-    return _integer(words, -(2**31), 2**31 - 1)
+def _axes(words: Iterator[str]) -> SetPoints:
+    return np.array([_integer(words, -(2**31), 2**31 - 1) for _ in range(AXES)], dtype=np.int32)
 
 
 def _crc(words: Iterator[str]) -> int:
@@ -239,8 +225,8 @@ def _crc(words: Iterator[str]) -> int:
     return int(word, 16)
 
 
-def _points(words: Iterator[str], least: int) -> SetPoints:
-    n = _integer(words, least, POINTS_PER_FRAME)
+def _points(words: Iterator[str]) -> SetPoints:
+    n = _integer(words, 1, POINTS_PER_FRAME)
     taken = list(islice(words, n * AXES))
     if len(taken) != n * AXES or not all(map(_COUNT.fullmatch, taken)):
         raise ValueError("points")
