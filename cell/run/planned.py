@@ -41,7 +41,7 @@ class PlannedRun:
     @property
     def exit_code(self) -> int:
         """0, or 3 where the plan stays below a coverage that was asked for."""
-        return int(self.record.manifest["exit_code"])
+        return self.record.manifest.exit_code or 0
 
     @property
     def coverage(self) -> Coverage:
