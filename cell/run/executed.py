@@ -32,7 +32,7 @@ class ExecutedRun:
     @property
     def exit_code(self) -> int:
         """0, or 3 where a whole execution stays below the coverage that the plan requires."""
-        return int(self.record.manifest["exit_code"])
+        return self.record.manifest.exit_code or 0
 
     @property
     def coverage(self) -> ExecutedCoverage:
