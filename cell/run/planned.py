@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import JsonValue
 
-from cell.errors import FileError
 from cell.run import reader
 from cell.run.folder import SCHEMA
 from cell.run.plan_json import Coverage, PlanFile
-from cell.run.record import RunRecord
-from cell.run.record import open_run as open_record
+from cell.run.record import RunRecord, open_finished
 from cell.run.report_json import Report
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
@@ -95,7 +93,5 @@ def open_run(folder: Path) -> PlannedRun:
     Raises:
         FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
     """
-    record = open_record(folder)
-    if not record.finished:
-        raise FileError(f"{folder} has no finished plan: the run {record.ended}; plan again")
+    record = open_finished(folder)
     return PlannedRun(record, reader.plan(record), reader.report(record))
