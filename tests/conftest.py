@@ -120,6 +120,12 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     return run
 
 
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files without content in place of pictures, for a test that looks at none: half of what a command takes."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path, **_: Path(path).write_bytes(b""))
+
+
 @pytest.fixture(scope="session")
 def start_cell(cache: Path) -> Callable[..., "subprocess.Popen[str]"]:
     """Starts `python -m cell` with arguments in a directory `cwd`, both outputs in pipes unless said otherwise."""

@@ -10,6 +10,8 @@ import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 _OPTIONS = ("--units", "mm", "--place", "1100,400,100", "--faces", "24", "--samples", "2")
 
 

@@ -84,6 +84,7 @@ def test_a_failure_prints_one_json_object_too(part_file: Path, tmp_path: Path, r
     assert "reachable" in answer["reason"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_coverage_that_the_samples_cannot_keep_is_said(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
     """Few faces, one sample each and 99.9 %: the note says what was reached, and the code is 3."""
     done = run_cell(
@@ -180,6 +181,7 @@ def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tm
     assert not (tmp_path / "far").exists()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_required_coverage_that_is_missed_ends_with_code_3(
     part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
@@ -191,6 +193,7 @@ def test_a_required_coverage_that_is_missed_ends_with_code_3(
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "finished"
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_negative_placement_is_not_taken_for_an_option(
     part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:

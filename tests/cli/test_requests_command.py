@@ -104,6 +104,7 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
         assert words in " ".join(done.stderr.split())
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """Each sample has two views, or all candidates that can; 2.5 s of each view are scan and settling."""
     folder, said = ask("twice", "--k-fold", "2", "--cost", "time")
@@ -117,6 +118,7 @@ def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict
     assert 0 < said["cost"]["bound_seconds"] <= said["cost"]["seconds"] + 1e-9
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """The graph of the files' views is connected, by networkx; the price is what the report says."""
     import networkx as nx
@@ -138,6 +140,7 @@ def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]
     assert said["overlap"]["without_earlier"] == 0
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
     ask: Callable[..., tuple[Path, dict[str, Any]]],
 ) -> None:

@@ -5,6 +5,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 Cell = Callable[..., "object"]
 
 
@@ -19,6 +21,7 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, t
     assert sorted(path.name for path in (tmp_path / "run" / "why").iterdir()) == ["why.json", "why.ply", "why.png"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
     """Stdout is the content of why.json; visible and open make the whole, and so do the groups of what is open."""
     shutil.copytree(planned, tmp_path / "run")
@@ -44,6 +47,7 @@ def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_pat
     assert "no finished plan" in failed.stderr
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
     """One sample, which this plan measures: no reason, no change, and still the three files."""
     shutil.copytree(planned, tmp_path / "run")
