@@ -178,7 +178,7 @@ class MujocoPlant:
             self._observer(self._reference, times[1 : done + 1], path[:done])
         self._error = q[done] - axes
         if not (self._error @ self._error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):
-            self._fail(self._error)
+            self._fail()
             return
         self._brake_in -= steps
         if self._brake_in == 0:
@@ -214,7 +214,7 @@ class MujocoPlant:
     def _switch_on(self, reference: Reference) -> None:
         """Drives on after a failure, if the arm stands where the reference does."""
         off = reference.end - self.data.qpos
-        if np.isfinite(self.data.qpos).all() and reference.duration == 0.0 and off @ off <= FOLLOWING_ERROR**2:
+        if np.isfinite(self.data.qpos).all() and reference.duration == 0.0 and off @ off <= _TOO_FAR:
             self._failure = ""
             self._stand(np.array(self.data.qpos))
             self._begin(reference)
@@ -224,9 +224,9 @@ class MujocoPlant:
         motion = np.abs(self._error) + np.abs(self.data.qvel) / self._bandwidth
         return bool(self._levers @ motion <= AT_REST)
 
-    def _fail(self, error: Floats) -> None:
+    def _fail(self) -> None:
         """Say why; the arm stands from here on."""
-        speeds = np.array(self.data.qvel)
+        error, speeds = self._error, np.array(self.data.qvel)
         self._braked = True
         self.data.qvel[:] = 0.0
         far, fast = int(np.abs(error).argmax()), int(np.abs(speeds).argmax())
