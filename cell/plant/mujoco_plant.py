@@ -119,8 +119,8 @@ class MujocoPlant:
     @property
     def settled(self) -> bool:
         """True where the reference has ended and no point of the tool is, or will be, off its end by `AT_REST`."""
-        ended = self._time() + self._pending >= self._reference.duration - _NANOSECOND
-        return ended and not self._failure and self._at_rest()
+        now = self._steps * self._h - self._offset + self._pending
+        return now >= self._reference.duration - _NANOSECOND and not self._failure and self._at_rest()
 
     @property
     def failure(self) -> str:
@@ -195,10 +195,6 @@ class MujocoPlant:
         self._holding = self._feed_forward.torque(reference.end[None], np.zeros((1, 6)), np.zeros((1, 6)))[0]
         self._brake_in = math.ceil(reference.duration / self._h) + 1 + self._brake_steps
         self._error = reference.sample(np.zeros(1))[0][0] - self.data.qpos
-
-    def _time(self) -> float:
-        """Time of the reference at the last step [s]."""
-        return self._steps * self._h - self._offset
 
     def _stand(self, at: Floats) -> None:
         """At rest and in balance, as after standing there for long: what the feed-forward lacks is in the integral."""

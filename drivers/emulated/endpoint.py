@@ -49,11 +49,9 @@ class Witness(Protocol):
 
     def entry(self, entry: Entry) -> None:
         """Something happened."""
-        ...
 
     def seen(self, state: RobotState) -> None:
         """This is told to the client next."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
