@@ -31,12 +31,9 @@ import numpy as np
 from drivers.errors import DriverError
 
 WIRE_FAULTS: Final = {"drop": 0.0, "delay": 0.3, "duplicate": 0.02, "reorder": 0.5, "corrupt": 0.0, "truncate": 0.0}
-REQUEST_FAULTS: Final = {"exception": 0.0}
 MOVE_FAULTS: Final = {"half-open": 1.5, "reboot": 0.5, "estop": 0.2}
-NAMES: Final = {**WIRE_FAULTS, **REQUEST_FAULTS, **MOVE_FAULTS}
-"""Names of all faults with their default durations [s]."""
-
-_WITHOUT_TIME = ("drop", "corrupt", "truncate", "exception")
+NAMES: Final = {**WIRE_FAULTS, "exception": 0.0, **MOVE_FAULTS}
+"""Names of all faults with their default durations [s]; 0: it has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +93,7 @@ def parse(text: str) -> Faults:
             nearest = difflib.get_close_matches(name, NAMES, 1)
             hint = f"did you mean '{nearest[0]}'? " if nearest else ""
             raise DriverError(f"no fault is called '{name}'; {hint}there are: {', '.join(NAMES)}")
-        if name in _WITHOUT_TIME and colon:
+        if colon and not NAMES[name]:
             raise DriverError(f"the fault '{item}' has a duration; {name} takes none: {name}=0.01")
         duration = _number(item, seconds, 0.0, 3600.0) if colon else NAMES[name]
         if mark == "@":
