@@ -45,23 +45,18 @@ class Link(Protocol):
 
     def open(self) -> Capabilities:
         """Open the wire and make sure that a controller of ours answers."""
-        ...
 
     def close(self) -> None:
         """Give the wire back; may be called twice."""
-        ...
 
     def send(self, sequence: int, command: Command) -> Answer:
         """Send one command once and wait for the answer that carries its number."""
-        ...
 
     def state(self) -> RobotState:
         """Read the state. Reading is harmless, so a link may ask again by itself before it gives up."""
-        ...
 
     def time_to_wait(self) -> float:
         """Time [s] after which asking for the state again makes sense."""
-        ...
 
 
 class ControllerClient:

@@ -16,15 +16,12 @@ class Clock(Protocol):
     @property
     def simulated(self) -> bool:
         """True where waiting takes no real time."""
-        ...
 
     def now(self) -> float:
         """Time [s]."""
-        ...
 
     def wait(self, seconds: float) -> None:
         """Let up to `seconds` pass. May return early, so the caller looks again and waits for the rest."""
-        ...
 
 
 class SimulatedClock:

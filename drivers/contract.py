@@ -132,16 +132,13 @@ class Driver(AbstractContextManager["Driver"], Protocol):
         Raises:
             LinkError: if nothing answers, or what answers is no controller of this kind.
         """
-        ...
 
     def close(self) -> None:
         """Stop an arm that moves, and give the wire back. May be called twice, and after any failure."""
-        ...
 
     @property
     def capabilities(self) -> Capabilities:
         """What the controller accepts."""
-        ...
 
     def state(self) -> RobotState:
         """The controller's state now; possible in every mode.
@@ -149,7 +146,6 @@ class Driver(AbstractContextManager["Driver"], Protocol):
         Raises:
             NotConnectedError, LinkError.
         """
-        ...
 
     def move(self, set_points: SetPoints, speed: float) -> RobotState:
         """Drive through via points from where the arm stands, and return when it stands at the last one.
@@ -169,7 +165,6 @@ class Driver(AbstractContextManager["Driver"], Protocol):
             StateUnknownError: whether the move was executed cannot be told.
             NotConnectedError, LinkError.
         """
-        ...
 
     def stop(self) -> RobotState:
         """Brake on the path, drop what is queued, and return when the arm stands. Possible in every mode.
@@ -177,7 +172,6 @@ class Driver(AbstractContextManager["Driver"], Protocol):
         Raises:
             NotConnectedError, LinkError.
         """
-        ...
 
     def reset(self) -> RobotState:
         """Clear a latched fault; the arm stays where it is.
@@ -186,4 +180,3 @@ class Driver(AbstractContextManager["Driver"], Protocol):
             RefusedError: the cause persists (emergency stop still pressed).
             StateUnknownError, NotConnectedError, LinkError.
         """
-        ...

@@ -85,6 +85,12 @@ class Limits:
         most = np.full(AXES, np.inf) if jerk is None else np.asarray(jerk)
         return cls(low, high, np.asarray(velocity), np.asarray(acceleration), np.maximum(high - low, 1), jerk=most)
 
+    def capabilities(self, controller: str, *, hardware: bool, simulated_time: bool) -> Capabilities:
+        """What a driver says of a controller with these limits."""
+        return Capabilities(
+            controller, self.lower, self.upper, self.max_step, self.max_speed, self.max_via, hardware, simulated_time
+        )
+
 
 def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple[Result, str]:
     """The first reason against a move, with via point, axis and value, or (OK, ""); the same on both sides of a wire.

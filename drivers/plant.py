@@ -20,25 +20,20 @@ class Plant(Protocol):
     @property
     def reported_axes(self) -> Floats:
         """(6,) axes as the encoders see them [rad]."""
-        ...
 
     @property
     def settled(self) -> bool:
         """True where the arm is at rest at the end of its reference, within what the plant calls at rest."""
-        ...
 
     @property
     def failure(self) -> str:
         """Why the arm no longer follows (the simulation diverged, a drive tripped), in words; empty while it does."""
-        ...
 
     def follow(self, reference: Reference) -> None:
         """Take a new reference, whose time 0 is now. It begins where the old one is, with the same speed."""
-        ...
 
     def advance(self, seconds: float) -> None:
         """Let time pass, at least 0 s. After its end a reference stands still."""
-        ...
 
 
 PlantFactory = Callable[[Floats], Plant]

@@ -44,7 +44,6 @@ class DriverClass(Protocol):
 
     def from_url(self, url: DriverUrl, context: Context) -> Driver:
         """Make a driver, not yet connected; a class method. Take every option of the URL, then call `url.finish()`."""
-        ...
 
 
 def schemes() -> tuple[str, ...]:

@@ -25,11 +25,9 @@ class Line(Protocol):
 
     def open(self) -> None:
         """Take it."""
-        ...
 
     def close(self) -> None:
         """Give it back; may be called twice."""
-        ...
 
 
 class ReopeningLink(ABC):

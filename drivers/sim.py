@@ -39,16 +39,8 @@ class _InProcess:
         self._controller, self._simulated_time = controller, simulated_time
 
     def open(self) -> Capabilities:
-        limits = self._controller.limits
-        return Capabilities(
-            controller="simulated controller",
-            lower=limits.lower,
-            upper=limits.upper,
-            max_step=limits.max_step,
-            max_speed=limits.max_speed,
-            max_via=limits.max_via,
-            hardware=False,
-            simulated_time=self._simulated_time,
+        return self._controller.limits.capabilities(
+            "simulated controller", hardware=False, simulated_time=self._simulated_time
         )
 
     def close(self) -> None:

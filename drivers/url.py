@@ -6,13 +6,9 @@ the nearest name that does.
 
 import difflib
 import math
-from collections.abc import Callable
-from typing import TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
 from drivers.errors import DriverUrlError
-
-T = TypeVar("T")
 
 _YES, _NO = ("", "1", "true", "yes", "on"), ("0", "false", "no", "off")
 
@@ -49,64 +45,59 @@ class DriverUrl:
 
     def word(self, name: str, default: str, valid: tuple[str, ...]) -> str:
         """Take an option that is one of a few words."""
-
-        def parse(value: str) -> str:
-            if value not in valid:
-                nearest = difflib.get_close_matches(value, valid, 1)
-                hint = f" (did you mean '{nearest[0]}'?)" if nearest else ""
-                raise ValueError(f"one of: {', '.join(valid)}{hint}")
-            return value
-
-        return self._take(name, default, parse)
+        value = self._take(name)
+        if value is None:
+            return default
+        if value not in valid:
+            nearest = difflib.get_close_matches(value, valid, 1)
+            hint = f" (did you mean '{nearest[0]}'?)" if nearest else ""
+            raise self._wrong(name, value, f"one of: {', '.join(valid)}{hint}")
+        return value
 
     def flag(self, name: str) -> bool:
         """Take a yes-or-no option; its bare name is yes, absent is no."""
+        value = self._take(name)
+        if value is None:
+            return False
+        if value.lower() not in _YES + _NO:
+            raise self._wrong(name, value, "given alone, or be 1 or 0")
+        return value.lower() in _YES
 
-        def parse(value: str) -> bool:
-            if value.lower() in _YES + _NO:
-                return value.lower() in _YES
-            raise ValueError("given alone, or be 1 or 0")
-
-        return self._take(name, False, parse)
-
-    def number(self, name: str, default: float, *, above: float = -math.inf, at_most: float = math.inf) -> float:
+    def number(self, name: str, default: float, *, above: float, at_most: float = math.inf) -> float:
         """Take a number in (above, at_most]."""
-
-        def parse(value: str) -> float:
-            try:
-                number = float(value)
-            except ValueError:
-                number = math.nan
-            if not (above < number <= at_most and math.isfinite(number)):
-                bounds = [f"above {above:g}"] * (above > -math.inf) + [f"at most {at_most:g}"] * (at_most < math.inf)
-                raise ValueError(f"a number {' and '.join(bounds)}".strip())
-            return number
-
-        return self._take(name, default, parse)
+        value = self._take(name)
+        if value is None:
+            return default
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (above < number <= at_most and math.isfinite(number)):
+            most = f" and at most {at_most:g}" * (at_most < math.inf)
+            raise self._wrong(name, value, f"a number above {above:g}{most}")
+        return number
 
     def whole(self, name: str, default: int, *, at_least: int) -> int:
         """Take a whole number."""
-
-        def parse(value: str) -> int:
-            if not value.isascii() or not value.isdigit() or int(value) < at_least:
-                raise ValueError(f"a whole number of at least {at_least}")
-            return int(value)
-
-        return self._take(name, default, parse)
+        value = self._take(name)
+        if value is None:
+            return default
+        if not value.isascii() or not value.isdigit() or len(value) > 18 or int(value) < at_least:
+            raise self._wrong(name, value, f"a whole number of at least {at_least}")
+        return int(value)
 
     def numbers(self, name: str, default: tuple[float, ...]) -> tuple[float, ...]:
         """Take as many finite numbers as the default has, joined by commas."""
-
-        def parse(value: str) -> tuple[float, ...]:
-            try:
-                numbers = tuple(float(item) for item in value.split(","))
-            except ValueError:
-                numbers = ()
-            if len(numbers) != len(default) or not all(map(math.isfinite, numbers)):
-                raise ValueError(f"{len(default)} numbers joined by commas")
-            return numbers
-
-        return self._take(name, default, parse)
+        value = self._take(name)
+        if value is None:
+            return default
+        try:
+            numbers = tuple(float(item) for item in value.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != len(default) or not all(map(math.isfinite, numbers)):
+            raise self._wrong(name, value, f"{len(default)} numbers joined by commas")
+        return numbers
 
     def finish(self) -> None:
         """Refuse what nobody took.
@@ -120,12 +111,9 @@ class DriverUrl:
             valid = ", ".join(self._known) or "none"
             raise DriverUrlError(f"{self.scheme}:// has no option '{name}'; {hint}valid are: {valid}")
 
-    def _take(self, name: str, default: T, parse: Callable[[str], T]) -> T:
+    def _take(self, name: str) -> str | None:
         self._known.append(name)
-        if name not in self._options:
-            return default
-        value = self._options.pop(name)
-        try:
-            return parse(value)
-        except ValueError as error:
-            raise DriverUrlError(f"{self.scheme}:// has {name}={value}; it must be {error}") from error
+        return self._options.pop(name, None)
+
+    def _wrong(self, name: str, value: str, wanted: str) -> DriverUrlError:
+        return DriverUrlError(f"{self.scheme}:// has {name}={value}; it must be {wanted}")

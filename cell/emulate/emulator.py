@@ -1,6 +1,6 @@
 """Puts the simulated controller behind a line and serves it until it is told to stop."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,9 +111,9 @@ def plants(name: str) -> PlantFactory:
         return IdealPlant
     from cell.plant import factory  # brings the engine: an ideal arm starts without it
 
-    known: Mapping[str, PlantFactory] = {"ideal": IdealPlant, **factory.built_in()}
+    known = factory.built_in()
     if name not in known:
-        raise UsageError(f"--plant {name} must be one of: {', '.join(known)}")
+        raise UsageError(f"--plant {name} must be one of: {', '.join(('ideal', *known))}")
     return known[name]
 
 

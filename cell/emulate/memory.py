@@ -7,7 +7,7 @@ process, not the machine: nothing is flushed to the disk's surface for it.
 
 import json
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +36,11 @@ class Memory:
     """
 
     def __init__(self, state: Path | None, log: Path | None) -> None:
-        self._state, self._log = state, _open(log)
+        self._state = state
+        try:
+            self._log = None if log is None else log.open("a", encoding="utf-8")
+        except OSError as error:
+            raise FileError(f"{log} cannot be written: {error.strerror}; choose another --log") from error
         self.axes: SetPoints | None = None
         self.boot, self.ended_in_order = 0, True
         if state is not None and state.exists():
@@ -45,14 +49,13 @@ class Memory:
 
     def entry(self, entry: Entry) -> None:
         """Append one line."""
-        if self._log is not None:
-            try:
-                self._log.write(json.dumps(entry) + "\n")
-                self._log.flush()
-            except OSError as error:
-                raise FileError(
-                    f"{self._log.name} cannot be written: {error.strerror}; choose another --log"
-                ) from error
+        if self._log is None:
+            return
+        try:
+            self._log.write(json.dumps(entry) + "\n")
+            self._log.flush()
+        except OSError as error:
+            raise FileError(f"{self._log.name} cannot be written: {error.strerror}; choose another --log") from error
 
     def seen(self, state: RobotState) -> None:
         """Remember the position, before it is told."""
@@ -78,15 +81,6 @@ class Memory:
         except OSError as error:
             raise FileError(f"{self._state} cannot be written: {error.strerror}; choose another --state") from error
         self._written = content
-
-
-def _open(log: Path | None) -> IO[str] | None:
-    if log is None:
-        return None
-    try:
-        return log.open("a", encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{log} cannot be written: {error.strerror}; choose another --log") from error
 
 
 def _read(path: Path) -> tuple[SetPoints, int, bool]:

@@ -94,14 +94,12 @@ def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
 
 def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, bytes]:
     """Content by file name."""
+    name = loaded.told.name
     if kind is Format.KRL:
-        return {
-            f"{loaded.told.name}.src": krl.source(loaded, options),
-            f"{loaded.told.name}.dat": krl.data(loaded, options),
-        }
+        return {f"{name}.src": krl.source(loaded, options), f"{name}.dat": krl.data(loaded, options)}
     if kind is Format.CSV:
-        return {f"{loaded.told.name}.csv": tables.csv(loaded)}
-    return {f"{loaded.told.name}.json": tables.as_json(loaded)}
+        return {f"{name}.csv": tables.csv(loaded)}
+    return {f"{name}.json": tables.as_json(loaded)}
 
 
 def _percent(given: int | None, default: int, planned: float) -> int:
@@ -111,20 +109,20 @@ def _percent(given: int | None, default: int, planned: float) -> int:
 
 def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[Path, ...]:
     """Write the files, each whole or not at all; in a folder of the user's nothing that differs is replaced."""
-    paths = tuple(folder / name for name in contents)
+    files = {folder / name: content for name, content in contents.items()}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for path, content in zip(paths, contents.values(), strict=True):
+        for path, content in files.items():
             if not replace and path.exists() and path.read_bytes() != content:
                 raise FileError(
                     f"{path} exists already and differs; it is not replaced: remove it, or choose another --out or "
                     "--name"
                 )
-        for path, content in zip(paths, contents.values(), strict=True):
+        for path, content in files.items():
             temporary = path.with_name(path.name + f".{os.getpid()}.tmp")
             temporary.write_bytes(content)
             temporary.replace(path)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(f"{folder} cannot be written: {reason}; choose a writable --out") from error
-    return paths
+    return tuple(files)

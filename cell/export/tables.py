@@ -6,7 +6,6 @@ to 1e-6 mm and 1e-6 deg, times to 1e-6 s: below that stands rounding noise.
 """
 
 import json
-from typing import Any
 
 import numpy as np
 
@@ -28,24 +27,15 @@ COLUMNS = (
 def csv(program: Program) -> bytes:
     """The content of `<name>.csv`: a header and one line per via point."""
     lines = [",".join(COLUMNS)]
-    for row in _rows(program):
-        flat = [*row[:7], *row[7], *row[8], *row[9], *row[10:]]
-        lines.append(",".join("" if value is None else str(value) for value in flat))
+    for point in _via_points(program):
+        cells = [cell for value in point.values() for cell in (value if isinstance(value, list) else [value])]
+        lines.append(",".join("" if cell is None else str(cell) for cell in cells))
     return ("\n".join(lines) + "\n").encode()
 
 
 def as_json(program: Program) -> bytes:
     """The content of `<name>.json`."""
-    points = []
-    for number, leg, kind, view, pose, candidate, t, axes, tcp, flange, status, turn in _rows(program):
-        points.append(
-            {
-                "number": number, "leg": leg, "kind": kind, "view": view, "pose": pose, "candidate": candidate,
-                "t_s": t,
-                "axes_deg": axes, "tcp_xyz_mm_abc_deg": tcp, "flange_xyz_mm_abc_deg": flange,
-                "status": status, "turn": turn,
-            }
-        )  # fmt: skip
+    limits = np.degrees(np.stack([program.limits.lower, program.limits.upper], axis=1))
     content = {
         "schema": SCHEMA,
         "units": "lengths in mm, angles in deg (KUKA A, B, C: R = Rz(A) Ry(B) Rx(C)), times in s, as the names say",
@@ -57,9 +47,7 @@ def as_json(program: Program) -> bytes:
         "acceleration_fraction": program.told.acceleration,
         "tool_flange_tcp_xyz_mm_abc_deg": _pose(program.T_flange_tcp),
         "part_in_base_xyz_mm_abc_deg": _pose(program.T_base_object),
-        "joint_limits_deg": np.degrees(np.stack([program.limits.lower, program.limits.upper], axis=1))
-        .round(9)
-        .tolist(),
+        "joint_limits_deg": limits.round(9).tolist(),
         "sweeps": [
             {
                 "from_number": sweep.begin + 1,
@@ -69,28 +57,28 @@ def as_json(program: Program) -> bytes:
             }
             for sweep in program.sweeps
         ],
-        "via_points": points,
+        "via_points": _via_points(program),
     }
     return (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()
 
 
-def _rows(program: Program) -> list[tuple[Any, ...]]:
-    """What `as_json` names, of each via point, in this order; None where there is none."""
+def _via_points(program: Program) -> list[dict[str, object]]:
+    """Each via point as `as_json` tells it and in the order of `COLUMNS`; None where there is none."""
     return [
-        (
-            row + 1,
-            int(program.leg[row]) + 1,
-            program.kinds[row].value,
-            int(program.stop[row]) or None,
-            None if program.pose[row] < 0 else int(program.pose[row]),
-            None if program.candidate[row] < 0 else int(program.candidate[row]),
-            round(float(program.t[row]), _DIGITS),
-            angles_deg(program.q[row]),
-            _pose(program.T_base_tcp[row]),
-            _pose(program.T_base_flange[row]),
-            int(program.status[row]),
-            int(program.turn[row]),
-        )
+        {
+            "number": row + 1,
+            "leg": int(program.leg[row]) + 1,
+            "kind": program.kinds[row].value,
+            "view": int(program.stop[row]) or None,
+            "pose": None if program.pose[row] < 0 else int(program.pose[row]),
+            "candidate": None if program.candidate[row] < 0 else int(program.candidate[row]),
+            "t_s": round(float(program.t[row]), _DIGITS),
+            "axes_deg": angles_deg(program.q[row]),
+            "tcp_xyz_mm_abc_deg": _pose(program.T_base_tcp[row]),
+            "flange_xyz_mm_abc_deg": _pose(program.T_base_flange[row]),
+            "status": int(program.status[row]),
+            "turn": int(program.turn[row]),
+        }
         for row in range(len(program.q))
     ]
 

@@ -10,54 +10,19 @@ The masses of the links, and all four figures of the drives, are estimates: mode
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from cell.errors import FileError
 from cell.plant.tool import Tool
 from cell.robot import model as robot
-from planner.values import Floats, Value
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
 
 Integrator = Literal["Euler", "implicitfast"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Drives(Value):
-    """Motor and gear of each axis, on the side of the arm.
-
-    Attributes:
-        rotor_inertia: (6,) reflected through the gear [kg m^2].
-        torque_limit: (6,) largest torque [Nm].
-        coulomb: (6,) friction torque that does not depend on speed [Nm].
-        viscous: (6,) friction torque per speed [Nm s/rad].
-    """
-
-    rotor_inertia: Annotated[Floats, "6"]
-    torque_limit: Annotated[Floats, "6"]
-    coulomb: Annotated[Floats, "6"]
-    viscous: Annotated[Floats, "6"]
-
-
-def drives(spec: mujoco.MjSpec) -> Drives:
-    """Those of the robot's model file.
-
-    Args:
-        spec: of `models/kr16.xml`.
-
-    Raises:
-        FileError: if the file lacks one of the four <numeric>s.
-    """
-    return Drives(
-        rotor_inertia=_numbers(spec, "axis_rotor_inertia_kg_m2"),
-        torque_limit=_numbers(spec, "axis_torque_limit_Nm"),
-        coulomb=_numbers(spec, "axis_coulomb_friction_Nm"),
-        viscous=_numbers(spec, "axis_viscous_friction_Nm_s_rad"),
-    )
 
 
 def arm(
@@ -90,7 +55,8 @@ def arm(
     import mujoco
 
     spec = robot.spec()
-    drive = drives(spec)
+    rotor_inertia, torque_limit = _numbers(spec, "axis_rotor_inertia_kg_m2"), _numbers(spec, "axis_torque_limit_Nm")
+    coulomb, viscous = _numbers(spec, "axis_coulomb_friction_Nm"), _numbers(spec, "axis_viscous_friction_Nm_s_rad")
     for element in [*spec.excludes, *spec.geoms]:
         spec.delete(element)
     flange, last = robot.load().site(robot.FLANGE), spec.body("link_6")
@@ -101,13 +67,13 @@ def arm(
     for i, axis in enumerate(robot.AXES):
         joint = spec.joint(axis)
         joint.limited = False
-        joint.armature, joint.damping[0] = drive.rotor_inertia[i], drive.viscous[i]
-        joint.frictionloss = friction_scale * drive.coulomb[i]
+        joint.armature, joint.damping[0] = rotor_inertia[i], viscous[i]
+        joint.frictionloss = friction_scale * coulomb[i]
         actuator = spec.add_actuator(name=axis, target=axis, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0], actuator.biastype = 1.0, mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[1] = 0.0 if stiffness is None else -stiffness[i]
         actuator.biasprm[2] = 0.0 if damping is None else -damping[i]
-        actuator.forcelimited, actuator.forcerange = True, [-drive.torque_limit[i], drive.torque_limit[i]]
+        actuator.forcelimited, actuator.forcerange = True, [-torque_limit[i], torque_limit[i]]
     spec.option.timestep = time_step
     spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     # What went wrong has to be seen, not replaced by a fresh state.

@@ -20,14 +20,11 @@ if TYPE_CHECKING:
 _BASELINE_MM = 75.0  # of the built-in part; it says where over the flange the housing's middle is
 
 
-def of_run(
-    run: RunRecord, settings: Settings | None = None, observer: Observer | None = None
-) -> Mapping[str, PlantFactory]:
+def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, PlantFactory]:
     """The plants of an execution: the arm carries the tool that the plan was checked with.
 
     Args:
         run: a run folder with a `cell.xml`.
-        settings: of simulation and servo; None: the default.
         observer: is told of every step.
     """
 
@@ -35,13 +32,18 @@ def of_run(
         from cell.plant import tool
         from cell.plant.mujoco_plant import MujocoPlant
 
-        return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), settings, observer)
+        return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), observer=observer)
 
     return {"mujoco": mujoco}
 
 
 def built_in(settings: Settings | None = None, observer: Observer | None = None) -> Mapping[str, PlantFactory]:
-    """The same without a run: the arm carries housing and bracket of the built-in scene."""
+    """The same without a run: the arm carries housing and bracket of the built-in scene.
+
+    Args:
+        settings: of simulation and servo; None: the default.
+        observer: is told of every step.
+    """
 
     def mujoco(start: Floats) -> Plant:
         from cell.plant import tool

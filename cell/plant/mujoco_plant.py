@@ -119,8 +119,8 @@ class MujocoPlant:
     @property
     def settled(self) -> bool:
         """True where the reference has ended and no point of the tool is, or will be, off its end by `AT_REST`."""
-        ended = self._time() + self._pending >= self._reference.duration - _NANOSECOND
-        return ended and not self._failure and self._at_rest()
+        now = self._steps * self._h - self._offset + self._pending
+        return now >= self._reference.duration - _NANOSECOND and not self._failure and self._at_rest()
 
     @property
     def failure(self) -> str:
@@ -178,7 +178,7 @@ class MujocoPlant:
             self._observer(self._reference, times[1 : done + 1], path[:done])
         self._error = q[done] - axes
         if not (self._error @ self._error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):
-            self._fail(self._error)
+            self._fail()
             return
         self._brake_in -= steps
         if self._brake_in == 0:
@@ -196,10 +196,6 @@ class MujocoPlant:
         self._brake_in = math.ceil(reference.duration / self._h) + 1 + self._brake_steps
         self._error = reference.sample(np.zeros(1))[0][0] - self.data.qpos
 
-    def _time(self) -> float:
-        """Time of the reference at the last step [s]."""
-        return self._steps * self._h - self._offset
-
     def _stand(self, at: Floats) -> None:
         """At rest and in balance, as after standing there for long: what the feed-forward lacks is in the integral."""
         import mujoco
@@ -214,7 +210,7 @@ class MujocoPlant:
     def _switch_on(self, reference: Reference) -> None:
         """Drives on after a failure, if the arm stands where the reference does."""
         off = reference.end - self.data.qpos
-        if np.isfinite(self.data.qpos).all() and reference.duration == 0.0 and off @ off <= FOLLOWING_ERROR**2:
+        if np.isfinite(self.data.qpos).all() and reference.duration == 0.0 and off @ off <= _TOO_FAR:
             self._failure = ""
             self._stand(np.array(self.data.qpos))
             self._begin(reference)
@@ -224,9 +220,9 @@ class MujocoPlant:
         motion = np.abs(self._error) + np.abs(self.data.qvel) / self._bandwidth
         return bool(self._levers @ motion <= AT_REST)
 
-    def _fail(self, error: Floats) -> None:
+    def _fail(self) -> None:
         """Say why; the arm stands from here on."""
-        speeds = np.array(self.data.qvel)
+        error, speeds = self._error, np.array(self.data.qvel)
         self._braked = True
         self.data.qvel[:] = 0.0
         far, fast = int(np.abs(error).argmax()), int(np.abs(speeds).argmax())

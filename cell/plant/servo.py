@@ -133,10 +133,9 @@ class FeedForward:
         Returns:
             (N, 6) torques [Nm].
         """
-        model, data, inverse = self.model, self._data, self._inverse
-        torques = np.empty_like(q)
+        data, torques = self._data, np.empty_like(q)
         for k in range(len(q)):
             data.qpos[:], data.qvel[:], data.qacc[:] = q[k], qd[k], qdd[k]
-            inverse(model, data)
+            self._inverse(self.model, data)
             torques[k] = data.qfrc_inverse
         return torques

@@ -49,11 +49,9 @@ class Witness(Protocol):
 
     def entry(self, entry: Entry) -> None:
         """Something happened."""
-        ...
 
     def seen(self, state: RobotState) -> None:
         """This is told to the client next."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,16 +119,10 @@ class Endpoint:
     @property
     def capabilities(self) -> Capabilities:
         """What a hello tells."""
-        limits = self.limits
-        return Capabilities(
-            controller="scan-cell controller",
-            lower=limits.lower,
-            upper=limits.upper,
-            max_step=limits.max_step,
-            max_speed=speed_from_wire(speed_to_wire(limits.max_speed)),
-            max_via=min(limits.max_via or MOST_POINTS, MOST_POINTS),
-            hardware=True,
-            simulated_time=False,
+        return replace(
+            self.limits.capabilities("scan-cell controller", hardware=True, simulated_time=False),
+            max_speed=speed_from_wire(speed_to_wire(self.limits.max_speed)),
+            max_via=min(self.limits.max_via or MOST_POINTS, MOST_POINTS),
         )
 
     def hear(self, watchdog_ms: int | None = None) -> None:

@@ -23,23 +23,18 @@ class Line(Protocol):
 
     def receive(self, seconds: float) -> list[tuple[int, bytes]]:
         """Wait up to `seconds` for bytes; empty bytes: the peer is gone."""
-        ...
 
     def send(self, peer: int, data: bytes) -> None:
         """Give bytes to a peer; what it does not take in is lost, as on a wire."""
-        ...
 
     def drop(self) -> None:
         """End all connections, where the line has such a thing."""
-        ...
 
     def end(self, peer: int) -> None:
         """End one."""
-        ...
 
     def close(self) -> None:
         """Give everything back."""
-        ...
 
 
 class PtyLine:

@@ -29,19 +29,15 @@ class Station(Protocol):
 
     def split(self, received: bytes) -> tuple[list[bytes], bytes] | None:
         """Cut a stream into telegrams and the rest; None: it is none of ours, the connection is to be closed."""
-        ...
 
     def answer(self, packet: bytes) -> bytes:
         """The answer to a telegram; empty: none."""
-        ...
 
     def refuse(self, packet: bytes) -> bytes:
         """An answer that executes nothing."""
-        ...
 
     def forget(self) -> None:
         """The controller was restarted."""
-        ...
 
 
 class Server:

@@ -31,12 +31,9 @@ import numpy as np
 from drivers.errors import DriverError
 
 WIRE_FAULTS: Final = {"drop": 0.0, "delay": 0.3, "duplicate": 0.02, "reorder": 0.5, "corrupt": 0.0, "truncate": 0.0}
-REQUEST_FAULTS: Final = {"exception": 0.0}
 MOVE_FAULTS: Final = {"half-open": 1.5, "reboot": 0.5, "estop": 0.2}
-NAMES: Final = {**WIRE_FAULTS, **REQUEST_FAULTS, **MOVE_FAULTS}
-"""Names of all faults with their default durations [s]."""
-
-_WITHOUT_TIME = ("drop", "corrupt", "truncate", "exception")
+NAMES: Final = {**WIRE_FAULTS, "exception": 0.0, **MOVE_FAULTS}
+"""Names of all faults with their default durations [s]; 0: it has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +93,7 @@ def parse(text: str) -> Faults:
             nearest = difflib.get_close_matches(name, NAMES, 1)
             hint = f"did you mean '{nearest[0]}'? " if nearest else ""
             raise DriverError(f"no fault is called '{name}'; {hint}there are: {', '.join(NAMES)}")
-        if name in _WITHOUT_TIME and colon:
+        if colon and not NAMES[name]:
             raise DriverError(f"the fault '{item}' has a duration; {name} takes none: {name}=0.01")
         duration = _number(item, seconds, 0.0, 3600.0) if colon else NAMES[name]
         if mark == "@":
@@ -163,22 +160,22 @@ class Injector:
             brings; `late` gives it where none comes.
         """
         held = self._held.pop(direction, None)
-        before = [(0.0, packet)]
-        if self.hits("drop"):
-            before = []
-        if before and self.hits("corrupt"):
-            before = [(0.0, self._corrupted(packet))]
-        if before and self.hits("truncate"):
-            before = [(0.0, before[0][1][: int(self._rng.integers(0, max(len(packet), 1)))])]
-        if before and self.hits("delay"):
-            before = [(self.seconds("delay"), before[0][1])]
-        if before and self.hits("duplicate"):
-            before.append((before[0][0] + self.seconds("duplicate"), before[0][1]))
-        if held is None and before and self.hits("reorder"):
-            self._held[direction] = before[0][1]
-            before = before[1:]
-        after = [(0.0, held)] if held is not None else []
-        return [(delay, data) for delay, data in before + after if data]
+        arriving: list[tuple[float, bytes]] = []
+        if not self.hits("drop"):
+            if self.hits("corrupt"):
+                packet = self._corrupted(packet)
+            if self.hits("truncate"):
+                packet = packet[: int(self._rng.integers(0, max(len(packet), 1)))]
+            delay = self.seconds("delay") if self.hits("delay") else 0.0
+            arriving.append((delay, packet))
+            if self.hits("duplicate"):
+                arriving.append((delay + self.seconds("duplicate"), packet))
+            if held is None and self.hits("reorder"):
+                self._held[direction] = packet
+                del arriving[0]
+        if held is not None:
+            arriving.append((0.0, held))
+        return [(delay, data) for delay, data in arriving if data]
 
     def late(self, direction: str) -> bytes | None:
         """The telegram that is held back, after nothing has followed it for `reorder` seconds."""

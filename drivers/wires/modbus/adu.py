@@ -136,10 +136,8 @@ def split_rtu(received: bytes) -> tuple[list[bytes], bytes]:
     known functions tell their length themselves. Whoever reads drops the rest after a silence.
     """
     packets, at = [], 0
-    while at < len(received):
-        function = received[at + 1] if at + 1 < len(received) else None
-        if function is None:
-            break
+    while at + 1 < len(received):
+        function = received[at + 1]
         if function in (15, WRITE_HOLDING):
             if at + 6 >= len(received):
                 break

@@ -46,11 +46,9 @@ class Port(Line, Protocol):
 
     def read(self, address: int, count: int) -> list[int]:
         """Input registers, in one FC04."""
-        ...
 
     def write(self, address: int, values: list[int]) -> None:
         """Holding registers, in one FC16."""
-        ...
 
 
 class ModbusLink(ReopeningLink):

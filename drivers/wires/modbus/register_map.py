@@ -1,4 +1,4 @@
-"""The Modbus map as data: which register means what. Code, the page docs/protocol.md and the tests are made from it.
+"""The Modbus map as data: which register means what. A test holds the tables of docs/protocol.md against it.
 
 Three blocks, the same on TCP and RTU; addresses are 0-based as they stand in a telegram.
 
@@ -237,28 +237,3 @@ def check_identity(registers: Sequence[int]) -> None:
         )
     if values["version"] != MAP_VERSION:
         raise ProtocolError(f"the controller has map version {values['version']}; this driver speaks {MAP_VERSION}")
-
-
-def page() -> str:
-    """The tables of docs/protocol.md."""
-    parts = []
-    for block in BLOCKS:
-        at, rows = block.address, []
-        for field in block.fields:
-            last = at + field.registers - 1
-            where = f"{at}" if last == at else f"{at}-{last}"
-            kind = field.type if field.count == 1 else f"{field.type} x {field.count}"
-            rows.append(f"| {where} | {field.name} | {kind} | {field.meaning} |")
-            at += field.registers
-        if block.optional_points:
-            rows.append(f"| {at}... | points | i32 x 6n | n = `points` via points, A1 to A6 each [1e-4 deg] |")
-            rows.append(f"| {at} + 12n | crc | u32 | CRC-32 of all registers before |")
-        else:
-            rows.append(f"| {at}-{at + 1} | crc | u32 | CRC-32 of all registers before |")
-        parts.append(
-            f"### {block.name.capitalize()} block, {block.kind} registers from {block.address}\n\n"
-            "| register | name | type | meaning |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
-        )
-    codes = "\n".join(f"| {code} | {meaning} |" for code, meaning in COMMANDS.items())
-    parts.append(f"### Command codes\n\n| code | meaning |\n|---|---|\n{codes}\n")
-    return "\n".join(parts)

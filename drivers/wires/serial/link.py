@@ -55,11 +55,9 @@ class Port(Line, Protocol):
 
     def write(self, data: bytes) -> None:
         """Send, and forget what came in before."""
-        ...
 
     def read(self, seconds: float) -> bytes:
         """What comes within some seconds, at once when something comes."""
-        ...
 
 
 class SerialLink(ReopeningLink):
