@@ -8,7 +8,6 @@ anew without it.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
@@ -24,48 +23,24 @@ from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, JointLimits, Progress
 from planner.timing.motion import check_inside, check_limits
 from planner.values import Bools, Floats, Ints, Value
+from planner.worded import Worded
 
 
-class TourStatus(IntEnum):
+class TourStatus(Worded):
     """What became of the views."""
 
-    COMPLETE = 0
-    VIEWS_DROPPED = 1
-    HOME_IN_COLLISION = 2
-
-    @property
-    def sentence(self) -> str:
-        """The status in words, for reports."""
-        return _TOUR_SENTENCES[self]
+    COMPLETE = 0, "every view is visited"
+    VIEWS_DROPPED = 1, "some views cannot be visited; the tour over the others is complete"
+    HOME_IN_COLLISION = 2, "home is nearer to something than the clearance; there is no motion"
 
 
-_TOUR_SENTENCES = {
-    TourStatus.COMPLETE: "every view is visited",
-    TourStatus.VIEWS_DROPPED: "some views cannot be visited; the tour over the others is complete",
-    TourStatus.HOME_IN_COLLISION: "home is nearer to something than the clearance; there is no motion",
-}
-
-
-class DropReason(IntEnum):
+class DropReason(Worded):
     """Why a view is not visited."""
 
-    NO_SOLUTION = 0
-    IN_COLLISION = 1
-    NO_PATH = 2
-    NO_HOME = 3
-
-    @property
-    def sentence(self) -> str:
-        """The reason in words, for reports."""
-        return _DROP_SENTENCES[self]
-
-
-_DROP_SENTENCES = {
-    DropReason.NO_SOLUTION: "the view has no joint solution",
-    DropReason.IN_COLLISION: "every joint solution of the view is nearer to something than the clearance",
-    DropReason.NO_PATH: "no free path to any joint solution of the view was found within the budget",
-    DropReason.NO_HOME: "home itself is in collision",
-}
+    NO_SOLUTION = 0, "the view has no joint solution"
+    IN_COLLISION = 1, "every joint solution of the view is nearer to something than the clearance"
+    NO_PATH = 2, "no free path to any joint solution of the view was found within the budget"
+    NO_HOME = 3, "home itself is in collision"
 
 
 @dataclass(frozen=True, slots=True)
