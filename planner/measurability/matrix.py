@@ -10,7 +10,7 @@ candidate viewpoints. It is filled in one of two ways:
 planning resolution would hit. Object frame, metres.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +23,7 @@ from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze, readonly
-from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.lines_of_sight import Pairs, Targets, flat_poses, free_pairs, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def occlude(
         entries = columns.indices[columns.indptr[pose // K] : columns.indptr[pose // K + 1]].astype(np.int64)
         return entries if K == 1 else in_view(targets, poses[pose], scanner, entries)
 
-    pairs = _free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE)
+    pairs = free_pairs(poses, targets, scanner, casters, rows_of)
     return _compress(pairs, viewpoints, features, progress)
 
 
@@ -213,7 +213,7 @@ def measured(
     def rows_of(pose: int) -> Ints:
         return in_view(targets, poses[pose], scanner, still_open)
 
-    for done, pose, row in _free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
+    for done, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
         found[row[_own_free(poses, targets, scanner, own, pose, row, K)]] = True
         still_open = still_open[~found[still_open]]
         if progress:
@@ -241,35 +241,8 @@ def _own_free(
     return free
 
 
-Pairs = Iterator[tuple[int, Ints, Ints]]
-"""Bundles of (poses done, pose of each pair, row of each pair), in the order of the poses."""
-
-
 def _aimed(poses: Floats, targets: Targets, scanner: Scanner, casters: Sequence[RayCaster]) -> Pairs:
-    return _free_pairs(poses, targets, scanner, casters, lambda i: in_view(targets, poses[i], scanner), BUNDLE)
-
-
-def _free_pairs(
-    poses: Floats,
-    targets: Targets,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
-    rows_of: Callable[[int], Ints],
-    bundle: int,
-) -> Pairs:
-    """Pairs with free legs. The rows of a pose are asked for one pose after the other, cast together in bundles."""
-    waiting: list[Ints] = []
-    first, count = 0, 0
-    for pose in range(len(poses)):
-        waiting.append(rows_of(pose))
-        count += len(waiting[-1])
-        if count < bundle and pose + 1 < len(poses):
-            continue
-        which = np.repeat(np.arange(first, pose + 1), [len(rows) for rows in waiting])
-        rows = np.concatenate(waiting)
-        free = legs_free(targets, poses, which, rows, scanner, casters)
-        yield pose + 1, which[free], rows[free]
-        waiting, first, count = [], pose + 1, 0
+    return free_pairs(poses, targets, scanner, casters, lambda i: in_view(targets, poses[i], scanner))
 
 
 def _compress(

@@ -7,7 +7,7 @@ A view to which no path is found from any of its joint solutions is dropped and 
 anew without it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -149,8 +149,19 @@ def plan_motion(
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
     seed = int(rng.integers(2**63))
     roadmap = Roadmap(visits, checker, limits, seed, budget.path_checks, budget.checks)
+    search = TourSearch(roadmap, visits, limits, seed, budget, ordering, progress)
     if not roadmap.active[0]:
-        return _no_motion(roadmap, len(visits.configurations))
+        everything = tuple(Dropped(k, DropReason.NO_HOME, "") for k in range(len(visits.configurations)))
+        none = np.zeros(0, dtype=np.int64)
+        return replace(
+            _tour(roadmap, [], search, everything, measure),
+            via=np.zeros((0, 6)),
+            segment=none,
+            view=none,
+            pose=none,
+            status=TourStatus.HOME_IN_COLLISION,
+            home_blocker=next(iter(checker.contacts(roadmap.q[0])), ""),
+        )
 
     dropped = []
     for k, q in enumerate(visits.configurations):
@@ -160,7 +171,6 @@ def plan_motion(
             blocker = next(iter(checker.contacts(q[0])), "")
             dropped.append(Dropped(k, DropReason.IN_COLLISION, blocker))
 
-    search = TourSearch(roadmap, visits, limits, seed, budget, ordering, progress)
     nodes = search.run()
     dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
     return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), measure)
@@ -219,30 +229,4 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
         home_blocker="",
         checks=roadmap.checks,
         rounds=search.rounds,
-    )
-
-
-def _no_motion(roadmap: Roadmap, n_views: int) -> Tour:
-    """The result where home collides."""
-    none = np.zeros(0, dtype=np.int64)
-    return Tour(
-        order=none,
-        choice=none,
-        q=np.zeros((0, 6)),
-        via=np.zeros((0, 6)),
-        segment=none,
-        view=none,
-        pose=none,
-        entered=none,
-        clearance=np.zeros(0),
-        between=(),
-        detour=np.zeros(0, dtype=bool),
-        duration=0.0,
-        baseline_duration=0.0,
-        lower_bound=0.0,
-        dropped=tuple(Dropped(k, DropReason.NO_HOME, "") for k in range(n_views)),
-        status=TourStatus.HOME_IN_COLLISION,
-        home_blocker=next(iter(roadmap.checker.contacts(roadmap.q[0])), ""),
-        checks=roadmap.checks,
-        rounds=0,
     )

@@ -8,6 +8,7 @@ coarse isotropic remeshing without edge flips (after Botsch and Kobbelt 2004, Se
 import numpy as np
 from scipy.sparse import coo_array
 
+from planner.surface.mesh import cross_products
 from planner.values import Bools, Floats, Ints, Ints32
 
 _SHORT, _LONG = 0.4, 1.2  # edges to contract and to split, in face sizes: leaves about four faces for each one wanted
@@ -52,7 +53,7 @@ def contract_short_edges(vertices: Floats, faces: Ints32, shortest: float) -> tu
     """
     order = np.random.default_rng(0)  # only breaks ties between edges; the same every time
     for _ in range(_ROUNDS):
-        edges, degree = _edges(faces)
+        edges, degree = edges_of(faces)
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         short = length < shortest
         short[short] = _common_neighbours(edges, edges[short], len(vertices)) == degree[short]
@@ -100,8 +101,8 @@ def split_long_edges(vertices: Floats, faces: Ints32, longest: float) -> tuple[F
     return vertices, _split(vertices, faces, middle)
 
 
-def _edges(faces: Ints32) -> tuple[Ints32, Ints]:
-    """(E, 2) undirected edges and (E,) how many faces each has."""
+def edges_of(faces: Ints32) -> tuple[Ints32, Ints]:
+    """(E, 2) undirected edges of faces (F, 3), and (E,) how many faces each has."""
     pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     size = int(faces.max()) + 1
     key, count = np.unique(pairs[:, 0] * size + pairs[:, 1], return_counts=True)
@@ -116,16 +117,9 @@ def _common_neighbours(edges: Ints32, chosen: Ints32, n_vertices: int) -> Ints:
     return np.asarray(shared, np.int64).ravel()
 
 
-def _normals(vertices: Floats, faces: Ints32) -> Floats:
-    """(F, 3) normals, twice the area long."""
-    corners = vertices[faces]
-    normals: Floats = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normals
-
-
 def _bend(vertices: Floats, faces: Ints32) -> Floats:
     """(V,) 0 where the faces about a vertex lie in one plane, up to 1 where they face apart."""
-    normals = _normals(vertices, faces)
+    normals = cross_products(vertices, faces)
     total, size = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     for corner in range(3):
         np.add.at(total, faces[:, corner], normals)
@@ -146,9 +140,9 @@ def _turns_a_face(vertices: Floats, faces: Ints32, edges: Ints32) -> Bools:
     ]
     face = faces[corner // 3].copy()
     gone = (face == edges[edge, :1]).any(axis=1)
-    before = _normals(vertices, face)
+    before = cross_products(vertices, face)
     face[np.arange(len(face)), corner % 3] = edges[edge, 0]
-    after = _normals(vertices, face)
+    after = cross_products(vertices, face)
     agreement = np.einsum("nj,nj->n", before, after)
     size = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     bad = ~gone & (agreement < _LEAST_AGREEMENT * size)
