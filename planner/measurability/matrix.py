@@ -23,7 +23,7 @@ from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze, readonly
-from planner.viewpoints.lines_of_sight import Pairs, Targets, flat_poses, free_pairs, in_view, legs_free
+from planner.viewpoints.lines_of_sight import BUNDLE, Pairs, Targets, flat_poses, free_pairs, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 
 METHODS = ("aimed", "rays")
 
-_OPEN_BUNDLE = (
-    40_000  # pairs between two looks at which samples are still open: few wasted legs, calls still at full speed
-)
+# Pairs between two looks at which samples are still open: few wasted legs, calls still at full speed.
+_OPEN_BUNDLE = 40_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +113,8 @@ def fill(
     """
     poses = flat_poses(viewpoints.T_object_scanner)
     if method == "aimed":
-        pairs = _aimed(poses, Targets.of(features.points, features.normals), scanner, (ray_caster,))
+        targets = Targets.of(features.points, features.normals)
+        pairs = free_pairs(poses, targets, scanner, (ray_caster,), lambda i: in_view(targets, poses[i], scanner))
     elif method == "rays":
         if part is None:
             raise PlannerError("method 'rays' needs `part`, the mesh that the ray caster holds")
@@ -199,26 +199,20 @@ def measured(
     poses = flat_poses(T_object_scanner)
     targets = Targets.of(features.points, features.normals)
     K = np.shape(T_object_scanner)[1]
-    if each:
-        result = np.zeros((len(features), len(T_object_scanner)), dtype=np.bool_)
-        for done, pose, row in _aimed(poses, targets, scanner, casters):
-            free = _own_free(poses, targets, scanner, own, pose, row, K)
-            result[row[free], pose[free] // K] = True
-            if progress:
-                progress(done, len(poses))
-        return result
-    found = np.zeros(len(features), dtype=np.bool_)
-    still_open = np.arange(len(features))
+    result = np.zeros((len(features), len(T_object_scanner) if each else 1), dtype=np.bool_)
+    asked = np.arange(len(features))
 
     def rows_of(pose: int) -> Ints:
-        return in_view(targets, poses[pose], scanner, still_open)
+        return in_view(targets, poses[pose], scanner, None if each else asked)
 
-    for done, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
-        found[row[_own_free(poses, targets, scanner, own, pose, row, K)]] = True
-        still_open = still_open[~found[still_open]]
+    for done, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
+        free = _own_free(poses, targets, scanner, own, pose, row, K)
+        result[row[free], pose[free] // K if each else 0] = True
+        if not each:
+            asked = asked[~result[asked, 0]]
         if progress:
             progress(done, len(poses))
-    return found
+    return result if each else result[:, 0]
 
 
 def _own_free(
@@ -239,10 +233,6 @@ def _own_free(
                 here = np.flatnonzero(pose // K == view)
                 free[here] = legs_free(targets, poses, pose[here], row[here], scanner, (caster,))
     return free
-
-
-def _aimed(poses: Floats, targets: Targets, scanner: Scanner, casters: Sequence[RayCaster]) -> Pairs:
-    return free_pairs(poses, targets, scanner, casters, lambda i: in_view(targets, poses[i], scanner))
 
 
 def _compress(

@@ -208,5 +208,4 @@ def rotations(vectors: Floats) -> Floats:
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
     K -= K.transpose(0, 2, 1)
     sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    R: Floats = np.eye(3) + sine * K + (1.0 - cosine) * (K @ K)
-    return R
+    return np.asarray(np.eye(3) + sine * K + (1.0 - cosine) * (K @ K))

@@ -87,7 +87,7 @@ def connect(
     ends = quantise_inside(ends, limits)
     free = checker.free(ends)
     if not free.all():
-        end = 0 if not free[0] else 1
+        end = int(free[0])
         status = PathStatus.START_IN_COLLISION if end == 0 else PathStatus.GOAL_IN_COLLISION
         distance, pairs = checker.distance(ends[end : end + 1])
         return PathResult(None, status, 2, float(distance[0]), pairs[0], float("inf"))

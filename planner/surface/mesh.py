@@ -45,24 +45,20 @@ def face_normals(mesh: TriangleMesh) -> Floats:
     """(F, 3) outward unit normals, object frame; zero for a face without area."""
     cross = cross_products(mesh.vertices, mesh.faces)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normals: Floats = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
-    return normals
+    return np.asarray(np.divide(cross, length, out=np.zeros_like(cross), where=length > 0))
 
 
 def face_areas(mesh: TriangleMesh) -> Floats:
     """(F,) areas [m^2]."""
-    areas: Floats = np.linalg.norm(cross_products(mesh.vertices, mesh.faces), axis=1) / 2
-    return areas
+    return np.asarray(np.linalg.norm(cross_products(mesh.vertices, mesh.faces), axis=1) / 2)
 
 
 def face_centres(mesh: TriangleMesh) -> Floats:
     """(F, 3) centres of gravity of the faces [m], object frame."""
-    centres: Floats = mesh.vertices[mesh.faces].mean(axis=1)
-    return centres
+    return np.asarray(mesh.vertices[mesh.faces].mean(axis=1))
 
 
 def cross_products(vertices: Floats, faces: NDArray[np.integer]) -> Floats:
     """(F, 3) cross products of two edges of each face (F, 3): twice the area long, outward; vertices (V, 3)."""
     corners = vertices[faces]
-    cross: Floats = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return cross
+    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

@@ -125,8 +125,7 @@ def _bend(vertices: Floats, faces: Ints32) -> Floats:
         np.add.at(total, faces[:, corner], normals)
         np.add.at(size, faces[:, corner], np.linalg.norm(normals, axis=1))
     lost = 1 - np.divide(np.linalg.norm(total, axis=1), size, out=np.ones(len(size)), where=size > 0)
-    bend: Floats = np.round(lost, 6)  # so that rounding does not decide between equals
-    return bend
+    return np.asarray(np.round(lost, 6))  # so that rounding does not decide between equals
 
 
 def _turns_a_face(vertices: Floats, faces: Ints32, edges: Ints32) -> Bools:
@@ -159,18 +158,11 @@ def _apart(edges: Ints32, faces: Ints32, n_vertices: int) -> Ints32:
     least = best.copy()
     for corner in range(3):
         np.minimum.at(least, faces[:, corner], of_face)
-    chosen: Ints32 = edges[(least[edges[:, 0]] == rank) & (least[edges[:, 1]] == rank)]
-    return chosen
+    return np.asarray(edges[(least[edges[:, 0]] == rank) & (least[edges[:, 1]] == rank)])
 
 
 def _split(vertices: Floats, faces: Ints32, middle: Ints32) -> Ints32:
-    """The faces cut at the middles of their marked sides.
-
-    Args:
-        vertices: (V, 3) with the middles.
-        faces: (F, 3).
-        middle: (F, 3) vertex in the middle of side 0-1, 1-2, 2-0; -1 where the side stays whole.
-    """
+    """The faces cut at the middles of their sides 0-1, 1-2 and 2-0: (F, 3) vertices, -1 where a side stays whole."""
     count = (middle >= 0).sum(axis=1)
     # Turned so that one marked side comes first, and of two marked sides the whole one last.
     first = np.where(count == 2, (np.argmin(middle, axis=1) + 1) % 3, np.argmax(middle >= 0, axis=1))

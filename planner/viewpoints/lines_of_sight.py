@@ -69,8 +69,7 @@ def lift(points: Floats, normals: Floats, diagonal: float | None = None) -> Floa
     """
     if diagonal is None:
         diagonal = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
-    lifted: Floats = points + (LIFT * diagonal) * normals
-    return lifted
+    return np.asarray(points + (LIFT * diagonal) * normals)
 
 
 def flat_poses(T_object_scanner: Floats) -> Floats:

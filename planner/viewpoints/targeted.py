@@ -178,11 +178,7 @@ def aimed_at(
 
 
 def sees_its_point(
-    views: Viewpoints,
-    targets: Targets,
-    row: Ints,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
+    views: Viewpoints, targets: Targets, row: Ints, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Bools:
     """Whether each view measures the one feature that it is aimed at: conditions first, then its two legs.
 

@@ -57,8 +57,7 @@ class SweepPath(Value):
     def measured_q(self) -> Floats:
         """(K, 6) set-points of the measuring poses, in the order of the column [rad]."""
         rows = np.flatnonzero(self.pose >= 0)
-        q: Floats = self.q[rows[np.argsort(self.pose[rows])]]
-        return q
+        return np.asarray(self.q[rows[np.argsort(self.pose[rows])]])
 
     def reversed(self) -> "SweepPath":
         """The same sweep driven from its end to its beginning."""
