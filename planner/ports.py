@@ -6,56 +6,36 @@ to sensor), `object` (the mesh file's axes, metres). `T_a_b` maps b-coordinates 
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.values import Bools, Floats, Ints32, Value
+from planner.worded import Worded
 
 Progress = Callable[[int, int], None]
 """Told `(done, total)` while something long goes on; what it raises ends the work."""
 
 
-class Rejection(IntEnum):
+class Rejection(Worded):
     """Why a ray of a scan, or an aimed sample, gives no point; the first condition that fails is kept.
 
     They are asked in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH, GRAZING_SOURCE,
     GRAZING_SENSOR, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values stand in files: new ones are appended.
     """
 
-    MEASURED = 0
-    NO_HIT = 1
-    OUT_OF_FOV = 2
-    OUT_OF_RANGE = 3
-    GRAZING_SOURCE = 4
-    GRAZING_SENSOR = 5
-    SOURCE_BLOCKED = 6
-    SENSOR_BLOCKED = 7
-    OUT_OF_DEPTH = 8
-    OUT_OF_SENSOR_FOV = 9
-    TOO_UNCERTAIN = 10
-
-    @property
-    def sentence(self) -> str:
-        """The reason in words, for reports."""
-        return _REJECTION_SENTENCES[self]
-
-
-_REJECTION_SENTENCES = {
-    Rejection.MEASURED: "measured",
-    Rejection.NO_HIT: "the ray meets no surface",
-    Rejection.OUT_OF_FOV: "outside the field of view",
-    Rejection.OUT_OF_RANGE: "nearer or farther than the scanner's range",
-    Rejection.GRAZING_SOURCE: "the laser grazes the surface beyond the limit",
-    Rejection.GRAZING_SENSOR: "the sensor sees the surface beyond its grazing limit",
-    Rejection.SOURCE_BLOCKED: "something stands between laser source and surface",
-    Rejection.SENSOR_BLOCKED: "something stands between surface and sensor (shadow effect)",
-    Rejection.OUT_OF_DEPTH: "before or behind the depth of field",
-    Rejection.OUT_OF_SENSOR_FOV: "outside the sensor's field of view",
-    Rejection.TOO_UNCERTAIN: "the expected standard deviation of the point is above the limit",
-}
+    MEASURED = 0, "measured"
+    NO_HIT = 1, "the ray meets no surface"
+    OUT_OF_FOV = 2, "outside the field of view"
+    OUT_OF_RANGE = 3, "nearer or farther than the scanner's range"
+    GRAZING_SOURCE = 4, "the laser grazes the surface beyond the limit"
+    GRAZING_SENSOR = 5, "the sensor sees the surface beyond its grazing limit"
+    SOURCE_BLOCKED = 6, "something stands between laser source and surface"
+    SENSOR_BLOCKED = 7, "something stands between surface and sensor (shadow effect)"
+    OUT_OF_DEPTH = 8, "before or behind the depth of field"
+    OUT_OF_SENSOR_FOV = 9, "outside the sensor's field of view"
+    TOO_UNCERTAIN = 10, "the expected standard deviation of the point is above the limit"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ candidate viewpoints. It is filled in one of two ways:
 planning resolution would hit. Object frame, metres.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +23,7 @@ from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze, readonly
-from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.lines_of_sight import BUNDLE, Pairs, Targets, flat_poses, free_pairs, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 
 METHODS = ("aimed", "rays")
 
-_OPEN_BUNDLE = (
-    40_000  # pairs between two looks at which samples are still open: few wasted legs, calls still at full speed
-)
+# Pairs between two looks at which samples are still open: few wasted legs, calls still at full speed.
+_OPEN_BUNDLE = 40_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +113,8 @@ def fill(
     """
     poses = flat_poses(viewpoints.T_object_scanner)
     if method == "aimed":
-        pairs = _aimed(poses, Targets.of(features.points, features.normals), scanner, (ray_caster,))
+        targets = Targets.of(features.points, features.normals)
+        pairs = free_pairs(poses, targets, scanner, (ray_caster,), lambda i: in_view(targets, poses[i], scanner))
     elif method == "rays":
         if part is None:
             raise PlannerError("method 'rays' needs `part`, the mesh that the ray caster holds")
@@ -167,7 +167,7 @@ def occlude(
         entries = columns.indices[columns.indptr[pose // K] : columns.indptr[pose // K + 1]].astype(np.int64)
         return entries if K == 1 else in_view(targets, poses[pose], scanner, entries)
 
-    pairs = _free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE)
+    pairs = free_pairs(poses, targets, scanner, casters, rows_of)
     return _compress(pairs, viewpoints, features, progress)
 
 
@@ -199,26 +199,20 @@ def measured(
     poses = flat_poses(T_object_scanner)
     targets = Targets.of(features.points, features.normals)
     K = np.shape(T_object_scanner)[1]
-    if each:
-        result = np.zeros((len(features), len(T_object_scanner)), dtype=np.bool_)
-        for done, pose, row in _aimed(poses, targets, scanner, casters):
-            free = _own_free(poses, targets, scanner, own, pose, row, K)
-            result[row[free], pose[free] // K] = True
-            if progress:
-                progress(done, len(poses))
-        return result
-    found = np.zeros(len(features), dtype=np.bool_)
-    still_open = np.arange(len(features))
+    result = np.zeros((len(features), len(T_object_scanner) if each else 1), dtype=np.bool_)
+    asked = np.arange(len(features))
 
     def rows_of(pose: int) -> Ints:
-        return in_view(targets, poses[pose], scanner, still_open)
+        return in_view(targets, poses[pose], scanner, None if each else asked)
 
-    for done, pose, row in _free_pairs(poses, targets, scanner, casters, rows_of, _OPEN_BUNDLE):
-        found[row[_own_free(poses, targets, scanner, own, pose, row, K)]] = True
-        still_open = still_open[~found[still_open]]
+    for done, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
+        free = _own_free(poses, targets, scanner, own, pose, row, K)
+        result[row[free], pose[free] // K if each else 0] = True
+        if not each:
+            asked = asked[~result[asked, 0]]
         if progress:
             progress(done, len(poses))
-    return found
+    return result if each else result[:, 0]
 
 
 def _own_free(
@@ -239,37 +233,6 @@ def _own_free(
                 here = np.flatnonzero(pose // K == view)
                 free[here] = legs_free(targets, poses, pose[here], row[here], scanner, (caster,))
     return free
-
-
-Pairs = Iterator[tuple[int, Ints, Ints]]
-"""Bundles of (poses done, pose of each pair, row of each pair), in the order of the poses."""
-
-
-def _aimed(poses: Floats, targets: Targets, scanner: Scanner, casters: Sequence[RayCaster]) -> Pairs:
-    return _free_pairs(poses, targets, scanner, casters, lambda i: in_view(targets, poses[i], scanner), BUNDLE)
-
-
-def _free_pairs(
-    poses: Floats,
-    targets: Targets,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
-    rows_of: Callable[[int], Ints],
-    bundle: int,
-) -> Pairs:
-    """Pairs with free legs. The rows of a pose are asked for one pose after the other, cast together in bundles."""
-    waiting: list[Ints] = []
-    first, count = 0, 0
-    for pose in range(len(poses)):
-        waiting.append(rows_of(pose))
-        count += len(waiting[-1])
-        if count < bundle and pose + 1 < len(poses):
-            continue
-        which = np.repeat(np.arange(first, pose + 1), [len(rows) for rows in waiting])
-        rows = np.concatenate(waiting)
-        free = legs_free(targets, poses, which, rows, scanner, casters)
-        yield pose + 1, which[free], rows[free]
-        waiting, first, count = [], pose + 1, 0
 
 
 def _compress(

@@ -22,7 +22,7 @@ from planner.measurability.matrix import Measurability, measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
-from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.lines_of_sight import Targets, flat_poses, free_pairs, in_view
 from planner.viewpoints.viewpoints import Viewpoints
 
 MEMBERS = 32
@@ -142,62 +142,29 @@ def probability_layer(
         columns: (V,) which columns are asked about (the reachable ones); entries of others get no hit.
         progress: called with (members done, members in all).
     """
-    members = len(errors)
-    nnz = len(M.indices)
-    if members == 0:
-        return ProbabilityLayer(M.indptr, M.indices, np.zeros(nnz, dtype=np.int32), 0)
+    hits = np.zeros(len(M.indices), dtype=np.int32)
     targets = Targets.of(M.features.points, M.features.normals)
-    by_column = M.matrix().tocsc()
-    # entry number in row order of each entry in column order
-    numbers = M.matrix().astype(np.int64)
-    numbers.data = np.arange(nnz)
-    entry = numbers.tocsc().data
-    asked = np.ones(M.n_viewpoints, dtype=bool) if columns is None else columns
-    hits = np.zeros(nnz, dtype=np.int32)
+    by_column = M.matrix().astype(np.int64)
+    by_column.data = np.arange(len(hits))  # number of each entry in row order
+    by_column = by_column.tocsc()
+    start, rows = by_column.indptr, by_column.indices.astype(np.int64)
+    keys = np.repeat(np.arange(M.n_viewpoints), np.diff(start)) * len(targets) + rows
+    K = viewpoints.T_object_scanner.shape[1]
+
+    def rows_of(pose: int) -> Ints:
+        own = rows[start[pose // K] : start[pose // K + 1]]
+        asked = len(own) and (columns is None or columns[pose // K])
+        return in_view(targets, poses[pose], scanner, own) if asked else own[:0]
+
     for member, error in enumerate(errors, start=1):
-        hit = _hit(by_column, asked, flat_poses(viewpoints.T_object_scanner @ error), targets, scanner, casters)
-        hits[entry[hit]] += 1
+        poses = flat_poses(viewpoints.T_object_scanner @ error)
+        hit = np.zeros(len(hits), dtype=np.bool_)
+        for _, pose, row in free_pairs(poses, targets, scanner, casters, rows_of):
+            hit[np.searchsorted(keys, pose // K * len(targets) + row)] = True
+        hits[by_column.data[hit]] += 1
         if progress:
-            progress(member, members)
-    return ProbabilityLayer(M.indptr, M.indices, hits, members)
-
-
-def _hit(
-    by_column: object,
-    asked: Bools,
-    poses: Floats,
-    targets: Targets,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
-) -> Bools:
-    """(nnz,) in column order: which entries are measured from any pose of their column."""
-    start: Ints = by_column.indptr.astype(np.int64)  # type: ignore[attr-defined]  # a scipy csc_array
-    rows: Ints = by_column.indices.astype(np.int64)  # type: ignore[attr-defined]  # see above
-    K = len(poses) // (len(start) - 1)
-    hit = np.zeros(len(rows), dtype=np.bool_)
-    which: list[Ints] = []
-    at: list[Ints] = []
-    waiting = 0
-
-    def cast() -> None:
-        pose, place = np.concatenate(at), np.concatenate(which)
-        hit[place[legs_free(targets, poses, pose, rows[place], scanner, casters)]] = True
-
-    for column in np.flatnonzero(asked & (np.diff(start) > 0)).tolist():
-        here = np.arange(start[column], start[column + 1])
-        position = np.empty(len(targets), dtype=np.int64)
-        position[rows[here]] = here
-        for pose in range(column * K, (column + 1) * K):
-            seen = position[in_view(targets, poses[pose], scanner, rows[here])]
-            which.append(seen)
-            at.append(np.full(len(seen), pose))
-            waiting += len(seen)
-        if waiting >= BUNDLE:
-            cast()
-            which, at, waiting = [], [], 0
-    if waiting:
-        cast()
-    return hit
+            progress(member, len(errors))
+    return ProbabilityLayer(M.indptr, M.indices, hits, len(errors))
 
 
 def times_measured(
@@ -241,5 +208,4 @@ def rotations(vectors: Floats) -> Floats:
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
     K -= K.transpose(0, 2, 1)
     sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    R: Floats = np.eye(3) + sine * K + (1.0 - cosine) * (K @ K)
-    return R
+    return np.asarray(np.eye(3) + sine * K + (1.0 - cosine) * (K @ K))

@@ -85,11 +85,7 @@ class Limited:
 
 
 def sigma_layer(
-    measurability: Measurability,
-    viewpoints: Viewpoints,
-    scanner: SigmaScanner,
-    *,
-    casters: Sequence[RayCaster] = (),
+    measurability: Measurability, viewpoints: Viewpoints, scanner: SigmaScanner, *, casters: Sequence[RayCaster] = ()
 ) -> Measurability:
     """M with the expected standard deviation of the point that each entry gives.
 

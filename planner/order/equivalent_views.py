@@ -150,11 +150,7 @@ class _Tours:
     """Orders views with the joint solutions of their stand-ins, and counts how often."""
 
     def __init__(
-        self,
-        configurations: Callable[[int], Floats],
-        home: Floats,
-        limits: JointLimits,
-        rng: np.random.Generator,
+        self, configurations: Callable[[int], Floats], home: Floats, limits: JointLimits, rng: np.random.Generator
     ) -> None:
         self.configurations, self.home, self.limits, self.rng = configurations, home, limits, rng
         self.count = 0

@@ -60,18 +60,14 @@ def overlapping(joined: Joined) -> Ordering:
         if len(free.order) != len(joined) or keeps(joined, free.order):
             return free
         problem = moves.instance()
-
-        def judged(order: Ints) -> tuple[float, Ints]:
-            return gtsp.best_nodes(problem, order + 1)
-
         both = (free.order, free.order[::-1])
         starts = [grown(joined, wanted, first) for wanted in both for first in range(len(joined))]
         kept = [order for order in starts if order is not None]
         if not kept:
             return free  # the graph does not hold together; the caller says so
-        costs = [judged(order)[0] for order in kept]
-        best = kept[int(np.argmin(costs))]
-        cost, tour = judged(best)
+        (cost, tour), best = min(
+            ((gtsp.best_nodes(problem, order + 1), order) for order in kept), key=lambda j: j[0][0]
+        )
         trials = options.get("budget", gtsp.STEPS) // _STEPS_PER_TRIAL
         for view in range(len(joined)):
             rest = best[best != view]
@@ -80,7 +76,7 @@ def overlapping(joined: Joined) -> Ordering:
                 if trials <= 0 or not keeps(joined, trial):
                     continue
                 trials -= 1
-                found = judged(trial)
+                found = gtsp.best_nodes(problem, trial + 1)
                 if found[0] < cost * (1 - 1e-12):
                     (cost, tour), best = found, trial
         clusters = problem.clusters_of(tour)[1:]

@@ -8,7 +8,6 @@ bound.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import lru_cache
 from typing import Annotated, Protocol
 
@@ -19,26 +18,15 @@ from planner.order import generalised_tsp as gtsp
 from planner.order.moves import Moves
 from planner.order.tour_bound import one_tree
 from planner.values import Floats, Ints, Value, readonly
+from planner.worded import Worded
 
 
-class OrderStatus(IntEnum):
+class OrderStatus(Worded):
     """What is known about a sequence."""
 
-    OPTIMAL = 0
-    HEURISTIC = 1
-    NO_TOUR = 2
-
-    @property
-    def sentence(self) -> str:
-        """The status in words, for reports."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    OrderStatus.OPTIMAL: "no order and choice of joint solutions takes less time",
-    OrderStatus.HEURISTIC: "the best order found within the budget",
-    OrderStatus.NO_TOUR: "every order that was found needs a move that cannot be driven",
-}
+    OPTIMAL = 0, "no order and choice of joint solutions takes less time"
+    HEURISTIC = 1, "the best order found within the budget"
+    NO_TOUR = 2, "every order that was found needs a move that cannot be driven"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,8 +22,9 @@ from planner.order.visits import Visits
 from planner.path.certified_edge import certify_many, quantise_inside
 from planner.path.path import connect, path_time, shorten
 from planner.ports import CollisionChecker, JointLimits
+from planner.reach.setpoints import to_steps
 from planner.timing.motion import move_time
-from planner.values import Bools, Floats, Ints
+from planner.values import Floats, Ints
 
 Edge = tuple[int, int]
 
@@ -31,7 +32,13 @@ _LEAST_SEARCH = 1000  # checks that a search may use even when the total is spen
 
 
 class Roadmap:
-    """Edges between the joint solutions of all views and home, priced on demand."""
+    """Edges between the joint solutions of all views and home, priced on demand.
+
+    Attributes:
+        times: (N, N) prices of all edges [s]; they change as edges are looked at and searched.
+        unseen: (N, N) edges of which nothing is known yet.
+        blocked: (N, N) straight moves known, or by a turned copy expected, to collide, without a known detour.
+    """
 
     def __init__(
         self,
@@ -62,24 +69,19 @@ class Roadmap:
         self._paths: dict[Edge, Floats] = {}
         self._failed: set[Edge] = set()
         self._straight = move_time(self.q[:, None], self.q, limits)
-        self._times = self._straight.copy()
-        self._blocked = np.zeros(self._times.shape, dtype=bool)
-        self._unseen = np.ones(self._times.shape, dtype=bool)
+        self.times = self._straight.copy()
+        self.blocked = np.zeros(self.times.shape, dtype=bool)
+        self.unseen = np.ones(self.times.shape, dtype=bool)
         self._guess_factor, self._guess_more = 1.0, 0.0
         # Nodes that differ by whole turns hold the arm in the same place: a straight move between two of them that
         # collides does so for every pair with the same difference.
-        units = np.round(np.degrees(self.q) * 1e4).astype(np.int64)
-        self._units = units
-        self._pose = np.unique(units % 3_600_000, axis=0, return_inverse=True)[1].reshape(-1)
+        self._steps = to_steps(self.q)
+        self._pose = np.unique(self._steps % 3_600_000, axis=0, return_inverse=True)[1].reshape(-1)
 
     def nodes_of(self, view: int) -> Ints:
         """Active nodes of a view that can be left again."""
         nodes = np.arange(self.offsets[view], self.offsets[view + 1])
         return nodes[self.active[nodes] & self.active[self.leave[nodes]]]
-
-    def times(self) -> Floats:
-        """(N, N) prices [s] of all edges; a view of what changes as edges are looked at and searched."""
-        return self._times
 
     def guess_by(self, factor: float, more: float) -> bool:
         """Price colliding moves at `factor` times the straight move's time and `more` [s], until they are searched.
@@ -88,25 +90,17 @@ class Roadmap:
             Whether any move is priced so now.
         """
         self._guess_factor, self._guess_more = factor, more
-        self._times[self._blocked] = self._straight[self._blocked] * factor + more
-        return bool(self._blocked.any())
-
-    def unseen(self) -> Bools:
-        """(N, N) edges of which nothing is known yet; a view of what changes."""
-        return self._unseen
+        self.times[self.blocked] = self._straight[self.blocked] * factor + more
+        return bool(self.blocked.any())
 
     def path(self, a: int, b: int) -> Floats | None:
         """(m, 6) certified via points from node a to node b [rad]; None where the edge is not real yet."""
         found = self._paths.get((min(a, b), max(a, b)))
         return found if found is None or a <= b else found[::-1]
 
-    def blocked(self, a: int, b: int) -> bool:
-        """Whether the straight move is known, or by a turned copy expected, to collide and no detour is known yet."""
-        return bool(self._blocked[a, b])
-
     def look(self, edges: Iterable[Edge]) -> bool:
         """Certify the straight moves of edges that nobody looked at; whether all of them are free."""
-        new = sorted(e for e in {(min(e), max(e)) for e in edges} if self._unseen[e])
+        new = sorted(e for e in {(min(e), max(e)) for e in edges} if self.unseen[e])
         if not new:
             return True
         ends = np.array(new)
@@ -184,24 +178,24 @@ class Roadmap:
 
     def _know(self, a: int, b: int, via: Floats) -> None:
         self._paths[a, b] = via
-        self._blocked[a, b] = self._blocked[b, a] = self._unseen[a, b] = self._unseen[b, a] = False
+        self.blocked[a, b] = self.blocked[b, a] = self.unseen[a, b] = self.unseen[b, a] = False
         time = path_time(via, self.limits) if len(via) > 2 else float(self._straight[a, b])
-        self._times[a, b] = self._times[b, a] = time
+        self.times[a, b] = self.times[b, a] = time
 
     def _guess(self, a: int, b: int) -> None:
         """Price a colliding straight move, and its copies some turns away, by the guess."""
         turned_a = np.flatnonzero(self._pose == self._pose[a])
         turned_b = np.flatnonzero(self._pose == self._pose[b])
-        same = (self._units[turned_b][None] - self._units[turned_a][:, None] == self._units[b] - self._units[a]).all(
+        same = (self._steps[turned_b][None] - self._steps[turned_a][:, None] == self._steps[b] - self._steps[a]).all(
             axis=2
         )
         for i, j in np.argwhere(same):
             one, other = int(turned_a[i]), int(turned_b[j])
             if (min(one, other), max(one, other)) not in self._paths:
                 time = float(self._straight[one, other]) * self._guess_factor + self._guess_more
-                self._blocked[one, other] = self._blocked[other, one] = True
-                self._unseen[one, other] = self._unseen[other, one] = False
-                self._times[one, other] = self._times[other, one] = time
+                self.blocked[one, other] = self.blocked[other, one] = True
+                self.unseen[one, other] = self.unseen[other, one] = False
+                self.times[one, other] = self.times[other, one] = time
 
     def _isolate(self, node: int) -> None:
         self.active[node] = False

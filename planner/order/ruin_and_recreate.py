@@ -57,7 +57,7 @@ def anneal(
     parent = np.empty((m, widest), dtype=np.int64)
     best, tour = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     _copy(start, best)
-    best_cost = choose_nodes(cost, back, first, cluster_of, best, value, onward, parent)
+    best_cost = _choose_nodes(cost, back, first, cluster_of, best, value, onward, parent)
     _copy(best, tour)
     tour_cost = best_cost
     trial, removed, order = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
@@ -70,7 +70,7 @@ def anneal(
         left = _ruin(cluster_of, near, trial, removed, is_out, longest, most_strings, state)
         trial_cost = _recreate(cost, back, first, trial, removed, order, is_out, left, state)
         if trial_cost <= tour_cost * _WORTH:
-            trial_cost = choose_nodes(cost, back, first, cluster_of, trial, value, onward, parent)
+            trial_cost = _choose_nodes(cost, back, first, cluster_of, trial, value, onward, parent)
         if trial_cost < tour_cost - temperature * np.log(1.0 - _uniform(state)):
             _copy(trial, tour)
             tour_cost = trial_cost
@@ -82,23 +82,12 @@ def anneal(
 
 
 @compiled
-def choose_nodes(
+def _choose_nodes(
     cost: Floats, back: Floats, first: Ints, cluster_of: Ints, tour: Ints, value: Floats, onward: Floats, parent: Ints
 ) -> float:
-    """Replace the nodes of a tour by the best ones for its order of clusters; exact.
+    """Replace the nodes of a tour by the best ones for its order of clusters, exactly; returns the tour's cost.
 
-    Args:
-        cost: (N, N).
-        back: (N, N) the same transposed.
-        first: (m + 1,) first node of each cluster.
-        cluster_of: (N,).
-        tour: (m,) nodes in visiting order; changed.
-        value: (widest cluster,) scratch.
-        onward: (widest cluster,) scratch.
-        parent: (m, widest cluster) scratch.
-
-    Returns:
-        The tour's cost.
+    `value` and `onward` (widest cluster,) and `parent` (m, widest cluster) are scratch.
     """
     m = len(tour)
     anchor = 0  # the cycle is cut at its smallest cluster
@@ -164,8 +153,7 @@ def _ruin(
 ) -> int:
     """Take stretches near one cluster out of a tour; `removed` then holds their clusters.
 
-    Returns:
-        How many nodes are left, at the front of the tour.
+    Returns how many nodes are left, at the front of the tour.
     """
     m = len(tour)
     left, strings = m, int(_uniform(state) * most_strings) + 1

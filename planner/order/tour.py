@@ -7,8 +7,7 @@ A view to which no path is found from any of its joint solutions is dropped and 
 anew without it.
 """
 
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -24,48 +23,24 @@ from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, JointLimits, Progress
 from planner.timing.motion import check_inside, check_limits
 from planner.values import Bools, Floats, Ints, Value
+from planner.worded import Worded
 
 
-class TourStatus(IntEnum):
+class TourStatus(Worded):
     """What became of the views."""
 
-    COMPLETE = 0
-    VIEWS_DROPPED = 1
-    HOME_IN_COLLISION = 2
-
-    @property
-    def sentence(self) -> str:
-        """The status in words, for reports."""
-        return _TOUR_SENTENCES[self]
+    COMPLETE = 0, "every view is visited"
+    VIEWS_DROPPED = 1, "some views cannot be visited; the tour over the others is complete"
+    HOME_IN_COLLISION = 2, "home is nearer to something than the clearance; there is no motion"
 
 
-_TOUR_SENTENCES = {
-    TourStatus.COMPLETE: "every view is visited",
-    TourStatus.VIEWS_DROPPED: "some views cannot be visited; the tour over the others is complete",
-    TourStatus.HOME_IN_COLLISION: "home is nearer to something than the clearance; there is no motion",
-}
-
-
-class DropReason(IntEnum):
+class DropReason(Worded):
     """Why a view is not visited."""
 
-    NO_SOLUTION = 0
-    IN_COLLISION = 1
-    NO_PATH = 2
-    NO_HOME = 3
-
-    @property
-    def sentence(self) -> str:
-        """The reason in words, for reports."""
-        return _DROP_SENTENCES[self]
-
-
-_DROP_SENTENCES = {
-    DropReason.NO_SOLUTION: "the view has no joint solution",
-    DropReason.IN_COLLISION: "every joint solution of the view is nearer to something than the clearance",
-    DropReason.NO_PATH: "no free path to any joint solution of the view was found within the budget",
-    DropReason.NO_HOME: "home itself is in collision",
-}
+    NO_SOLUTION = 0, "the view has no joint solution"
+    IN_COLLISION = 1, "every joint solution of the view is nearer to something than the clearance"
+    NO_PATH = 2, "no free path to any joint solution of the view was found within the budget"
+    NO_HOME = 3, "home itself is in collision"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,8 +149,19 @@ def plan_motion(
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
     seed = int(rng.integers(2**63))
     roadmap = Roadmap(visits, checker, limits, seed, budget.path_checks, budget.checks)
+    search = TourSearch(roadmap, visits, limits, seed, budget, ordering, progress)
     if not roadmap.active[0]:
-        return _no_motion(roadmap, len(visits.configurations))
+        everything = tuple(Dropped(k, DropReason.NO_HOME, "") for k in range(len(visits.configurations)))
+        none = np.zeros(0, dtype=np.int64)
+        return replace(
+            _tour(roadmap, [], search, everything, measure),
+            via=np.zeros((0, 6)),
+            segment=none,
+            view=none,
+            pose=none,
+            status=TourStatus.HOME_IN_COLLISION,
+            home_blocker=next(iter(checker.contacts(roadmap.q[0])), ""),
+        )
 
     dropped = []
     for k, q in enumerate(visits.configurations):
@@ -185,7 +171,6 @@ def plan_motion(
             blocker = next(iter(checker.contacts(q[0])), "")
             dropped.append(Dropped(k, DropReason.IN_COLLISION, blocker))
 
-    search = TourSearch(roadmap, visits, limits, seed, budget, ordering, progress)
     nodes = search.run()
     dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
     return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), measure)
@@ -244,30 +229,4 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
         home_blocker="",
         checks=roadmap.checks,
         rounds=search.rounds,
-    )
-
-
-def _no_motion(roadmap: Roadmap, n_views: int) -> Tour:
-    """The result where home collides."""
-    none = np.zeros(0, dtype=np.int64)
-    return Tour(
-        order=none,
-        choice=none,
-        q=np.zeros((0, 6)),
-        via=np.zeros((0, 6)),
-        segment=none,
-        view=none,
-        pose=none,
-        entered=none,
-        clearance=np.zeros(0),
-        between=(),
-        detour=np.zeros(0, dtype=bool),
-        duration=0.0,
-        baseline_duration=0.0,
-        lower_bound=0.0,
-        dropped=tuple(Dropped(k, DropReason.NO_HOME, "") for k in range(n_views)),
-        status=TourStatus.HOME_IN_COLLISION,
-        home_blocker=next(iter(roadmap.checker.contacts(roadmap.q[0])), ""),
-        checks=roadmap.checks,
-        rounds=0,
     )

@@ -140,13 +140,9 @@ class TourSearch:
             return nodes, True
         known = True
         for _ in range(self.budget.looks):
-            layers = [
-                np.array([0]),
-                *(self.roadmap.nodes_of(self.view_of(node)) for node in nodes[1:-1]),
-                np.array([0]),
-            ]
-            nodes, edges = self.through(layers)
-            unseen = [e for e in self.edges(nodes) if self.roadmap.unseen()[e]]
+            between = [self.roadmap.nodes_of(self.view_of(node)) for node in nodes[1:-1]]
+            nodes, edges = self.through([np.array([0]), *between, np.array([0])])
+            unseen = [e for e in self.edges(nodes) if self.roadmap.unseen[e]]
             if not unseen:
                 return nodes, known
             known = self.roadmap.look([*unseen, *edges]) and known
@@ -157,7 +153,7 @@ class TourSearch:
 
         Two dynamic programmes over the layers, one from each end, give for each edge the best tour that uses it.
         """
-        times, unseen, leave = self.roadmap.times(), self.roadmap.unseen(), self.roadmap.leave
+        times, unseen, leave = self.roadmap.times, self.roadmap.unseen, self.roadmap.leave
         steps = [times[np.ix_(leave[a], b)] + self.stays[b] for a, b in pairwise(layers)]
         onward = [np.zeros(1)]
         for step in reversed(steps):
@@ -202,7 +198,7 @@ class TourSearch:
         if not self.roadmap.look(edges):
             self.tell(edges)
             return False
-        blocked = [e for e in edges if self.roadmap.blocked(*e)]
+        blocked = [e for e in edges if self.roadmap.blocked[e]]
         for a, b in blocked:
             if self.roadmap.active[a] and self.roadmap.active[b]:
                 self.roadmap.search(a, b)
@@ -217,7 +213,7 @@ class TourSearch:
         flat = np.concatenate([np.zeros(1, dtype=np.int64), *nodes])
         numbers = np.full(len(roadmap.q), -1)
         numbers[flat] = np.arange(len(flat))
-        times, leave = roadmap.times()[np.ix_(flat, flat)], numbers[roadmap.leave[flat]]
+        times, leave = roadmap.times[np.ix_(flat, flat)], numbers[roadmap.leave[flat]]
         place = {view: k for k, view in enumerate(self.views)}
         start = [place[v] for node in before[1:-1] if (v := self.view_of(node)) in place]
         found = self.ordering(
@@ -246,8 +242,8 @@ class TourSearch:
         return bool(self.roadmap.active[node] and self.roadmap.active[self.roadmap.leave[node]])
 
     def edges(self, nodes: list[int]) -> list[Edge]:
-        """Edges of the roadmap that a tour drives: from where each view is left to where the next is entered."""
-        return [(int(self.roadmap.leave[a]), b) for a, b in edges_of(nodes)]
+        """Edges that a tour drives, from where each view is left to where the next is entered; none without a view."""
+        return [(int(self.roadmap.leave[a]), b) for a, b in pairwise(nodes)] if len(nodes) > 2 else []
 
     def view_of(self, node: int) -> int:
         """View to which a node belongs."""
@@ -263,8 +259,3 @@ class TourSearch:
         """Report how many of the tour's edges are real."""
         if self.progress is not None:
             self.progress(sum(self.roadmap.path(a, b) is not None for a, b in edges), len(edges))
-
-
-def edges_of(nodes: list[int]) -> list[Edge]:
-    """Edges of a tour given by its nodes; none where it visits no view."""
-    return list(pairwise(nodes)) if len(nodes) > 2 else []

@@ -25,13 +25,11 @@ from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
 from planner.ports import CollisionChecker, JointLimits
-from planner.reach.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
+from planner.reach.setpoints import from_steps, range_in_steps, to_steps
 from planner.values import Bools, Floats, Ints
 
 STEP = 0.45
 """Largest travel between a configuration and its nearest checked one, as a share of the clearance; below 0.5."""
-
-_LIMIT_NOISE = 1e-6  # rounding, in steps of 1e-4 deg, of limits that were given in degrees
 
 _FIRST_BATCH, _GROWTH = 8, 4  # a collision is mostly found within a few checks, a free edge needs them all
 
@@ -58,9 +56,7 @@ def quantise_inside(q: ArrayLike, limits: JointLimits) -> Floats:
     Returns:
         (..., 6) joint angles [rad] inside the range.
     """
-    low = np.ceil(np.degrees(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE)
-    high = np.floor(np.degrees(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE)
-    return np.clip(from_steps(np.clip(to_steps(q), low, high)), limits.lower, limits.upper)
+    return np.clip(from_steps(np.clip(to_steps(q), *range_in_steps(limits))), limits.lower, limits.upper)
 
 
 def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats:

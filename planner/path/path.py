@@ -6,7 +6,6 @@ point near them, wherever that is certified and faster.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
@@ -16,33 +15,20 @@ from planner.path.rrt_connect import rrt_connect
 from planner.ports import CollisionChecker, JointLimits
 from planner.timing.motion import check_inside, check_limits, move_time
 from planner.values import Floats, Value, readonly
+from planner.worded import Worded
 
 CHECKS = 40_000
 """Default budget of a search: configurations checked, about half a second at 80,000 per second."""
 
 
-class PathStatus(IntEnum):
+class PathStatus(Worded):
     """How a connection ended."""
 
-    STRAIGHT = 0
-    DETOUR = 1
-    START_IN_COLLISION = 2
-    GOAL_IN_COLLISION = 3
-    NO_PATH_FOUND = 4
-
-    @property
-    def sentence(self) -> str:
-        """The status in words, for reports."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    PathStatus.STRAIGHT: "the straight joint move is free",
-    PathStatus.DETOUR: "the straight joint move collides; a detour is free",
-    PathStatus.START_IN_COLLISION: "the start is nearer to something than the clearance",
-    PathStatus.GOAL_IN_COLLISION: "the goal is nearer to something than the clearance",
-    PathStatus.NO_PATH_FOUND: "no free path was found within the budget (which does not prove that there is none)",
-}
+    STRAIGHT = 0, "the straight joint move is free"
+    DETOUR = 1, "the straight joint move collides; a detour is free"
+    START_IN_COLLISION = 2, "the start is nearer to something than the clearance"
+    GOAL_IN_COLLISION = 3, "the goal is nearer to something than the clearance"
+    NO_PATH_FOUND = 4, "no free path was found within the budget (which does not prove that there is none)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +87,7 @@ def connect(
     ends = quantise_inside(ends, limits)
     free = checker.free(ends)
     if not free.all():
-        end = 0 if not free[0] else 1
+        end = int(free[0])
         status = PathStatus.START_IN_COLLISION if end == 0 else PathStatus.GOAL_IN_COLLISION
         distance, pairs = checker.distance(ends[end : end + 1])
         return PathResult(None, status, 2, float(distance[0]), pairs[0], float("inf"))

@@ -54,12 +54,7 @@ class _Tree:
 
 
 def rrt_connect(
-    q_from: Floats,
-    q_to: Floats,
-    checker: CollisionChecker,
-    limits: JointLimits,
-    rng: np.random.Generator,
-    budget: int,
+    q_from: Floats, q_to: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
 ) -> tuple[Floats | None, int]:
     """Search a path of certified edges between two free configurations.
 
@@ -133,14 +128,10 @@ def _bridges(
     weights: Floats,
     rng: np.random.Generator,
 ) -> tuple[list[Floats], int]:
-    """Free configurations in narrow places: middles of short bridges of which both ends collide.
+    """Free configurations in narrow places: middles of short bridges of which both ends collide; and the checks.
 
-    One end is a place where a tree was blocked, or drawn from the box.
-
-    The bridge test of Hsu, Jiang, Reif and Sun (2003, doi:10.1109/ROBOT.2003.1242285).
-
-    Returns:
-        Each configuration twice, so that both trees get it as a target, and the checks.
+    The bridge test of Hsu, Jiang, Reif and Sun (2003, doi:10.1109/ROBOT.2003.1242285). One end is a place where a tree
+    was blocked, or drawn from the box. Each configuration comes twice, so that both trees get it as a target.
     """
     low, high = np.maximum(low, limits.lower), np.minimum(high, limits.upper)
     hit = [q for tree in trees for q in tree.blocked[-_BRIDGES:]]
@@ -172,10 +163,7 @@ def _slide(
     """Grow the tree from its nearest node towards a target in a narrow place, sliding along what is in the way.
 
     Random steps are drawn about the direction to the target; the certified one that ends nearest to it is taken, until
-    none comes nearer or the straight way is free.
-
-    Returns:
-        The node nearest to the target, and the checks.
+    none comes nearer or the straight way is free. Returns the node nearest to the target, and the checks.
     """
     spacing = 2.0 * STEP * checker.clearance
     near, checks = tree.nearest(target, weights), 0
@@ -216,9 +204,8 @@ def _advance(
 ) -> tuple[int, int]:
     """Grow the tree from its nearest node straight towards the target until a step is blocked.
 
-    Returns:
-        The last node added (or the node that is the target already), -1 where the first step is blocked, and the
-        checks.
+    Returns the last node added (or the node that is the target already; -1 where the first step is blocked), and the
+    checks.
     """
     near = tree.nearest(target, weights)
     q = tree.q[near].copy()

@@ -11,7 +11,6 @@ Rounding moves the scanner by at most 6 axes x 5e-5 deg x reach, about 8 microme
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
@@ -22,32 +21,20 @@ from planner.ports import CollisionChecker, Kinematics, Progress
 from planner.reach.setpoints import Setpoints, setpoints
 from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
+from planner.worded import Worded
 
 # Viewpoints between two calls of the progress callback: some thousand collision checks, a fraction of a second.
 _CHUNK = 512
 _RIGID = 1e-6
 
 
-class Verdict(IntEnum):
+class Verdict(Worded):
     """What became of a viewpoint; the value is kept in files."""
 
-    REACHABLE = 0
-    OUT_OF_REACH = 1
-    JOINT_LIMIT = 2
-    COLLISION = 3
-
-    @property
-    def sentence(self) -> str:
-        """The verdict in words, for reports."""
-        return _VERDICT_SENTENCES[self]
-
-
-_VERDICT_SENTENCES = {
-    Verdict.REACHABLE: "reachable without collision",
-    Verdict.OUT_OF_REACH: "out of the arm's reach",
-    Verdict.JOINT_LIMIT: "within the arm's reach, but every solution exceeds a joint limit",
-    Verdict.COLLISION: "every solution within the joint limits collides",
-}
+    REACHABLE = 0, "reachable without collision"
+    OUT_OF_REACH = 1, "out of the arm's reach"
+    JOINT_LIMIT = 2, "within the arm's reach, but every solution exceeds a joint limit"
+    COLLISION = 3, "every solution within the joint limits collides"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,8 +16,7 @@ from planner.values import Bools, Floats, Ints, Value
 
 STEPS_PER_DEGREE = 10_000
 _TURN = 360 * STEPS_PER_DEGREE
-# A limit that was given in degrees comes back from radians with this much rounding noise, in steps.
-_LIMIT_NOISE = 1e-6
+_LIMIT_NOISE = 1e-6  # rounding, in steps, of limits that were given in degrees
 
 
 def to_steps(q: ArrayLike) -> Ints:
@@ -35,6 +34,13 @@ def to_steps(q: ArrayLike) -> Ints:
 def from_steps(steps: ArrayLike) -> Floats:
     """Joint angles [rad] of multiples of 1e-4 deg."""
     return np.deg2rad(np.asarray(steps, dtype=np.int64) / STEPS_PER_DEGREE)
+
+
+def range_in_steps(limits: JointLimits) -> tuple[Ints, Ints]:
+    """(6,) first and (6,) last multiple of 1e-4 deg inside the joint range."""
+    lower = np.ceil(np.rad2deg(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE)
+    upper = np.floor(np.rad2deg(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE)
+    return lower.astype(np.int64), upper.astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +74,7 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     """
     exists: Bools = np.asarray(~np.isnan(branches).any(axis=-1))
     steps = to_steps(np.where(exists[..., None], branches, 0.0))
-    lower = np.ceil(np.rad2deg(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE).astype(np.int64)
-    upper = np.floor(np.rad2deg(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE).astype(np.int64)
+    lower, upper = range_in_steps(limits)
     choices = _turns(lower, upper)
     # Whether axis and turn fit, each once; a combination of turns fits where all its axes do.
     axis_fits = [

@@ -84,8 +84,7 @@ class NearestSurface:
             PlannerError: if a point is not finite.
         """
         by_pseudonormal = self._igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
-        distance: Floats = self._igl.signed_distance(_finite(points), *self._arrays, sign_type=by_pseudonormal)[0]
-        return distance
+        return np.asarray(self._igl.signed_distance(_finite(points), *self._arrays, sign_type=by_pseudonormal)[0])
 
     def normals(self, closest: ClosestPoints) -> Floats:
         """(N, 3) unit normals at closest points, interpolated over the face except across creases of 30 degrees.
@@ -99,8 +98,7 @@ class NearestSurface:
         weights = np.linalg.norm(np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]), axis=2)
         normals = np.einsum("nc,ncj->nj", weights, self._smooth[np.searchsorted(self._rows, closest.face)])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        unit: Floats = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-        return unit
+        return np.asarray(np.divide(normals, length, out=np.zeros_like(normals), where=length > 0))
 
 
 def closest_face(points: Floats, normals: Floats, mesh: TriangleMesh) -> Ints32:

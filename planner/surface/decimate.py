@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh, face_areas
-from planner.surface.remesh import split_long_edges, stout
+from planner.surface.mesh import TriangleMesh, cross_products, face_areas
+from planner.surface.remesh import edges_of, split_long_edges, stout
 from planner.values import Floats, Ints32
 
 _AGGRESSIONS = (7, 5, 6, 8, 4)  # in this order; 7 is the library's default, see `decimate`
@@ -99,7 +99,8 @@ def _collapse(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
             continue
         result = _clean(vertices, faces)
         miss = abs(len(result.faces) - face_count)
-        key = (miss > _allowed_miss(face_count), float(_crowded_edges(result.faces) + max(miss - 2, 0)))
+        crowded = int((edges_of(result.faces)[1] > 2).sum())
+        key = (miss > _allowed_miss(face_count), float(crowded + max(miss - 2, 0)))
         if key < best_key:
             best, best_key = result, key
         if key == (False, 0) or miss > face_count:  # nothing to improve; or stuck on slivers at any aggression
@@ -115,8 +116,7 @@ def _allowed_miss(face_count: int) -> float:
 def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
     """Drop faces without area, faces that appear twice and vertices that no face uses; the order stays."""
     extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
-    corners = vertices[faces]
-    twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    twice = np.linalg.norm(cross_products(vertices, faces), axis=1)
     kept = faces[twice > 1e-14 * extent**2]  # below, the cross product is rounding
     low, between, high = np.sort(kept, axis=1).T
     order = np.lexsort((high, between, low))  # stable: of equal faces the first stays
@@ -126,10 +126,3 @@ def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
         raise PlannerError("no face of the mesh has an area; a surface needs at least one")
     used, compact = np.unique(kept, return_inverse=True)
     return TriangleMesh(vertices[used], compact.reshape(-1, 3).astype(np.int32))
-
-
-def _crowded_edges(faces: Ints32) -> int:
-    """Number of edges that more than two faces share."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
-    _, uses = np.unique(edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1], return_counts=True)
-    return int((uses > 2).sum())

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.values import Floats, Ints32, Value, freeze
@@ -42,26 +43,22 @@ class TriangleMesh(Value):
 
 def face_normals(mesh: TriangleMesh) -> Floats:
     """(F, 3) outward unit normals, object frame; zero for a face without area."""
-    cross = _cross(mesh)
+    cross = cross_products(mesh.vertices, mesh.faces)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normals: Floats = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
-    return normals
+    return np.asarray(np.divide(cross, length, out=np.zeros_like(cross), where=length > 0))
 
 
 def face_areas(mesh: TriangleMesh) -> Floats:
     """(F,) areas [m^2]."""
-    areas: Floats = np.linalg.norm(_cross(mesh), axis=1) / 2
-    return areas
+    return np.asarray(np.linalg.norm(cross_products(mesh.vertices, mesh.faces), axis=1) / 2)
 
 
 def face_centres(mesh: TriangleMesh) -> Floats:
     """(F, 3) centres of gravity of the faces [m], object frame."""
-    centres: Floats = mesh.vertices[mesh.faces].mean(axis=1)
-    return centres
+    return np.asarray(mesh.vertices[mesh.faces].mean(axis=1))
 
 
-def _cross(mesh: TriangleMesh) -> Floats:
-    """(F, 3) cross product of two edges: twice the area long, outward."""
-    corners = mesh.vertices[mesh.faces]
-    cross: Floats = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return cross
+def cross_products(vertices: Floats, faces: NDArray[np.integer]) -> Floats:
+    """(F, 3) cross products of two edges of each face (F, 3): twice the area long, outward; vertices (V, 3)."""
+    corners = vertices[faces]
+    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

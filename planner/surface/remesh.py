@@ -8,6 +8,7 @@ coarse isotropic remeshing without edge flips (after Botsch and Kobbelt 2004, Se
 import numpy as np
 from scipy.sparse import coo_array
 
+from planner.surface.mesh import cross_products
 from planner.values import Bools, Floats, Ints, Ints32
 
 _SHORT, _LONG = 0.4, 1.2  # edges to contract and to split, in face sizes: leaves about four faces for each one wanted
@@ -52,7 +53,7 @@ def contract_short_edges(vertices: Floats, faces: Ints32, shortest: float) -> tu
     """
     order = np.random.default_rng(0)  # only breaks ties between edges; the same every time
     for _ in range(_ROUNDS):
-        edges, degree = _edges(faces)
+        edges, degree = edges_of(faces)
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         short = length < shortest
         short[short] = _common_neighbours(edges, edges[short], len(vertices)) == degree[short]
@@ -100,8 +101,8 @@ def split_long_edges(vertices: Floats, faces: Ints32, longest: float) -> tuple[F
     return vertices, _split(vertices, faces, middle)
 
 
-def _edges(faces: Ints32) -> tuple[Ints32, Ints]:
-    """(E, 2) undirected edges and (E,) how many faces each has."""
+def edges_of(faces: Ints32) -> tuple[Ints32, Ints]:
+    """(E, 2) undirected edges of faces (F, 3), and (E,) how many faces each has."""
     pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     size = int(faces.max()) + 1
     key, count = np.unique(pairs[:, 0] * size + pairs[:, 1], return_counts=True)
@@ -116,23 +117,15 @@ def _common_neighbours(edges: Ints32, chosen: Ints32, n_vertices: int) -> Ints:
     return np.asarray(shared, np.int64).ravel()
 
 
-def _normals(vertices: Floats, faces: Ints32) -> Floats:
-    """(F, 3) normals, twice the area long."""
-    corners = vertices[faces]
-    normals: Floats = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normals
-
-
 def _bend(vertices: Floats, faces: Ints32) -> Floats:
     """(V,) 0 where the faces about a vertex lie in one plane, up to 1 where they face apart."""
-    normals = _normals(vertices, faces)
+    normals = cross_products(vertices, faces)
     total, size = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     for corner in range(3):
         np.add.at(total, faces[:, corner], normals)
         np.add.at(size, faces[:, corner], np.linalg.norm(normals, axis=1))
     lost = 1 - np.divide(np.linalg.norm(total, axis=1), size, out=np.ones(len(size)), where=size > 0)
-    bend: Floats = np.round(lost, 6)  # so that rounding does not decide between equals
-    return bend
+    return np.asarray(np.round(lost, 6))  # so that rounding does not decide between equals
 
 
 def _turns_a_face(vertices: Floats, faces: Ints32, edges: Ints32) -> Bools:
@@ -146,9 +139,9 @@ def _turns_a_face(vertices: Floats, faces: Ints32, edges: Ints32) -> Bools:
     ]
     face = faces[corner // 3].copy()
     gone = (face == edges[edge, :1]).any(axis=1)
-    before = _normals(vertices, face)
+    before = cross_products(vertices, face)
     face[np.arange(len(face)), corner % 3] = edges[edge, 0]
-    after = _normals(vertices, face)
+    after = cross_products(vertices, face)
     agreement = np.einsum("nj,nj->n", before, after)
     size = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     bad = ~gone & (agreement < _LEAST_AGREEMENT * size)
@@ -165,18 +158,11 @@ def _apart(edges: Ints32, faces: Ints32, n_vertices: int) -> Ints32:
     least = best.copy()
     for corner in range(3):
         np.minimum.at(least, faces[:, corner], of_face)
-    chosen: Ints32 = edges[(least[edges[:, 0]] == rank) & (least[edges[:, 1]] == rank)]
-    return chosen
+    return np.asarray(edges[(least[edges[:, 0]] == rank) & (least[edges[:, 1]] == rank)])
 
 
 def _split(vertices: Floats, faces: Ints32, middle: Ints32) -> Ints32:
-    """The faces cut at the middles of their marked sides.
-
-    Args:
-        vertices: (V, 3) with the middles.
-        faces: (F, 3).
-        middle: (F, 3) vertex in the middle of side 0-1, 1-2, 2-0; -1 where the side stays whole.
-    """
+    """The faces cut at the middles of their sides 0-1, 1-2 and 2-0: (F, 3) vertices, -1 where a side stays whole."""
     count = (middle >= 0).sum(axis=1)
     # Turned so that one marked side comes first, and of two marked sides the whole one last.
     first = np.where(count == 2, (np.argmin(middle, axis=1) + 1) % 3, np.argmax(middle >= 0, axis=1))

@@ -5,7 +5,7 @@ and point to sensor (reflected ray; blocked, it is the paper's shadow effect). A
 index. Object frame, metres.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -69,8 +69,7 @@ def lift(points: Floats, normals: Floats, diagonal: float | None = None) -> Floa
     """
     if diagonal is None:
         diagonal = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
-    lifted: Floats = points + (LIFT * diagonal) * normals
-    return lifted
+    return np.asarray(points + (LIFT * diagonal) * normals)
 
 
 def flat_poses(T_object_scanner: Floats) -> Floats:
@@ -141,6 +140,42 @@ def legs_free(
     alive = np.flatnonzero(free)
     free[alive] = _unhidden(targets, poses, pose[alive], row[alive], scanner.sensor, casters)
     return free
+
+
+Pairs = Iterator[tuple[int, Ints, Ints]]
+"""Bundles of (poses done, pose of each pair, row of each pair), in the order of the poses."""
+
+
+def free_pairs(
+    poses: Floats,
+    targets: Targets,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    rows_of: Callable[[int], Ints],
+    bundle: int = BUNDLE,
+) -> Pairs:
+    """Pairs with free legs; the points of one pose after the other are asked for, and cast together in bundles.
+
+    Args:
+        poses: (P, 4, 4) T_object_scanner [m].
+        targets: S surface points.
+        scanner: where source and sensor are.
+        casters: the part's and those of occluders.
+        rows_of: the points that may be measured from a pose.
+        bundle: pairs that are cast together at least.
+    """
+    waiting: list[Ints] = []
+    first, count = 0, 0
+    for pose in range(len(poses)):
+        waiting.append(rows_of(pose))
+        count += len(waiting[-1])
+        if count < bundle and pose + 1 < len(poses):
+            continue
+        which = np.repeat(np.arange(first, pose + 1), [len(rows) for rows in waiting])
+        rows = np.concatenate(waiting)
+        free = legs_free(targets, poses, which, rows, scanner, casters)
+        yield pose + 1, which[free], rows[free]
+        waiting, first, count = [], pose + 1, 0
 
 
 def _unhidden(

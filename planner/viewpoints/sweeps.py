@@ -24,44 +24,13 @@ from planner.values import Floats, readonly
 from planner.viewpoints.viewpoints import Viewpoints
 
 
-def straight_sweep(
-    viewpoints: Viewpoints, length: float, count: int, direction: ArrayLike = (1.0, 0.0, 0.0)
-) -> Viewpoints:
-    """Each viewpoint becomes a column of poses along a straight path, without turning.
-
-    Args:
-        viewpoints: V of one pose each; they stay the middle of their sweep.
-        length: of the swept path [m], > 0.
-        count: K poses.
-        direction: (3,) of the path in the scanner frame; its length does not matter. Default: along the baseline.
-
-    Raises:
-        PlannerError: if length, count or direction is not possible, or a viewpoint has several poses already.
-    """
-    return swept(viewpoints, straight_poses(length, count, direction))
-
-
-def turned_sweep(viewpoints: Viewpoints, angle: float, count: int) -> Viewpoints:
-    """Each viewpoint becomes a column of poses turned about the line through the source (the scanner's y axis).
-
-    Args:
-        viewpoints: V of one pose each; they stay the middle of their sweep.
-        angle: through which the sheet is swept [rad], above 0 and below pi.
-        count: K poses; from pose to pose the sheet turns from -x to +x.
-
-    Raises:
-        PlannerError: if angle or count is not possible, or a viewpoint has several poses already.
-    """
-    return swept(viewpoints, turned_poses(angle, count))
-
-
 def straight_poses(length: float, count: int, direction: ArrayLike = (1.0, 0.0, 0.0)) -> Floats:
     """(K, 4, 4) T_view_scanner [m]: the poses of a straight sweep about a candidate viewpoint at the identity.
 
     Args:
         length: of the path [m], > 0.
         count: K poses.
-        direction: (3,) of the path, scanner frame.
+        direction: (3,) of the path in the scanner frame, of any length. Default: along the baseline.
 
     Raises:
         PlannerError: if an argument is not possible.
@@ -81,7 +50,7 @@ def turned_poses(angle: float, count: int) -> Floats:
     """(K, 4, 4) T_view_scanner [m]: the poses of a turned sweep about a candidate viewpoint at the identity.
 
     Args:
-        angle: swept by the sheet [rad], above 0 and below pi.
+        angle: swept by the sheet [rad], above 0 and below pi; it turns about the scanner's y axis, from -x to +x.
         count: K poses.
 
     Raises:
@@ -97,7 +66,7 @@ def turned_poses(angle: float, count: int) -> Floats:
 
 
 def swept(viewpoints: Viewpoints, T_view_scanner: ArrayLike) -> Viewpoints:
-    """Each viewpoint becomes the column of poses viewpoint x T_view_scanner.
+    """Each viewpoint becomes the column of poses viewpoint x T_view_scanner, and stays the middle of its sweep.
 
     Args:
         viewpoints: V of one pose each.

@@ -20,7 +20,7 @@ from planner.errors import PlannerError
 from planner.ports import RayCaster, Rejection, Scanner
 from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.lines_of_sight import Targets, flat_poses, free_pairs, in_view, legs_free
 from planner.viewpoints.sphere import view_sphere
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, looking_at, pick_viewpoints
 from planner.viewpoints.zone import optimal_scanning_zone
@@ -178,11 +178,7 @@ def aimed_at(
 
 
 def sees_its_point(
-    views: Viewpoints,
-    targets: Targets,
-    row: Ints,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
+    views: Viewpoints, targets: Targets, row: Ints, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Bools:
     """Whether each view measures the one feature that it is aimed at: conditions first, then its two legs.
 
@@ -219,11 +215,10 @@ def measured_rows(
     """
     poses = flat_poses(views.T_object_scanner)
     result = np.zeros((len(targets), len(poses)), dtype=np.bool_)
-    inside = [in_view(targets, T, scanner, rows) for T in poses]
-    pose = np.repeat(np.arange(len(poses)), [len(found) for found in inside])
-    row = np.concatenate([np.empty(0, dtype=np.int64), *inside])
-    free = legs_free(targets, poses, pose, row, scanner, casters)
-    result[row[free], pose[free]] = True
+    for _, pose, row in free_pairs(
+        poses, targets, scanner, casters, lambda i: in_view(targets, poses[i], scanner, rows)
+    ):
+        result[row, pose] = True
     return result[rows]
 
 

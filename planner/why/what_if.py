@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Value
-from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, free_pairs, in_view
 from planner.viewpoints.viewpoints import Viewpoints, looking_at
 
 NEARLY = 0.9
@@ -107,23 +107,17 @@ def measures(
     view_used = np.zeros(len(T_object_scanner), dtype=np.bool_)
     kept: list[tuple[Ints, Ints]] = []
     still = np.asarray(rows, dtype=np.int64)
-    waiting: list[Ints] = []
-    first, count = 0, 0
-    for pose in range(len(poses)):
-        waiting.append(in_view(targets, poses[pose], scanner, still))
-        count += len(waiting[-1])
-        if count < (BUNDLE if each else BUNDLE // 8) and pose + 1 < len(poses):
-            continue
-        which = np.repeat(np.arange(first, pose + 1), [len(part) for part in waiting])
-        row = np.concatenate(waiting)
-        free = legs_free(targets, poses, which, row, scanner, casters)
-        found[row[free]] = True
-        view_used[which[free] // K] = True
+
+    def rows_of(pose: int) -> Ints:
+        return in_view(targets, poses[pose], scanner, still)
+
+    for _, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else BUNDLE // 8):
+        found[row] = True
+        view_used[pose // K] = True
         if each:
-            kept.append((row[free], which[free] // K))
+            kept.append((row, pose // K))
         else:
             still = still[~found[still]]
-        waiting, first, count = [], pose + 1, 0
     place = np.zeros(len(targets), dtype=np.int64)
     place[rows] = np.arange(len(rows))
     pairs = np.concatenate([np.stack([place[row], view], axis=1) for row, view in kept] or [np.empty((0, 2), np.int64)])

@@ -208,16 +208,14 @@ class _Search:
 
 def _dot(first: Floats, second: Floats) -> Floats:
     """(n,) scalar products of vectors (3, n)."""
-    product: Floats = np.einsum("in,in->n", first, second)
-    return product
+    return np.asarray(np.einsum("in,in->n", first, second))
 
 
 def _angle(first: Floats, second: Floats) -> Floats:
     """(n,) angles between vectors (3, n) [rad]; pi / 2 where one has no length."""
     length = np.sqrt(_dot(first, first) * _dot(second, second))
     cosine = np.divide(_dot(first, second), length, out=np.zeros_like(length), where=length > 0)
-    angle: Floats = np.arccos(np.clip(cosine, -1.0, 1.0))
-    return angle
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _with_angles(

@@ -6,7 +6,7 @@ import pytest
 from cell.robot.kinematics import Kr16Kinematics
 from planner.path.sweeps.motion import TUBE, sweeps_of
 from planner.path.sweeps.path import SweepPath
-from planner.path.sweeps.timing import timed, times_at
+from planner.path.sweeps.timing import DrivenSweep
 from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses, turned_poses
 
@@ -38,6 +38,10 @@ def _paths(column: Floats, rng: np.random.Generator, count: int) -> list[SweepPa
     return found
 
 
+def _driven(path: SweepPath) -> DrivenSweep:
+    return DrivenSweep(path, MOUNT, KINEMATICS)
+
+
 @pytest.mark.parametrize("name", COLUMNS)
 def test_a_sweep_keeps_its_line_its_speed_its_branch_and_every_limit(name: str) -> None:
     """2000 samples of each: on the line within a micrometre; constant speed from first to last pose; limits held."""
@@ -45,7 +49,7 @@ def test_a_sweep_keeps_its_line_its_speed_its_branch_and_every_limit(name: str) 
     slowest = 0.0
     for path in _paths(column, np.random.default_rng(sorted(COLUMNS).index(name)), 4):
         t = np.linspace(0.0, path.duration, 2001)
-        q, qd, qdd = timed(path, MOUNT, KINEMATICS, t)
+        q, qd, qdd = _driven(path).at(t)
         T = KINEMATICS.forward(q) @ MOUNT
         begin, way = path.line.T_base_begin[:3, 3], path.line.displacement
         travelled = T[:, :3, 3] - begin
@@ -116,9 +120,9 @@ def test_backwards_is_the_same_way_in_the_other_direction() -> None:
     back = path.reversed()
     np.testing.assert_array_equal(back.q, path.q[::-1])
     np.testing.assert_array_equal(back.measured_q, path.measured_q)
-    np.testing.assert_allclose(times_at(back), path.duration - times_at(path)[::-1], atol=1e-9)
+    np.testing.assert_allclose(_driven(back).times, path.duration - _driven(path).times[::-1], atol=1e-9)
     t = np.linspace(0, path.duration, 101)
-    there, again = timed(path, MOUNT, KINEMATICS, t), timed(back, MOUNT, KINEMATICS, t[::-1])
+    there, again = _driven(path).at(t), _driven(back).at(t[::-1])
     np.testing.assert_allclose(again[0], there[0], atol=1e-9)
     np.testing.assert_allclose(again[1], -there[1], atol=1e-9)
     np.testing.assert_array_equal(back.reversed().u, path.u)
@@ -127,5 +131,5 @@ def test_backwards_is_the_same_way_in_the_other_direction() -> None:
 def test_times_of_the_vertices_are_those_at_which_they_are_passed() -> None:
     """At its time the arm is at the vertex, to the rounding of set-points."""
     for path in _paths(COLUMNS["turned"], np.random.default_rng(9), 4):
-        q, _, _ = timed(path, MOUNT, KINEMATICS, times_at(path))
+        q, _, _ = _driven(path).at(_driven(path).times)
         assert np.degrees(np.abs(q - path.q)).max() < 1.1e-4

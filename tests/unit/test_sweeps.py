@@ -5,7 +5,7 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.viewpoints.sphere import view_sphere
-from planner.viewpoints.sweeps import straight_poses, straight_sweep, swept, turned_poses, turned_sweep
+from planner.viewpoints.sweeps import straight_poses, swept, turned_poses
 from planner.viewpoints.viewpoints import Viewpoints
 
 
@@ -17,7 +17,7 @@ def _views() -> Viewpoints:
 def test_a_straight_sweep_stands_in_the_middles_of_equal_cells_along_its_direction(count: int) -> None:
     """Distances between poses are length / K, the mean is the viewpoint, nothing turns."""
     views = _views()
-    swept_views = straight_sweep(views, 0.14, count, (0.0, 3.0, 4.0))
+    swept_views = swept(views, straight_poses(0.14, count, (0.0, 3.0, 4.0)))
     T = swept_views.T_object_scanner
     assert T.shape == (len(views), count, 4, 4)
     np.testing.assert_allclose(
@@ -40,7 +40,7 @@ def test_a_turned_sweep_turns_about_the_line_through_the_source(count: int) -> N
         np.arctan2(poses[:, 0, 2], poses[:, 2, 2]), 1.2 * ((np.arange(count) + 0.5) / count - 0.5), atol=1e-15
     )
     np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1.0)
-    T = turned_sweep(_views(), 1.2, count).T_object_scanner
+    T = swept(_views(), poses).T_object_scanner
     np.testing.assert_allclose(T, _views().T_object_scanner @ poses, atol=1e-15)
 
 
@@ -54,7 +54,7 @@ def test_a_turned_sweep_turns_about_the_line_through_the_source(count: int) -> N
         (lambda: turned_poses(np.pi, 3), "below pi"),
         (lambda: turned_poses(float("nan"), 3), "above 0"),
         (lambda: turned_poses(0.5, -1), "at least one"),
-        (lambda: swept(straight_sweep(_views(), 0.1, 2), straight_poses(0.1, 2)), "2 poses each"),
+        (lambda: swept(swept(_views(), straight_poses(0.1, 2)), straight_poses(0.1, 2)), "2 poses each"),
         (lambda: swept(_views(), np.empty((0, 4, 4))), "no pose"),
     ],
 )

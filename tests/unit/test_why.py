@@ -202,14 +202,14 @@ def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
 
 def test_the_middle_of_a_sweep_stays_when_it_backs_off_and_rolls() -> None:
     """A sweep of eight poses, turned or straight, moved as a whole: what is made is the sweep of the moved view."""
-    from planner.viewpoints.sweeps import straight_sweep, turned_sweep
+    from planner.viewpoints.sweeps import straight_poses, swept, turned_poses
 
     start = np.concatenate([_down(0.01, 0.2).T_object_scanner, _down(-0.02, 0.2, 0.3).T_object_scanner])
     views = Viewpoints(start, np.zeros(2, np.int32), np.full(2, 0.2), np.array([0.0, 0.3]))
-    for sweep in (lambda v: straight_sweep(v, 0.1, 8), lambda v: turned_sweep(v, 0.5, 8)):
-        swept = sweep(views)
-        np.testing.assert_allclose(what_if.middle(swept.T_object_scanner), start[:, 0], atol=1e-12)
+    for poses in (straight_poses(0.1, 8), turned_poses(0.5, 8)):
+        columns = swept(views, poses)
+        np.testing.assert_allclose(what_if.middle(columns.T_object_scanner), start[:, 0], atol=1e-12)
         for change in (lambda v: what_if.backed_off(v, 0.26), lambda v: what_if.rolled(v, 1.1)):
             np.testing.assert_allclose(
-                change(swept).T_object_scanner, sweep(change(views)).T_object_scanner, atol=1e-12
+                change(columns).T_object_scanner, swept(change(views), poses).T_object_scanner, atol=1e-12
             )

@@ -32,8 +32,7 @@ class ScannerArm:
 
     def scanner(self, q: Floats) -> Floats:
         """(n, 4, 4) T_base_scanner."""
-        T: Floats = self.kinematics.forward(q) @ self.mount
-        return T
+        return np.asarray(self.kinematics.forward(q) @ self.mount)
 
     def jacobian(self, q: Floats) -> tuple[Floats, Floats]:
         """(n, 3, 6) linear [m/rad] and (n, 3, 6) angular columns."""
@@ -65,8 +64,7 @@ def derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floats, Fl
 
     def solve(sides: Floats) -> Floats:
         inner = (np.swapaxes(left, 1, 2) @ sides[:, :, None])[:, :, 0] / safe
-        found: Floats = (np.swapaxes(right, 1, 2) @ inner[:, :, None])[:, :, 0]
-        return found
+        return np.asarray((np.swapaxes(right, 1, 2) @ inner[:, :, None])[:, :, 0])
 
     first = solve(np.repeat(xi[None], len(q), axis=0))
     z, arms = np.swapaxes(angular, 1, 2), np.swapaxes(linear, 1, 2)  # (n, 6 axes, 3)

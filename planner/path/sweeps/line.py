@@ -162,5 +162,4 @@ def rotation_vectors(R: Floats) -> Floats:
     length = np.linalg.norm(sine, axis=1)
     angle = np.arctan2(length, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
     factor = np.where(length > 0.0, angle / np.where(length > 0.0, length, 1.0), 1.0)
-    vectors: Floats = sine * factor[:, None]
-    return vectors
+    return np.asarray(sine * factor[:, None])

@@ -14,10 +14,9 @@ from planner.path.certified_edge import certify_many
 from planner.path.sweeps.arm import ScannerArm, axes_named, follow
 from planner.path.sweeps.line import DEFAULT_SPEED, SweepLine, SweepSpeed, line_through, rotation_vectors
 from planner.path.sweeps.path import Refused, SweepPath, SweepRefusal, Sweeps
-from planner.path.sweeps.proof import prove
+from planner.path.sweeps.proof import Proof, prove
 from planner.ports import CollisionChecker, JointLimits, Kinematics
 from planner.reach.setpoints import from_steps, to_steps
-from planner.timing.s_curve import Profile
 from planner.values import Floats, Ints
 
 TUBE = 5e-5
@@ -74,8 +73,10 @@ def _on_branch(
 ) -> list[SweepPath] | Refused:
     """The sweep on one branch, once for each turn that the limits allow; or why not."""
     if line.stands:
-        return _standing(line, branch, arm, limits)
-    proven = prove(line, branch, arm, limits, line.cruise(speed))
+        q = from_steps(to_steps(follow(line, branch, arm, np.zeros(1))[0]))
+        proven: Proof | Refused = Proof(q, q, 0.0, float("nan"))
+    else:
+        proven = prove(line, branch, arm, limits, line.cruise(speed))
     if isinstance(proven, Refused):
         return proven
     turns = _turns(proven.low, proven.high, limits)
@@ -90,22 +91,11 @@ def _on_branch(
     ]  # fmt: skip
 
 
-def _standing(line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits) -> list[SweepPath] | Refused:
-    """A sweep of no length: all poses are one, and the arm stands there."""
-    q = from_steps(to_steps(follow(line, branch, arm, np.zeros(1))[0]))
-    turns = _turns(q, q, limits)
-    if isinstance(turns, str):
-        return Refused(branch, SweepRefusal.JOINT_LIMIT, turns)
-    u, pose, none = np.linspace(0.0, 1.0, line.poses), np.arange(line.poses), np.zeros(())
-    return [
-        SweepPath(line, branch, np.tile(from_steps(to_steps(q + turn)), (line.poses, 1)), u, pose,
-                  Profile(none, none, none), float("nan"))
-        for turn in turns
-    ]  # fmt: skip
-
-
 def _vertices(line: SweepLine, branch: int, arm: ScannerArm) -> tuple[Floats, Floats, Ints]:
     """Set-points whose joint-linear segments stay within the tube about the line, their u, and which pose each is."""
+    if line.stands:  # all poses are one
+        q = from_steps(to_steps(follow(line, branch, arm, np.zeros(1))))
+        return np.tile(q, (line.poses, 1)), np.linspace(0.0, 1.0, line.poses), np.arange(line.poses)
     fine = 1
     while fine <= _FINEST:
         u = np.linspace(0.0, 1.0, 2 * line.poses * fine + 1)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
@@ -13,32 +12,18 @@ from planner.path.sweeps.passage import Passage
 from planner.reach.setpoints import to_steps
 from planner.timing.s_curve import Profile
 from planner.values import Floats, Ints, Value
+from planner.worded import Worded
 
 
-class SweepRefusal(IntEnum):
+class SweepRefusal(Worded):
     """Why a sweep cannot be driven on a branch."""
 
-    NO_LINE = 0
-    OUT_OF_REACH = 1
-    SINGULAR = 2
-    JOINT_LIMIT = 3
-    TOO_FAST = 4
-    COLLISION = 5
-
-    @property
-    def sentence(self) -> str:
-        """The reason in words, for reports."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    SweepRefusal.NO_LINE: "the poses do not follow each other at equal steps on a line",
-    SweepRefusal.OUT_OF_REACH: "the line leaves the arm's reach",
-    SweepRefusal.SINGULAR: "the line comes too near to a singularity to be followed on one joint branch",
-    SweepRefusal.JOINT_LIMIT: "the line exceeds a joint limit",
-    SweepRefusal.TOO_FAST: "even at a quarter of the speed an axis would exceed its speed, acceleration or jerk",
-    SweepRefusal.COLLISION: "the line comes nearer to something than the clearance",
-}
+    NO_LINE = 0, "the poses do not follow each other at equal steps on a line"
+    OUT_OF_REACH = 1, "the line leaves the arm's reach"
+    SINGULAR = 2, "the line comes too near to a singularity to be followed on one joint branch"
+    JOINT_LIMIT = 3, "the line exceeds a joint limit"
+    TOO_FAST = 4, "even at a quarter of the speed an axis would exceed its speed, acceleration or jerk"
+    COLLISION = 5, "the line comes nearer to something than the clearance"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +57,7 @@ class SweepPath(Value):
     def measured_q(self) -> Floats:
         """(K, 6) set-points of the measuring poses, in the order of the column [rad]."""
         rows = np.flatnonzero(self.pose >= 0)
-        q: Floats = self.q[rows[np.argsort(self.pose[rows])]]
-        return q
+        return np.asarray(self.q[rows[np.argsort(self.pose[rows])]])
 
     def reversed(self) -> "SweepPath":
         """The same sweep driven from its end to its beginning."""

@@ -128,14 +128,8 @@ def _bounds(sigma: Floats, first: Floats, xi: float, r: Floats) -> tuple[Floats,
 def _time_needed(line: SweepLine, speeds: Floats, curves: Floats, jolts: Floats, limits: JointLimits) -> Floats:
     """(n, 6) shortest time at constant speed [s] under which each axis keeps its limits, from bounds of derivatives.
 
-    With c this time, u has at most the speed 1 / c, the acceleration g / c^2 and the jerk h / c^3.
-
-    Args:
-        line: gives g and h.
-        speeds: (n, 6) bounds of the first derivative by u [rad].
-        curves: (n, 6) of the second.
-        jolts: (n, 6) of the third.
-        limits: of the axes.
+    `speeds`, `curves` and `jolts` (n, 6) bound the first, second and third derivative by u [rad]. With c the time
+    wanted, u has at most the speed 1 / c, the acceleration g / c^2 and the jerk h / c^3.
     """
     rising, easing = line.ramp_shares
     g, h = 1.0 / rising, 1.0 / (rising * easing)
