@@ -208,7 +208,7 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
         with run.step("pose errors") as progress:
             layer = promise.layer(
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
-                run.rng(_ENSEMBLE), progress=progress,
+                run.rng(_ENSEMBLE), progress,
             )  # fmt: skip
     limits = timing.scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
     costs = seconds_of_views(plan, measured.reached, limits) if plan.cost == "time" else None

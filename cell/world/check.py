@@ -1,7 +1,6 @@
 """`cell check`: compile a scene and say what stands where, what touches at home, how far it reaches, what is wrong."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -91,7 +90,7 @@ class CheckResult:
         """0, or 2 where something is wrong with the scene."""
         return 2 if self.problems else 0
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """The result as JSON values."""
         contacts = [{"pair": pair, "distance_mm": distance} for pair, distance in self.contacts_at_home]
         return {"schema": 1, "ok": not self.problems, **asdict(self), "contacts_at_home": contacts}
@@ -181,9 +180,7 @@ def _envelope(world: World, arm: Dimensions) -> Envelope:
         *(np.linspace(lower[i], upper[i], int(np.rad2deg(upper[i] - lower[i]) / _GRID_DEG) + 1) for i in (1, 2)),
         indexing="ij",
     )
-    forearm = a2 + a3
-    out = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(forearm) + arm.a3 * np.sin(forearm)
-    up = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(forearm) + arm.a3 * np.cos(forearm)
+    out, up = arm.wrist_in_plane(a2, a3)
     source = world.T_flange_scanner[:3, 3] + np.array([0.0, 0.0, arm.d6])
     return Envelope(
         _mm(np.abs(out).max(), 1), _mm(up.min(), 1), _mm(up.max(), 1), _mm(float(np.linalg.norm(source)), 1)

@@ -106,7 +106,6 @@ class World(Value):
         import mujoco
 
         model = self.model if model is None else model
-
         T = self.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
         data = mujoco.MjData(model)
         data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
@@ -204,14 +203,9 @@ def compile_world(
     post_body = spec.worldbody.add_body(name="post", mocap=True)
     cell_shapes.add_mesh(spec, placed_body, "part", hull)
     if scene.post.enabled:
-        radius = scene.post.diameter_mm / 2000.0
-        cell_shapes.add_cylinder(
-            post_body,
-            "post",
-            radius,
-            cell_shapes.POST_LENGTH,
-            cell_shapes.shift(0.0, 0.0, -cell_shapes.POST_LENGTH / 2),
-        )
+        middle = np.eye(4)
+        middle[2, 3] = -cell_shapes.POST_LENGTH / 2
+        cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, cell_shapes.POST_LENGTH, middle)
     _require_new_names(scene, {geom.name for geom in spec.geoms})
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     for geom in spec.geoms:
