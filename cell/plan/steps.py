@@ -188,7 +188,7 @@ def measure(
                 candidates, reached, M, standoff=job.settings.standoffs[0], scanner=scanner, casters=casters,
                 reach_of=lambda views: _reach_of(job, cell, views), measure=lambda views: columns(views)[0],
                 progress=progress,
-            ).all()  # fmt: skip
+            )  # fmt: skip
             plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
             plan_files.write_reach(run.folder, reached)
         check_named(plan, reached)

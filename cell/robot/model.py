@@ -54,7 +54,7 @@ class Dimensions:
     d6: float
 
     def wrist_in_plane(self, a2: Floats, a3: Floats) -> tuple[Floats, Floats]:
-        """Wrist centre at angles of A2 and A3 [rad] (`cell.robot.kinematics`): distance from the A1 axis, height [m]."""
+        """Wrist centre at angles of A2 and A3 [rad] (`cell.robot.kinematics`): distance from A1, height [m]."""
         s = a2 + a3
         r = self.a1 + self.a2 * np.cos(a2) + self.d4 * np.cos(s) + self.a3 * np.sin(s)
         return r, self.d1 - self.a2 * np.sin(a2) - self.d4 * np.sin(s) + self.a3 * np.cos(s)

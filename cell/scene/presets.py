@@ -23,8 +23,8 @@ class Preset:
         price: measured, against `balanced` in the same run; a clause for people.
     """
 
-    plan: Mapping[str, object] = field(default_factory=dict)
-    scanner: Mapping[str, object] = field(default_factory=dict)
+    plan: Mapping[str, int] = field(default_factory=dict)
+    scanner: Mapping[str, list[float]] = field(default_factory=dict)
     faces_factor: float = 1.0
     price: str = ""
 

@@ -206,7 +206,10 @@ def compile_world(
         middle = np.eye(4)
         middle[2, 3] = -cell_shapes.POST_LENGTH / 2
         cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, cell_shapes.POST_LENGTH, middle)
-    _require_new_names(scene, {geom.name for geom in spec.geoms})
+    taken = {geom.name for geom in spec.geoms}
+    for i, fixture in enumerate(scene.fixtures):
+        if fixture.name in taken:
+            raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     for geom in spec.geoms:
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
@@ -243,12 +246,6 @@ def trees_of(model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh]) -> dict[
     from cell.world.triangles import TriangleTree  # its kernels load numba
 
     return {model.geom(name).id: TriangleTree(mesh) for name, mesh in meshes.items()}
-
-
-def _require_new_names(scene: Scene, taken: set[str]) -> None:
-    for i, fixture in enumerate(scene.fixtures):
-        if fixture.name in taken:
-            raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -32,12 +32,13 @@ def require_possible(world: World) -> None:
 
 def impossible(world: World) -> list[str]:
     """What is wrong with a compiled scene, one sentence each; empty for a scene that can be."""
-    return [
-        *_home_outside_limits(world),
-        *_housing_in_own_view(world),
-        *_part_out_of_room(world),
-        *_in_each_other(world),
-    ]
+    problems = _home_outside_limits(world)
+    if share := hidden_share(world):
+        problems.append(
+            f"the housing hides {100 * share:.0f} % of the scanner's own field of view; its front must lie behind "
+            "source and sensor: change housing.position_mm, housing.size_mm or the mount"
+        )
+    return [*problems, *_part_out_of_room(world), *_in_each_other(world)]
 
 
 def _home_outside_limits(world: World) -> list[str]:
@@ -46,16 +47,6 @@ def _home_outside_limits(world: World) -> list[str]:
         f"robot.home_deg has {axis} at {angle:g} deg; it must be from {low:g} to {high:g}"
         for axis, angle, low, high in zip(AXES, world.scene.robot.home_deg, lower.round(6), upper.round(6), strict=True)
         if not low - 1e-9 <= angle <= high + 1e-9
-    ]
-
-
-def _housing_in_own_view(world: World) -> list[str]:
-    share = hidden_share(world)
-    if share == 0:
-        return []
-    return [
-        f"the housing hides {100 * share:.0f} % of the scanner's own field of view; its front must lie behind source "
-        "and sensor: change housing.position_mm, housing.size_mm or the mount"
     ]
 
 
