@@ -144,7 +144,7 @@ class _Bench:
             views, reached, M = generators.grow(
                 views, reached, M, standoff=self.settings.standoffs[0], scanner=self.scanner, casters=self.casters,
                 reach_of=self.reach_of, measure=self.measure,
-            ).all()  # fmt: skip
+            )  # fmt: skip
         chosen = self.choose(M, reached, 1.0)
         return views, reached, M, chosen, perf_counter() - start
 

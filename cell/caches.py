@@ -1,7 +1,9 @@
 """Where the program keeps what it can make again: matrices, results of studies, stand-ins."""
 
+import contextlib
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -23,3 +25,22 @@ def folder(kind: str) -> Path:
     else:
         base = Path.home() / ".cache"
     return base / "scan-cell" / kind
+
+
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A place beside a file to write it to; it takes the file's place with the end of the block, or is removed.
+
+    So the file appears complete or not at all. Its folder is made if it is missing.
+
+    Raises:
+        OSError: if the folder cannot be made or the file not be put there.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(path)
+    finally:
+        with contextlib.suppress(OSError):  # the folder itself may be what is wrong
+            temporary.unlink(missing_ok=True)

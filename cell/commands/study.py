@@ -2,9 +2,9 @@
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -107,7 +107,7 @@ def scene_maker(part: str | None, scene: Path | None, wishes: Wishes) -> "SceneW
     """
     own = tables(wishes, part, flag)
 
-    def scene_with(more: Mapping[str, Mapping[str, Any]]) -> Scene:
+    def scene_with(more: Mapping[str, Mapping[str, object]]) -> Scene:
         asked = {**own, **more, "plan": {**own.get("plan", {}), **more.get("plan", {})}}
         return load_scene(scene, asked, spelled(own, flag))
 
@@ -174,7 +174,7 @@ def scanner(
     as_json: AsJson = False,
 ) -> None:
     """Find the scanner: views and coverage over one of its numbers, or over real sensors. Give one of the options."""
-    from cell.study.curves import knob_study, range_study, sensor_study
+    from cell.study.curves import Setting, knob_study
     from cell.study.ranges import pairs
     from cell.study.ranges import values as range_of
 
@@ -185,17 +185,16 @@ def scanner(
         )
     ((name, text),) = given.items()
     make = scene_maker(part, scene, wishes)
+    wanted: Sequence[Setting]
     if name == "ranges":
-        limits = pairs("--range", text)
-        conducted(lambda: range_study(make, limits, robot=robot), run, as_json)
+        name, wanted = "range", pairs("--range", text)
     elif name == "sensors":
         from cell.scene import sensors as library
 
-        chosen = library.names() if text == "all" else text.split(",")
-        conducted(lambda: sensor_study(make, chosen, robot=robot), run, as_json)
+        wanted = library.names() if text == "all" else text.split(",")
     else:
         wanted = range_of(flag(name), text)
-        conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json)
+    conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json)
 
 
 def _moved(name: str) -> None:

@@ -77,7 +77,7 @@ def repair(vertices: Floats, faces: Ints) -> tuple[Ints, tuple[Finding, ...]]:
         sentence = f"{_count(n_twice, 'face was', 'faces were')} there twice; one of each was dropped"
         findings.insert(0, Finding(Kind.DUPLICATE, sentence, Severity.NOTE))
     if n_collapsed:
-        sentence = f"{_count(n_collapsed, 'face has', 'faces have')} no area and {_was(n_collapsed)} dropped"
+        sentence = f"{_count(n_collapsed, 'face has no area and was', 'faces have no area and were')} dropped"
         findings.insert(0, Finding(Kind.ZERO_AREA, sentence, Severity.NOTE))
     return faces, tuple(findings)
 
@@ -103,7 +103,7 @@ def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
 
     open_edges, crowded = int((uses == 1).sum()), int((uses > 2).sum())
     rim_of = np.zeros(n_bodies, bool)
-    rim_of[body[_faces_on_edges(faces, uses != 2)]] = True
+    rim_of[body[(uses != 2).reshape(3, len(faces)).any(axis=0)]] = True
     volume = _body_volumes(vertices, faces, body, n_bodies)
     inverted = _inside_out(vertices, faces, body, volume, closed=~rim_of)
     if inverted.any():
@@ -159,11 +159,6 @@ def _neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
     one, two = order[pair], order[pair + 1]
     start = faces.T.ravel()
     return one % len(faces), two % len(faces), start[one] == start[two], uses
-
-
-def _faces_on_edges(faces: Ints, side: NDArray[np.bool_]) -> Ints:
-    """The faces that have one of the chosen sides ((3 F,) in the order of `_edge_keys`)."""
-    return np.flatnonzero(side.reshape(3, len(faces)).any(axis=0))
 
 
 def _consistent_flips(n_faces: int, one: Ints, two: Ints, against: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool]:
@@ -236,12 +231,8 @@ def _encloses(triangles: Floats, point: Floats) -> bool:
     a, b, c = np.moveaxis(triangles - point, 1, 0)
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
     volume = np.einsum("fj,fj->f", a, np.cross(b, c))
-    spread = (
-        la * lb * lc
-        + np.einsum("fj,fj->f", a, b) * lc
-        + np.einsum("fj,fj->f", b, c) * la
-        + np.einsum("fj,fj->f", c, a) * lb
-    )
+    ab, bc, ca = (np.einsum("fj,fj->f", one, other) for one, other in ((a, b), (b, c), (c, a)))
+    spread = la * lb * lc + ab * lc + bc * la + ca * lb
     return bool(abs(2 * np.arctan2(volume, spread).sum()) > 2 * np.pi)
 
 
@@ -249,13 +240,9 @@ def _unique_faces(faces: Ints) -> tuple[Ints, int]:
     """The faces without those whose three corners an earlier one has, and how many those were."""
     if not len(faces):
         return faces, 0
-    low, middle, high = np.sort(faces, axis=1).T
-    order = np.lexsort((high, middle, low))
-    same = (
-        (low[order][1:] == low[order][:-1])
-        & (middle[order][1:] == middle[order][:-1])
-        & (high[order][1:] == high[order][:-1])
-    )
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort(corners.T[::-1])
+    same = (corners[order][1:] == corners[order][:-1]).all(axis=1)
     keep = np.ones(len(faces), bool)
     keep[order[1:][same]] = False  # lexsort is stable, so that the first of equals stays
     return faces[keep], int(same.sum())
@@ -269,7 +256,3 @@ def _double_areas(vertices: Floats, faces: Ints) -> Floats:
 
 def _count(n: int, one: str, many: str) -> str:
     return f"{n} {one if n == 1 else many}"
-
-
-def _was(n: int) -> str:
-    return "was" if n == 1 else "were"

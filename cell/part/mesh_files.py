@@ -66,9 +66,7 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
     elif suffix == ".glb":
         _check_glb(path, content)
     elif suffix in (".obj", ".off"):
-        content = content.decode(
-            "utf-8", errors="replace"
-        ).encode()  # comments in other encodings are no reason to fail
+        content = content.decode("utf-8", errors="replace").encode()  # comments may be in any encoding
     return checked(str(path), *_parse_with_trimesh(path, suffix, content))
 
 

@@ -11,7 +11,6 @@ between surface that the whole family fails on. Nothing is random: equal inputs 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,31 +40,6 @@ _LOOKS = 24  # reachable views of each feature that are compared by what else th
 _DEPTH = 8  # views that a feature gets where it can: with one, the selection would have nothing to choose from
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Grown:
-    """Candidates with those that were added, which follow after those that were there.
-
-    Attributes:
-        candidates: all viewpoints.
-        reached: their reach.
-        measurability: M with occluders applied.
-        added: how many came after the base set.
-        rounds: how often was looked.
-        given_up: open features that were aimed at in vain.
-    """
-
-    candidates: Viewpoints
-    reached: Reach
-    measurability: Measurability
-    added: int
-    rounds: int
-    given_up: int
-
-    def all(self) -> tuple[Viewpoints, Reach, Measurability]:
-        """Candidates, reach and M, in the same order."""
-        return self.candidates, self.reached, self.measurability
-
-
 def first(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleMesh) -> Viewpoints:
     """The generator's candidates; of `targeted`, the base set."""
     step_x, step_y = np.deg2rad(scene.plan.view_sphere_step_deg)
@@ -89,7 +63,7 @@ def grow(
     reach_of: Callable[[Viewpoints], Reach],
     measure: Callable[[Viewpoints], Measurability],
     progress: Progress | None = None,
-) -> Grown:
+) -> tuple[Viewpoints, Reach, Measurability]:
     """Append candidates until nothing more becomes coverable.
 
     Args:
@@ -102,6 +76,9 @@ def grow(
         reach_of: verdicts and joint solutions of viewpoints.
         measure: M of viewpoints with occluders applied, over the same features.
         progress: called with (open features aimed at, open features).
+
+    Returns:
+        All candidates, those that were there first, with their reach and their M.
 
     Raises:
         SceneError: if the viewpoints have several poses.
@@ -117,9 +94,9 @@ def grow(
     views_of, reaches, matrices = [candidates], [reached], [measurability]
     is_open = ~_measured_by(measurability, reached)
     untried = is_open.copy()
-    rounds = 0
-    while untried.any() and rounds < ROUNDS:
-        rounds += 1
+    for _ in range(ROUNDS):
+        if not untried.any():
+            break
         rows = np.flatnonzero(untried)
         rows = rows[targeted.spread(features.points[rows], features.normals[rows], TARGETS, standoff)]
         untried[rows] = False
@@ -136,14 +113,7 @@ def grow(
         untried &= is_open
         if progress is not None:
             progress(int((is_open & ~untried).sum()), int(is_open.sum()))
-    return Grown(
-        join_viewpoints(views_of),
-        join_reach(reaches),
-        join_measurability(matrices),
-        added=sum(map(len, views_of[1:])),
-        rounds=rounds,
-        given_up=int((is_open & ~untried).sum()),
-    )
+    return join_viewpoints(views_of), join_reach(reaches), join_measurability(matrices)
 
 
 def _measured_by(M: Measurability, reached: Reach) -> NDArray[np.bool_]:

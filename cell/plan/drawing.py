@@ -78,10 +78,6 @@ def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
 
 def _envelope(world: World) -> Floats:
     """(E, 2) a grid of places that the wrist centre reaches in the plane of the arm: radius and height [m]."""
-    arm = dimensions(world.model)
     (low2, low3), (high2, high3) = world.limits.lower[1:3], world.limits.upper[1:3]
     a2, a3 = (grid.ravel() for grid in np.meshgrid(np.linspace(low2, high2, 110), np.linspace(low3, high3, 110)))
-    s = a2 + a3  # the closed form of cell.robot.kinematics at A1 = 0
-    r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(s) + arm.a3 * np.sin(s)
-    z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(s) + arm.a3 * np.cos(s)
-    return np.stack([r, z], axis=1)
+    return np.stack(dimensions(world.model).wrist_in_plane(a2, a3), axis=1)

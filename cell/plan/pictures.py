@@ -54,7 +54,7 @@ def part_and_views(
         numbers: (n,) of the views; None counts from 1.
     """
     figure = Figure(figsize=(15.0, 5.6), dpi=110, layout="constrained")
-    most = max(len(_SEEN), 1)
+    most = len(_SEEN)
     colours = ListedColormap([_UNSEEN, *_SEEN])
     norm = BoundaryNorm(np.arange(-0.5, most + 1), most + 1)
     # A face of which some sample is measured is not red: rounding up, the picture shows where nothing at all is seen.

@@ -46,10 +46,9 @@ def layer(
     scanner: Scanner,
     casters: Sequence[RayCaster],
     rng: np.random.Generator,
-    *,
-    progress: Progress | None = None,
-) -> ProbabilityLayer | None:
-    """Probabilities of the matrix' entries; None where the scene knows no pose error.
+    progress: Progress,
+) -> ProbabilityLayer:
+    """Probabilities of the matrix' entries under the scene's pose error.
 
     Args:
         plan: the scene's table.
@@ -61,10 +60,7 @@ def layer(
         rng: draws the ensemble.
         progress: told about the members.
     """
-    error = pose_error(plan)
-    if error.none:
-        return None
-    errors = error.draw(plan.ensemble, rng)
+    errors = pose_error(plan).draw(plan.ensemble, rng)
     return probability_layer(M, candidates, scanner, casters, errors, columns=reached.reachable, progress=progress)
 
 

@@ -188,7 +188,7 @@ def measure(
                 candidates, reached, M, standoff=job.settings.standoffs[0], scanner=scanner, casters=casters,
                 reach_of=lambda views: _reach_of(job, cell, views), measure=lambda views: columns(views)[0],
                 progress=progress,
-            ).all()  # fmt: skip
+            )  # fmt: skip
             plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
             plan_files.write_reach(run.folder, reached)
         check_named(plan, reached)
@@ -208,7 +208,7 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
         with run.step("pose errors") as progress:
             layer = promise.layer(
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
-                run.rng(_ENSEMBLE), progress=progress,
+                run.rng(_ENSEMBLE), progress,
             )  # fmt: skip
     limits = timing.scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
     costs = seconds_of_views(plan, measured.reached, limits) if plan.cost == "time" else None

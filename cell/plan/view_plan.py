@@ -7,9 +7,9 @@ in what is looked at (`cell.plan.views_at_rest`, `cell.plan.sweeping_views`), no
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.errors import SceneError, UnreachableError
 from cell.plan import view_exchange
@@ -30,7 +30,7 @@ from planner.order.visits import Visits
 from planner.path.sweeps.path import SweepPath
 from planner.ports import Progress
 from planner.timing.motion import TimedLine
-from planner.values import Floats, readonly
+from planner.values import Floats, Ints, Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class DroppedView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ConnectedPlan:
+class ConnectedPlan(Value):
     """Chosen views with the motion through them.
 
     Attributes:
@@ -72,23 +72,16 @@ class ConnectedPlan:
     selected: Selected
     matrix: Measurability
     tour: Tour
-    candidate: NDArray[np.int64]
-    T_object_scanner: Floats
-    T_base_scanner: Floats
-    T_base_flange: Floats
-    T_object_poses: Floats
+    candidate: Annotated[Ints, "n"]
+    T_object_scanner: Annotated[Floats, "n 4 4"]
+    T_base_scanner: Annotated[Floats, "n 4 4"]
+    T_base_flange: Annotated[Floats, "n 4 4"]
+    T_object_poses: Annotated[Floats, "n _ 4 4"]
     sweeps: tuple[SweepPath, ...]
     lines: Mapping[int, TimedLine]
     dropped: tuple[DroppedView, ...]
     visible: Coverage
     visible_with_arm: float | None
-
-    def __post_init__(self) -> None:
-        n = len(self.candidate)
-        object.__setattr__(self, "candidate", readonly("candidate", self.candidate, (n,), np.int64))
-        for name in ("T_object_scanner", "T_base_scanner", "T_base_flange"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (n, 4, 4)))
-        object.__setattr__(self, "T_object_poses", readonly("T_object_poses", self.T_object_poses, (n, None, 4, 4)))
 
     @property
     def target(self) -> float:
@@ -96,7 +89,7 @@ class ConnectedPlan:
         return self.selected.target
 
     @property
-    def via_candidate(self) -> NDArray[np.int64]:
+    def via_candidate(self) -> Ints:
         """(N,) candidate taken at each via point of the tour, -1 where none is."""
         at = self.tour.view
         return np.where(at >= 0, self.cover.views[np.maximum(at, 0)], -1)

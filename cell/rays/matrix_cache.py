@@ -8,7 +8,6 @@ refused, with the reason in one sentence, when it is damaged, of another format 
 inputs; the caller then calculates M anew and says so. Arrays only, nothing is pickled.
 """
 
-import contextlib
 import hashlib
 import json
 import os
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell import caches
 from cell.errors import FileError
 from planner.measurability.matrix import Measurability
 from planner.surface.mesh import TriangleMesh
@@ -126,10 +126,8 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
         FileError: if the file cannot be written.
     """
     features = measurability.features
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as stream:
+        with caches.whole(path) as temporary, temporary.open("wb") as stream:
             np.savez(
                 stream,
                 indptr=measurability.indptr,
@@ -146,15 +144,11 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
             )
             stream.flush()
             os.fsync(stream.fileno())  # otherwise a crash may leave a renamed file without its contents
-        temporary.replace(path)
     except OSError as error:
         raise FileError(
             f"the measurability matrix cannot be written to {path}: {error.strerror or error}; choose a folder "
             "with space that you may write to"
         ) from error
-    finally:
-        with contextlib.suppress(OSError):  # the folder itself may be what is wrong
-            temporary.unlink(missing_ok=True)
 
 
 def load(path: Path, key: str) -> Cached:

@@ -18,7 +18,7 @@ from planner.errors import PlannerError
 from planner.values import Floats, Value, freeze, readonly
 
 NEIGHBOURS = 12
-"""Neighbours for a normal: fewer follow the noise, more round off edges."""
+"""Neighbours for a normal, the point itself among them: fewer follow the noise, more round off edges."""
 
 # Where a scan grazes the surface its rows lie far apart, and the nearest points are all of one row: no plane is sure,
 # or it is the plane that also holds the line of sight. Such a normal is taken from more points.
@@ -125,17 +125,15 @@ def point_spacing(points: Floats, scan: NDArray[np.integer] | None = None) -> fl
     return float(np.median(distances)) if len(distances) else float("nan")
 
 
-def estimate_normals(points: Floats, sensor_positions: Floats, *, neighbours: int = NEIGHBOURS) -> Floats:
-    """Normals by principal components of the nearest points, turned toward the sensor.
+def estimate_normals(points: Floats, sensor_positions: Floats) -> Floats:
+    """Normals by principal components of the `NEIGHBOURS` nearest points, turned toward the sensor.
 
     Args:
         points: (N, 3) [m].
         sensor_positions: (N, 3) or (3,) from where each point was seen [m].
-        neighbours: how many nearest points (itself among them) to use, > 2.
 
     Returns:
-        (N, 3) unit normals. Where the neighbours span no plane, the normal faces the sensor as far as they
-        allow.
+        (N, 3) unit normals. Where the neighbours span no plane, the normal faces the sensor as far as they allow.
     """
     if len(points) == 0:
         return np.empty((0, 3))
@@ -145,10 +143,10 @@ def estimate_normals(points: Floats, sensor_positions: Floats, *, neighbours: in
     if len(points) < 3:
         return sight
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    normals, along, is_sure = _principal(tree, points, toward, np.arange(len(points)), neighbours)
+    normals, along, is_sure = _principal(tree, points, toward, np.arange(len(points)), NEIGHBOURS)
     unsure = np.flatnonzero(~is_sure)
     for more in _MORE_NEIGHBOURS:
-        normals[unsure], along[unsure], is_sure = _principal(tree, points, toward, unsure, more * neighbours)
+        normals[unsure], along[unsure], is_sure = _principal(tree, points, toward, unsure, more * NEIGHBOURS)
         unsure = unsure[~is_sure]
     # A row and nothing beside it: of all planes through it, the one that faces the sensor.
     facing = sight[unsure] - np.einsum("nj,nj->n", sight[unsure], along[unsure])[:, None] * along[unsure]

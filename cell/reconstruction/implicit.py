@@ -45,14 +45,13 @@ class ImplicitSurface:
 
     Args:
         cloud: at least one point, with normals.
-        neighbours: how many nearest points are blended.
     """
 
-    def __init__(self, cloud: PointCloud, *, neighbours: int = NEIGHBOURS) -> None:
+    def __init__(self, cloud: PointCloud) -> None:
         self._points = cloud.points
         self._normals: Singles = cloud.normals.astype(np.float32)
         self._tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)
-        self._neighbours = min(neighbours, len(cloud))
+        self._neighbours = min(NEIGHBOURS, len(cloud))
 
     def evaluate(self, positions: Floats) -> FieldValues:
         """The field at positions (N, 3) [m].

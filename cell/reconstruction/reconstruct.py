@@ -34,9 +34,7 @@ NOISIEST = 0.33
 the planes follow it too, so a sigma of 0.6 spacings scatters by that much."""
 
 _GRID = 1.25  # of the point spacing: finer costs with its square and, measured, hardly gains
-_LARGEST_GRID = (
-    60_000_000  # nodes of the box round the part (4 bytes each, and a byte of mask); a larger one is coarsened
-)
+_LARGEST_GRID = 60_000_000  # nodes of the box round the part (4 bytes and a byte of mask each); larger is coarsened
 _FEWEST_POINTS = 12
 _LONELY = 3.0  # a point whose fourth neighbour is farther than so many spacings is an outlier
 _OFF_SURFACE = 5.0  # a point so many robust standard deviations off its neighbours' surface is an outlier
@@ -150,16 +148,6 @@ def reconstruct(
     return Reconstruction(
         ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes, noise, extent
     )
-
-
-def without_outliers(cloud: PointCloud, spacing: float) -> PointCloud:
-    """The cloud without points that lie alone or off the surface of their neighbours.
-
-    Args:
-        cloud: merged scans with normals, at least 12 points.
-        spacing: point spacing [m].
-    """
-    return _sifted(cloud, spacing)[0]
 
 
 def _sifted(cloud: PointCloud, spacing: float) -> tuple[PointCloud, float]:

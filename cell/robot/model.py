@@ -53,6 +53,12 @@ class Dimensions:
     d4: float
     d6: float
 
+    def wrist_in_plane(self, a2: Floats, a3: Floats) -> tuple[Floats, Floats]:
+        """Wrist centre at angles of A2 and A3 [rad] (`cell.robot.kinematics`): distance from A1, height [m]."""
+        s = a2 + a3
+        r = self.a1 + self.a2 * np.cos(a2) + self.d4 * np.cos(s) + self.a3 * np.sin(s)
+        return r, self.d1 - self.a2 * np.sin(a2) - self.d4 * np.sin(s) + self.a3 * np.cos(s)
+
 
 def model_file(name: str = "kr16.xml") -> Path:
     """Path of a file of `models/`: inside the installed package, or beside the package in a development tree.

@@ -19,6 +19,8 @@ from cell.errors import CellError, SceneError
 from planner.ports import Scanner
 
 if TYPE_CHECKING:
+    from pydantic import JsonValue
+
     from planner.viewpoints.viewpoints import Viewpoints
 
 GROUP = "cell.scanners"
@@ -33,7 +35,7 @@ class ScannerPlugin(Scanner, Protocol):
     column of K poses; `sigma`, the expected standard deviation of a point (`planner.ports.SigmaScanner`).
     """
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> "dict[str, JsonValue]":
         """What defines this scanner, JSON types: calling the class with them makes it again (`type` aside).
 
         The matrix cache takes equal parameters for equal scanners. `fov_deg` and `range_mm` are drawn in pictures.
@@ -127,12 +129,12 @@ def make(name: str, values: Mapping[str, Any]) -> ScannerPlugin:
     return made
 
 
-def described(name: str, scanner: ScannerPlugin) -> dict[str, Any]:
+def described(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
     """What defines a scanner, its type included, as the run folder keeps it."""
     return {"type": name, **{key: value for key, value in scanner.parameters().items() if key != "type"}}
 
 
-def identity(name: str, scanner: ScannerPlugin) -> dict[str, Any]:
+def identity(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
     """What a matrix depends on: `described`, and of another distribution's scanner also which version it is of."""
     point = _offered(name)
     own = point.dist is not None and point.dist.name == "scan-cell"  # its matrices have a format number of their own

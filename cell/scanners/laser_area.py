@@ -17,7 +17,7 @@ degrees, where the cosine is flat, 0.003 degrees.
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from numpy.typing import NDArray
 from cell.errors import SceneError
 from planner.ports import Rejection
 from planner.values import Floats, readonly
+
+if TYPE_CHECKING:
+    from pydantic import JsonValue
 
 TOLERANCE = 1e-9
 
@@ -118,9 +121,9 @@ class LaserArea:
         """(n_v, n_h) rays of one scan, round(FOV / resolution) per axis: their product is Eq. 1's number of rays."""
         return self._shape
 
-    def parameters(self) -> dict[str, object]:
+    def parameters(self) -> "dict[str, JsonValue]":
         """What defines this scanner, named as in the scene file and the run folder."""
-        limits: dict[str, object] = {
+        limits: dict[str, JsonValue] = {
             "type": self.type_name,
             "fov_deg": list(self.fov_deg),
             "resolution_deg": list(self.resolution_deg),

@@ -17,7 +17,7 @@ that the poses tile the sweep. Every limit is inclusive, with the tolerances of 
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea
 from planner.ports import Rejection
 from planner.values import Floats, readonly
 from planner.viewpoints.sweeps import straight_poses, turned_poses
+
+if TYPE_CHECKING:
+    from pydantic import JsonValue
 
 _ACROSS_DEG = 179.0  # opening of the law across the sheet where the slab decides instead: never narrower than a slab
 _NO_LIMIT_MM = (0.0, 1e9)  # the law's distance from the source, where the depth decides instead
@@ -129,7 +132,7 @@ class LaserLine:
         """(n_v, n_h) rays of one line: the points along y, and one across."""
         return self.line_points, 1
 
-    def parameters(self) -> dict[str, object]:
+    def parameters(self) -> "dict[str, JsonValue]":
         """What defines this scanner, named as in the scene file and the run folder."""
         sweep = {"sweep_mm": self.sweep_mm} if self.sweep_deg is None else {"sweep_deg": self.sweep_deg}
         return {

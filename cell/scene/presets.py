@@ -8,7 +8,6 @@ moves) no preset gives up.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 DEFAULT = "balanced"
 
@@ -24,8 +23,8 @@ class Preset:
         price: measured, against `balanced` in the same run; a clause for people.
     """
 
-    plan: Mapping[str, Any] = field(default_factory=dict)
-    scanner: Mapping[str, Any] = field(default_factory=dict)
+    plan: Mapping[str, int] = field(default_factory=dict)
+    scanner: Mapping[str, list[float]] = field(default_factory=dict)
     faces_factor: float = 1.0
     price: str = ""
 
@@ -49,7 +48,7 @@ PRESETS: dict[str, Preset] = {
 RAY_GRID = "laser-area"  # the type of scanner whose resolution is the angle between the rays of a grid
 
 
-def beneath(content: Mapping[str, Any]) -> dict[str, Any]:
+def beneath(content: Mapping[str, object]) -> dict[str, object]:
     """The tables of a scene with what its preset fills in; every key that is there stays.
 
     Args:
@@ -59,17 +58,14 @@ def beneath(content: Mapping[str, Any]) -> dict[str, Any]:
     plan, scanner = content.get("plan", {}), content.get("scanner", {})
     if not isinstance(plan, dict) or not isinstance(scanner, dict):
         return dict(content)
-    preset = _named(plan.get("preset", DEFAULT))
+    name = plan.get("preset")
+    preset = PRESETS[name if isinstance(name, str) and name in PRESETS else DEFAULT]
     filled = dict(content)
     if preset.plan:
         filled["plan"] = {**preset.plan, **plan}
     if preset.scanner and scanner.get("sensor") is None and scanner.get("type", RAY_GRID) == RAY_GRID:
         filled["scanner"] = {**preset.scanner, **scanner}
     return filled
-
-
-def _named(name: Any) -> Preset:
-    return PRESETS.get(name, PRESETS[DEFAULT]) if isinstance(name, str) else PRESETS[DEFAULT]
 
 
 def line() -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 _COMPARISONS = {
     "greater_than": ("gt", "above"),
@@ -44,7 +45,7 @@ def sentences(error: ValidationError, model: type[BaseModel], names: Mapping[str
             lengths[detail["loc"][:-1]] = max(lengths.get(detail["loc"][:-1], 0), detail["loc"][-1] + 1)
     found = []
     for detail in details:
-        sentence = _sentence(dict(detail), model, lengths)
+        sentence = _sentence(detail, model, lengths)
         if names:
             sentence = _KEY.sub(lambda key: names.get(key[0], key[0]), sentence)
         if sentence not in found:
@@ -58,7 +59,7 @@ def did_you_mean(word: object, known: Sequence[str]) -> str:
     return f"did you mean '{close[0]}'? " if close else ""
 
 
-def _sentence(detail: dict[str, Any], model: type[BaseModel], lengths: Mapping[tuple[int | str, ...], int]) -> str:
+def _sentence(detail: ErrorDetails, model: type[BaseModel], lengths: Mapping[tuple[int | str, ...], int]) -> str:
     kind, loc, value, context = detail["type"], detail["loc"], detail.get("input"), detail.get("ctx", {})
     keys, owner = _resolve(loc, model)
     where = _path(keys)

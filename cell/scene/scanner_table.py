@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
-from pydantic_core import InitErrorDetails
+from pydantic_core import ErrorDetails, InitErrorDetails
 
 from cell import scanners
 from cell.errors import SceneError
@@ -44,7 +44,7 @@ def validated(table: Any, validate: Callable[[Any], T], default_type: str) -> T:
     try:
         result = validate(content)
     except ValidationError as error:
-        problems += [_again(dict(detail)) for detail in error.errors()]
+        problems += [_again(detail) for detail in error.errors()]
     if problems or result is None:
         raise ValidationError.from_exception_data("Scanner", problems)
     return result
@@ -62,7 +62,7 @@ def keys_of(kind: str) -> tuple[str, ...] | None:
     return (*OF_EVERY_TYPE, *own, *((OF_RAY_GRIDS,) if "resolution_deg" in own else ()))
 
 
-def _put_sensor_in(content: dict[str, Any]) -> list[InitErrorDetails]:
+def _put_sensor_in(content: dict[str, object]) -> list[InitErrorDetails]:
     """Fill in what the sensor's file states; returns what is wrong."""
     name = content.get("sensor")
     if not isinstance(name, str):
@@ -85,7 +85,7 @@ def _put_sensor_in(content: dict[str, Any]) -> list[InitErrorDetails]:
     ]
 
 
-def _foreign_keys(content: dict[str, Any], kind: str) -> list[InitErrorDetails]:
+def _foreign_keys(content: dict[str, object], kind: str) -> list[InitErrorDetails]:
     """Take out the keys that the type does not have; returns a problem for each."""
     known = keys_of(kind)
     problems = []
@@ -96,11 +96,11 @@ def _foreign_keys(content: dict[str, Any], kind: str) -> list[InitErrorDetails]:
     return problems
 
 
-def _problem(key: str, value: Any, text: str) -> InitErrorDetails:
+def _problem(key: str, value: object, text: str) -> InitErrorDetails:
     return {"type": "value_error", "loc": (key,), "input": value, "ctx": {"error": ValueError(text)}}
 
 
-def _again(detail: dict[str, Any]) -> InitErrorDetails:
+def _again(detail: ErrorDetails) -> InitErrorDetails:
     """An error of pydantic's in the form in which it can be raised once more."""
     kept: InitErrorDetails = {"type": detail["type"], "loc": detail["loc"], "input": detail["input"]}
     if "ctx" in detail:

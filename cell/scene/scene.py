@@ -282,7 +282,7 @@ class Scene(Table):
 
 def load_scene(
     path: Path | None,
-    options: Mapping[str, Mapping[str, Any]] | None = None,
+    options: Mapping[str, Mapping[str, object]] | None = None,
     names: Mapping[str, str] | None = None,
 ) -> Scene:
     """Read and check a scene file; what it leaves open is filled in by its preset (`cell.scene.presets`).
@@ -299,7 +299,7 @@ def load_scene(
     from cell.scene.presets import beneath
     from cell.scene.problems import sentences
 
-    content: dict[str, Any] = {} if path is None else _parse(path)
+    content: dict[str, object] = {} if path is None else _parse(path)
     for table, keys in (options or {}).items():
         below = content.get(table, {})
         replaces = table == "part" and ("name" in keys or "path" in keys)
@@ -316,7 +316,7 @@ def load_scene(
     raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))
 
 
-def _parse(path: Path) -> dict[str, Any]:
+def _parse(path: Path) -> dict[str, object]:
     try:
         return tomllib.loads(path.read_bytes().decode("utf-8"))
     except OSError as error:

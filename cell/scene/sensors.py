@@ -75,7 +75,7 @@ class Sensor:
         """Scene keys that the scene itself must give, with what each is called."""
         return {key: word for key, word in REQUIRED.get(self.type, {}).items() if key not in self.keys}
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """Everything about it as JSON types."""
         return {
             "name": self.name,

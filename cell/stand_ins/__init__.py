@@ -8,8 +8,6 @@ the user's cache folder under the hash of everything that made it; a cache that 
 import hashlib
 import importlib
 import logging
-import os
-import tempfile
 import zipfile
 from dataclasses import dataclass
 from importlib import metadata
@@ -125,15 +123,8 @@ def _read(path: Path, part: StandIn) -> TriangleMesh | None:
 
 def _write(path: Path, mesh: TriangleMesh) -> None:
     """Write beside the place and rename, so that no reader meets half a file; a full or closed disk is no failure."""
-    part = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        part = Path(name)
-        with os.fdopen(handle, "wb") as file:
+        with caches.whole(path) as part, part.open("wb") as file:
             np.savez(file, vertices=mesh.vertices, faces=mesh.faces)
-        part.replace(path)
     except OSError as error:
         _log.debug("built-in part is not kept in %s: %s", path, error)
-        if part is not None:
-            part.unlink(missing_ok=True)

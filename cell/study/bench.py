@@ -6,7 +6,6 @@ What `cell plan` does for one job with a report, without motion and files; every
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +67,7 @@ class Judged:
     visible: float
     density: int = 1
 
-    def values(self) -> dict[str, Any]:
+    def values(self) -> dict[str, float | str]:
         """For the result of a trial."""
         return {
             "views": len(self.cover.views),
@@ -241,9 +240,7 @@ class Bench:
         return 1.0 - float(areas[open_samples].sum() / areas.sum())
 
 
-def fewest_for(
-    bench: Bench, candidates: Viewpoints, allowed: Mask | None, visible: float, full: Judged, *, solver: str = "auto"
-) -> Judged:
+def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visible: float, full: Judged) -> Judged:
     """Few views (`aimed`) that measure at least a share of the surface, on the held-out samples.
 
     The target on the matrix's samples is raised by what the held-out ones show to be missing, until it is enough. Where
@@ -255,7 +252,6 @@ def fewest_for(
         allowed: (V,) which may be used; None: all.
         visible: share of the surface.
         full: the plan that covers all usual samples.
-        solver: a name of `planner.cover.SOLVERS`.
 
     Returns:
         The selection; it measures less than was asked for only where covering all of the denser samples does.
@@ -266,11 +262,11 @@ def fewest_for(
     coverable = float(M.features.areas[np.diff(by_row.indptr) > 0].sum() / M.features.areas.sum())
     share = min(1.0, visible / coverable) if coverable > 0 else 1.0
     for _ in range(_RAISES):
-        found = bench.select("aimed", candidates, allowed, solver=solver, share=share, density=density)
+        found = bench.select("aimed", candidates, allowed, solver="auto", share=share, density=density)
         if found.visible >= visible or share >= 1.0:
             return found
         share = min(1.0, share + (visible - found.visible) / coverable + _STEP)
-    return full if density == 1 else bench.select("aimed", candidates, allowed, solver=solver, density=density)
+    return full if density == 1 else bench.select("aimed", candidates, allowed, solver="auto", density=density)
 
 
 def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views: int, full: Judged) -> Judged:

@@ -20,22 +20,24 @@ from cell.study.views import views
 WITHIN_POINTS = 0.5
 """Coverages that differ by less than this count as equal when the best value is chosen [points]."""
 
-
-SceneWith = Callable[[Mapping[str, Mapping[str, Any]]], Scene]
+SceneWith = Callable[[Mapping[str, Mapping[str, object]]], Scene]
 """Makes the scene with some keys changed; raises SceneError, in one sentence, where a scene cannot have them."""
+
+Setting = float | str | tuple[float, float]
+"""A number, the name of a sensor, or the near and far limit of a range [mm]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Knob:
-    """A number of the scanner that a study varies.
+    """What of the scanner a study varies.
 
     Attributes:
         title: for people, with the unit.
-        tables: keys of the scene for a value.
+        tables: keys of the scene for a setting of its kind.
     """
 
     title: str
-    tables: Callable[[float], Mapping[str, Mapping[str, Any]]]
+    tables: Callable[..., Mapping[str, Mapping[str, object]]]
 
 
 KNOBS = {
@@ -44,10 +46,15 @@ KNOBS = {
     "resolution": Knob("angle between rays [deg]", lambda value: {"scanner": {"resolution_deg": [value, value]}}),
     "baseline": Knob("baseline [mm]", lambda value: {"scanner": {"baseline_mm": value}}),
     "grazing": Knob("grazing limit [deg from the normal]", lambda value: {"scanner": {"grazing_max_deg": value}}),
+    "range": Knob(
+        "range [mm]",  # the standoff is in its middle
+        lambda ends: {"scanner": {"range_mm": list(ends)}, "plan": {"standoffs_mm": [sum(ends) / 2]}},
+    ),
+    "sensors": Knob("sensor", lambda name: {"scanner": {"sensor": name}}),
 }
 
 
-def knob_study(scene_with: SceneWith, knob: str, values: Sequence[float], *, robot: bool) -> Study:
+def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, robot: bool) -> Study:
     """The study of one knob.
 
     Args:
@@ -59,54 +66,22 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[float], *, rob
     Raises:
         SceneError: if the scene cannot have one of the values.
     """
-    asked = [(value, _trial(scene_with(KNOBS[knob].tables(value)), robot)) for value in values]
-    return _study(knob, KNOBS[knob].title, asked)
-
-
-def range_study(scene_with: SceneWith, ranges: Sequence[tuple[float, float]], *, robot: bool) -> Study:
-    """The study of the scanner's range; the standoff is in its middle.
-
-    Args:
-        scene_with: as for `knob_study`.
-        ranges: near and far limits [mm].
-        robot: as for `knob_study`.
-    """
+    title, tables = KNOBS[knob].title, KNOBS[knob].tables
     asked = [
         (
-            f"{near:g}-{far:g}",
-            _trial(
-                scene_with({"scanner": {"range_mm": [near, far]}, "plan": {"standoffs_mm": [(near + far) / 2]}}), robot
-            ),
+            f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value,
+            Trial.of(views, {**scene_settings(scene_with(tables(value))), "robot": robot}),
         )
-        for near, far in ranges
+        for value in values
     ]
-    return _study("range", "range [mm]", asked)
 
-
-def sensor_study(scene_with: SceneWith, names: Sequence[str], *, robot: bool) -> Study:
-    """The study of several real sensors on one part.
-
-    Args:
-        scene_with: as for `knob_study`.
-        names: of the sensor library.
-        robot: as for `knob_study`.
-    """
-    asked = [(name, _trial(scene_with({"scanner": {"sensor": name}}), robot)) for name in names]
-    return _study("sensors", "sensor", asked)
-
-
-def _trial(scene: Scene, robot: bool) -> Trial:
-    return Trial.of(views, {**scene_settings(scene), "robot": robot})
-
-
-def _study(name: str, title: str, asked: Sequence[tuple[float | str, Trial]]) -> Study:
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
-        values = {outcome.trial: outcome.values for outcome in outcomes}
-        return [_row(title, value, values[trial]) for value, trial in asked if trial in values]
+        found = {outcome.trial: outcome.values for outcome in outcomes}
+        return [_row(title, value, found[trial]) for value, trial in asked if trial in found]
 
     return Study(
-        name, f"Views and coverage over {title}", [trial for _, trial in asked], rows,
-        lambda rows: pictures(name, title, rows), lambda rows: sentences(title, rows),
+        knob, f"Views and coverage over {title}", [trial for _, trial in asked], rows,
+        lambda rows: pictures(knob, title, rows), lambda rows: sentences(title, rows),
     )  # fmt: skip
 
 

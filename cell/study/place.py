@@ -23,6 +23,7 @@ from scipy.stats import qmc
 from cell.errors import UnreachableError
 from cell.scene.scene import Scene
 from cell.study.options import PlaceRange
+from cell.study.placement import AXES, place_option, row_of, time_of
 from cell.study.placement_trial import COVERAGE_ONLY, WHOLE, placement
 from cell.study.run import run
 from cell.study.scenes import scene_settings
@@ -31,7 +32,6 @@ from cell.study.trial import Outcome, Trial
 from cell.study.workers import Workers
 from planner.values import Floats, Ints
 
-AXES = ("x mm", "y mm", "z mm", "yaw deg")
 LOOKS, CANDIDATES = 256, 200
 """Round 1: places that are looked at, and candidates per look."""
 CLOSER, CLOSER_CANDIDATES, CLIMBERS = 24, 300, 4
@@ -142,7 +142,7 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         seen.update(zip(new, look("closer looks", new, CLOSER_CANDIDATES), strict=True))
 
     look_closer(_best_first(dict(zip(looks, quick, strict=True)))[:CLOSER])
-    climbers = _apart(_best_first(seen), CLIMBERS, high - low)
+    climbers = [hill[0] for hill in _hills(_best_first(seen), high - low)][:CLIMBERS]  # not all on the same hill
     steps = [np.array(FIRST_STEPS)] * len(climbers)
     while any((step > np.array(LAST_STEPS) / 2).all() for step in steps):
         around = [
@@ -161,7 +161,7 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
     finalists = _best_and_others(full, FINALISTS, high - low)
     wholes = ask("views and time", finalists, what=WHOLE, candidates=None)
     ten = sorted(
-        (_row(point, value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
+        (row_of(point, value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
         key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
     )[:10]
     lost, unreached = _surroundings(ten[0], low, high, lambda points: look("surroundings", points, CANDIDATES))
@@ -176,11 +176,6 @@ def _best_first(looks: Mapping[Place, Look]) -> list[Place]:
 def _rounded(point: Floats) -> Place:
     """To a tenth of a millimetre and of a degree: what `--place` would be given."""
     return tuple(round(float(value), 1) + 0.0 for value in point)
-
-
-def _apart(points: Sequence[Place], count: int, extent: Floats) -> list[Place]:
-    """The first points that are at least a tenth of the range apart, so that not all climb the same hill."""
-    return [hill[0] for hill in _hills(points, extent)][:count]
 
 
 def _best_and_others(points: Sequence[Place], count: int, extent: Floats) -> list[Place]:
@@ -237,27 +232,12 @@ def _surroundings(
     return float(lost.min(initial=np.inf)), float(nothing.min(initial=np.inf))
 
 
-def _row(point: Place, values: Mapping[str, Any]) -> Row:
-    return {
-        **dict(zip(AXES, point, strict=True)),
-        "reachable %": 100 * values["reachable"],
-        "coverable %": 100 * values["coverable"],
-        "views": values["views"],
-        "fewest views": values["lower_bound"],
-        "visible %": 100 * values["visible"],
-        "cycle s": values["cycle_s"],
-    }
-
-
 def sentences(found: Found) -> list[str]:
     """The best place, and how sure that is."""
-    from cell.study.placement import place_option
-
     best, ten = found.ten[0], found.ten
-    time = "" if best["cycle s"] is None else f" in about {best['cycle s']:.0f} s (estimate from straight joint moves)"
     said = [
         f"Best place: `{place_option(best)}`. {best['views']} views (no fewer than {best['fewest views']}) measure "
-        f"{best['visible %']:.1f} % of the surface{time}."
+        f"{best['visible %']:.1f} % of the surface{time_of(best)}."
     ]
     spread = [np.ptp([row[axis] for row in ten]) for axis in AXES]
     low, high = min(row["coverable %"] for row in ten), max(row["coverable %"] for row in ten)

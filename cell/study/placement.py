@@ -5,7 +5,7 @@ time estimated from straight joint moves. One set of maps for each height and tu
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -18,6 +18,8 @@ from cell.study.placement_trial import WHOLE, placement
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
+
+AXES = ("x mm", "y mm", "z mm", "yaw deg")
 
 REACH_MM = 1611.0
 """Of the wrist centre from the A2 axis, KUKA's data sheet; the circle about the base on the maps has this radius."""
@@ -58,7 +60,11 @@ def placement_study(
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
-        return [_row(place, values[trial]) for place, trial in grid if trial in values]
+        return [
+            row_of(place, values[trial]) | {"home free": values[trial]["home_free"]}
+            for place, trial in grid
+            if trial in values
+        ]
 
     name = scene.part.name if scene.part.path is None else "the part"
     return Study(
@@ -67,19 +73,16 @@ def placement_study(
     )  # fmt: skip
 
 
-def _row(place: tuple[float, ...], values: Any) -> Row:
+def row_of(place: tuple[float, ...], values: Mapping[str, Any]) -> Row:
+    """The row of a place (values of `AXES`) from those of its trial."""
     return {
-        "x mm": place[0],
-        "y mm": place[1],
-        "z mm": place[2],
-        "yaw deg": place[3],
+        **dict(zip(AXES, place, strict=True)),
         "reachable %": 100 * values["reachable"],
         "coverable %": 100 * values["coverable"],
         "views": values.get("views"),
         "fewest views": values.get("lower_bound"),
         "visible %": None if "visible" not in values else 100 * values["visible"],
         "cycle s": values.get("cycle_s"),
-        "home free": values["home_free"],
     }
 
 
@@ -96,17 +99,21 @@ def place_option(row: Row) -> str:
     return f"--place {row['x mm']:g},{row['y mm']:g},{row['z mm']:g}{turned}"
 
 
+def time_of(row: Row) -> str:
+    """The cycle time as the end of a sentence; "" where there is none."""
+    return "" if row["cycle s"] is None else f" in about {row['cycle s']:.0f} s (estimate from straight joint moves)"
+
+
 def sentences(rows: Sequence[Row]) -> list[str]:
     """Where it is best, and how much of the map is empty."""
     best = best_of(rows)
     if not best["coverable %"]:
         return ["Nothing is measured at any of these placements; move the range nearer to the robot."]
-    time = "" if best["cycle s"] is None else f" in about {best['cycle s']:.0f} s (estimate from straight joint moves)"
     without = sum(not row["reachable %"] for row in rows)
     return [
         f"Best of these placements is `{place_option(best)}`: the robot reaches {best['reachable %']:.0f} % of the "
         f"candidates, which measure {best['coverable %']:.1f} % of the surface; {best['views']} views do it (greedy; "
-        f"no fewer than {best['fewest views']}){time}.",
+        f"no fewer than {best['fewest views']}){time_of(best)}.",
         f"At {without} of {len(rows)} placements nothing can be reached.",
     ]
 

@@ -26,7 +26,7 @@ from planner.viewpoints.viewpoints import pick_viewpoints
 COVERAGE_ONLY, WHOLE = "coverage", "whole"
 
 
-def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
+def placement(settings: Mapping[str, Any]) -> dict[str, object]:
     """A placement's numbers.
 
     Args:
@@ -49,7 +49,7 @@ def placement(settings: Mapping[str, Any]) -> dict[str, Any]:
         return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
     reached = reach.solve(candidates, T_base_object, world.T_flange_scanner, bench.kinematics, checker)
     allowed = reached.reachable
-    values: dict[str, Any] = {"reachable": float(allowed.mean()), "coverable": 0.0, "home_free": True}
+    values: dict[str, object] = {"reachable": float(allowed.mean()), "coverable": 0.0, "home_free": True}
     which = np.flatnonzero(allowed)
     if not len(which):
         return values

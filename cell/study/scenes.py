@@ -12,7 +12,7 @@ from cell.scene.scene import Scene
 from cell.study.bench import Bench
 
 
-def scene_settings(scene: Scene) -> dict[str, Any]:
+def scene_settings(scene: Scene) -> dict[str, object]:
     """A scene for the settings of a trial: only what differs from the defaults, and the files' contents as hashes."""
     content = scene.model_dump(mode="json", exclude_defaults=True)
     # Where a value is a default of a table that depends on the type of the shape, the dump leaves out the type's key.
@@ -33,16 +33,14 @@ def scene_of(settings: Mapping[str, Any]) -> Scene:
     return Scene.model_validate(settings["scene"])
 
 
-def bench_of(settings: Mapping[str, Any], *, samples: int | None = None) -> Bench:
+def bench_of(settings: Mapping[str, Any]) -> Bench:
     """The bench of a trial's scene; trials of one process share it, so a map of placements loads its part once."""
-    scene = {"scene": settings["scene"], "files": settings["files"]}
-    return _bench(json.dumps(scene, sort_keys=True), samples)
+    return _bench(json.dumps({key: settings[key] for key in ("scene", "files")}, sort_keys=True))
 
 
 @lru_cache(maxsize=2)
-def _bench(settings: str, samples: int | None) -> Bench:
-    scene = scene_of(json.loads(settings))
-    return Bench(scene) if samples is None else Bench(scene, samples=samples)
+def _bench(settings: str) -> Bench:
+    return Bench(scene_of(json.loads(settings)))
 
 
 def _sha256(path: str) -> str:

@@ -3,9 +3,7 @@
 A failure is kept for the report, never for the next run: the trial is computed again.
 """
 
-import contextlib
 import json
-import os
 from pathlib import Path
 
 from cell import caches
@@ -49,19 +47,14 @@ def save(outcome: Outcome, folder: Path) -> None:
         },
         allow_nan=False,
     )
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        with caches.whole(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FileError(
             f"the result of a trial cannot be kept in {folder}: {error.strerror or error}; make room, or set "
             "XDG_CACHE_HOME to a folder that you may write to"
         ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _path(trial: Trial, folder: Path) -> Path:

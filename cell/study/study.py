@@ -8,7 +8,6 @@ so nothing in it needs to be kept by hand.
 import csv
 import io
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from cell import caches
 from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.study.run import run
@@ -74,7 +74,7 @@ class StudyResult:
     computed: int
     shown: Sequence[str]
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """The object that `--json` prints."""
         return {
             "schema": SCHEMA,
@@ -114,7 +114,7 @@ def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narra
         list(study.sentences(rows)) if rows else [],
         [outcome for outcome in outcomes if outcome.failure],
         sum(not outcome.cached for outcome in outcomes),
-        study.shown or list(dict.fromkeys(key for row in rows for key in row)),
+        study.shown or _columns(rows),
     )
     seconds = [{"trial": outcome.trial.settings, **outcome.seconds} for outcome in outcomes]
     write_folder(study.name, study.title, result, study.pictures(rows) if rows else (), seconds)
@@ -138,7 +138,7 @@ def write_folder(
     title: str,
     result: StudyResult,
     pictures: Iterable[tuple[str, Figure]],
-    seconds: Sequence[Mapping[str, Any]],
+    seconds: Sequence[Mapping[str, object]],
 ) -> None:
     """Write the files of a study; the module's docstring lists them.
 
@@ -158,19 +158,21 @@ def write_folder(
         raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
 
 
-def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
+def _columns(rows: Sequence[Mapping[str, object]]) -> list[str]:
+    return list(dict.fromkeys(key for row in rows for key in row))
+
+
+def _csv(rows: Sequence[Mapping[str, object]]) -> str:
     text = io.StringIO()
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer = csv.DictWriter(text, _columns(rows), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
 
 
 def _write(path: Path, content: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    temporary.write_text(content, encoding="utf-8")
-    temporary.replace(path)
+    with caches.whole(path) as temporary:
+        temporary.write_text(content, encoding="utf-8")
 
 
 def _draw(folder: Path, stem: str, figure: Figure) -> str:
@@ -197,12 +199,12 @@ def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
 
 def markdown_table(rows: Sequence[Row]) -> list[str]:
     """The rows as lines of a Markdown table; numbers with at most four digits."""
-    columns = list(dict.fromkeys(key for row in rows for key in row))
+    columns = _columns(rows)
     body = ["| " + " | ".join(shown(row.get(column)) for column in columns) + " |" for row in rows]
     return ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns), *body] if rows else []
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value as people read it."""
     if value is None:
         return ""

@@ -17,7 +17,7 @@ FINE_RESOLUTION_DEG = 0.25
 """Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
 
 
-def row(settings: Mapping[str, Any]) -> dict[str, Any]:
+def row(settings: Mapping[str, Any]) -> dict[str, object]:
     """Both methods on one row.
 
     Args:
@@ -71,8 +71,8 @@ def row(settings: Mapping[str, Any]) -> dict[str, Any]:
 def _bench(settings: str) -> Bench:
     """The bench of a row, whatever the place: the rows of Table 5 that one process computes share part and matrices."""
     asked = json.loads(settings)
-    scanner: dict[str, Any] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2}
-    plan: dict[str, Any] = {"rolls_deg": [0.0], **{key: asked[key] for key in ("faces", "samples_per_face")}}
+    scanner: dict[str, object] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2}
+    plan: dict[str, object] = {"rolls_deg": [0.0], **{key: asked[key] for key in ("faces", "samples_per_face")}}
     if "standoff_mm" in asked:
         plan["standoffs_mm"] = [asked["standoff_mm"]]
     if "fov_deg" in asked:

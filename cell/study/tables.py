@@ -175,8 +175,8 @@ def _picture(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _settings(table: str, row: PaperRow, faces_share: float) -> dict[str, Any]:
-    settings: dict[str, Any] = {
+def _settings(table: str, row: PaperRow, faces_share: float) -> dict[str, object]:
+    settings: dict[str, object] = {
         "part": row.part,
         "faces": max(8, round(faces_share * (930 if table == "table5" else row.viewpoints))),
         # A reduced study has fewer candidates, not a coarser idea of the surface: as many samples as the full one.

@@ -37,7 +37,7 @@ class Trial:
     settings: str
 
     @classmethod
-    def of(cls, function: TrialFunction, settings: Mapping[str, Any]) -> "Trial":
+    def of(cls, function: TrialFunction, settings: Mapping[str, object]) -> "Trial":
         """A trial from a function of a module, which a worker can import, and a table of settings.
 
         Raises:

@@ -10,7 +10,7 @@ from cell.study.bench import Bench
 from cell.study.scenes import scene_of
 
 
-def views(settings: Mapping[str, Any]) -> dict[str, Any]:
+def views(settings: Mapping[str, Any]) -> dict[str, object]:
     """Views and coverage of a scene's scanner on its part.
 
     Args:

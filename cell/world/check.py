@@ -1,13 +1,12 @@
 """`cell check`: compile a scene and say what stands where, what touches at home, how far it reaches, what is wrong."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
 from cell import scanners
 from cell.part import workpiece
-from cell.robot.model import AXES, Dimensions, dimensions
+from cell.robot.model import AXES, dimensions
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
@@ -91,7 +90,7 @@ class CheckResult:
         """0, or 2 where something is wrong with the scene."""
         return 2 if self.problems else 0
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """The result as JSON values."""
         contacts = [{"pair": pair, "distance_mm": distance} for pair, distance in self.contacts_at_home]
         return {"schema": 1, "ok": not self.problems, **asdict(self), "contacts_at_home": contacts}
@@ -142,14 +141,12 @@ def check_scene(scene: Scene) -> CheckResult:
     checker = MujocoCollisionChecker(world)
     contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
     distance, nearest = checker.distance(world.home[None])
-    arm = dimensions(world.model)
-    envelope = _envelope(world, arm)
+    envelope = _envelope(world)
     problems = impossible(world)
-    beyond = _beyond_reach(world, envelope, max(settings.standoffs))
-    if beyond:
+    if beyond := _beyond_reach(world, envelope, max(settings.standoffs)):
         problems.append(beyond)
     lower, upper = np.rad2deg(world.limits.lower).round(6), np.rad2deg(world.limits.upper).round(6)
-    names = [name for name in dict.fromkeys(world.entities) if _is_obstacle(world, name)]
+    standing = {"part", "post", "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
     return CheckResult(
         problems=tuple(problems),
         findings=tuple(finding.sentence for finding in part.findings),
@@ -167,23 +164,21 @@ def check_scene(scene: Scene) -> CheckResult:
         housing_mm=_triple(world.T_flange_housing[:3, 3]),
         bracket_length_mm=_mm(2 * world.model.geom("bracket").size[1]) if "bracket" in world.entities else 0.0,
         baseline_mm=baseline_mm,
-        obstacles=tuple(names),
+        obstacles=tuple(name for name in dict.fromkeys(world.entities) if name in standing),
         clearance_mm=scene.clearance_mm,
         collision=world.collision,
         guarded_pairs=len(world.pairs),
     )
 
 
-def _envelope(world: World, arm: Dimensions) -> Envelope:
+def _envelope(world: World) -> Envelope:
     """The wrist centre over the whole range of A2 and A3 (planar two-link arm, KUKA's signs)."""
-    lower, upper = world.limits.lower, world.limits.upper
+    arm, lower, upper = dimensions(world.model), world.limits.lower, world.limits.upper
     a2, a3 = np.meshgrid(
         *(np.linspace(lower[i], upper[i], int(np.rad2deg(upper[i] - lower[i]) / _GRID_DEG) + 1) for i in (1, 2)),
         indexing="ij",
     )
-    forearm = a2 + a3
-    out = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * np.cos(forearm) + arm.a3 * np.sin(forearm)
-    up = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * np.sin(forearm) + arm.a3 * np.cos(forearm)
+    out, up = arm.wrist_in_plane(a2, a3)
     source = world.T_flange_scanner[:3, 3] + np.array([0.0, 0.0, arm.d6])
     return Envelope(
         _mm(np.abs(out).max(), 1), _mm(up.min(), 1), _mm(up.max(), 1), _mm(float(np.linalg.norm(source)), 1)
@@ -202,11 +197,6 @@ def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
         f"the part is out of reach: it stands {1000 * gap:.0f} mm beyond what the laser sees from the arm's farthest "
         f"reach; its centre must be within {1000 * (farthest + radius):.0f} mm of the A1 axis"
     )
-
-
-def _is_obstacle(world: World, name: str) -> bool:
-    fixtures = [fixture.name for fixture in world.scene.fixtures]
-    return name in ("part", "post", "pedestal", "floor", *fixtures)
 
 
 def _mm(metres: float, digits: int = 3) -> float:

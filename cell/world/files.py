@@ -54,7 +54,7 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
 def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
     """Replace the rounded numbers of one element by those of the specification."""
     name = element.get("name")
-    exact: dict[str, Any] = {}
+    exact: dict[str, ArrayLike] = {}
     if name is None:
         return
     if element.tag == "body":

@@ -106,7 +106,6 @@ class World(Value):
         import mujoco
 
         model = self.model if model is None else model
-
         T = self.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
         data = mujoco.MjData(model)
         data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
@@ -204,15 +203,13 @@ def compile_world(
     post_body = spec.worldbody.add_body(name="post", mocap=True)
     cell_shapes.add_mesh(spec, placed_body, "part", hull)
     if scene.post.enabled:
-        radius = scene.post.diameter_mm / 2000.0
-        cell_shapes.add_cylinder(
-            post_body,
-            "post",
-            radius,
-            cell_shapes.POST_LENGTH,
-            cell_shapes.shift(0.0, 0.0, -cell_shapes.POST_LENGTH / 2),
-        )
-    _require_new_names(scene, {geom.name for geom in spec.geoms})
+        middle = np.eye(4)
+        middle[2, 3] = -cell_shapes.POST_LENGTH / 2
+        cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, cell_shapes.POST_LENGTH, middle)
+    taken = {geom.name for geom in spec.geoms}
+    for i, fixture in enumerate(scene.fixtures):
+        if fixture.name in taken:
+            raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     for geom in spec.geoms:
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
@@ -249,12 +246,6 @@ def trees_of(model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh]) -> dict[
     from cell.world.triangles import TriangleTree  # its kernels load numba
 
     return {model.geom(name).id: TriangleTree(mesh) for name, mesh in meshes.items()}
-
-
-def _require_new_names(scene: Scene, taken: set[str]) -> None:
-    for i, fixture in enumerate(scene.fixtures):
-        if fixture.name in taken:
-            raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

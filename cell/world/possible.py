@@ -5,7 +5,6 @@ part at one placement, and the housing, which a mount that is off by a sign puts
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cell.errors import SceneError
 from cell.robot.model import AXES, LINKS
@@ -20,35 +19,26 @@ _SKIN = 1e-6  # m; a housing whose front face lies in the source's plane is not 
 _LEG_ENDS = 1.0  # m; where the sensor's lines of sight are taken to end: nearer ends lie inside the same fan
 
 
-def require_possible(world: World, T_base_object: ArrayLike | None = None) -> None:
+def require_possible(world: World) -> None:
     """Refuse a scene that cannot be.
-
-    Args:
-        world: the compiled scene.
-        T_base_object: (4, 4) placement [m]; None is the scene's.
 
     Raises:
         SceneError: with every problem on a line of its own.
     """
-    problems = impossible(world, T_base_object)
+    problems = impossible(world)
     if problems:
         raise SceneError("\n  ".join([problems[0]] if len(problems) == 1 else ["the scene cannot be:", *problems]))
 
 
-def impossible(world: World, T_base_object: ArrayLike | None = None) -> list[str]:
-    """What is wrong with the scene at a placement, one sentence each; empty for a scene that can be.
-
-    Args:
-        world: the compiled scene.
-        T_base_object: (4, 4) placement [m]; None is the scene's.
-    """
-    T = world.T_base_object if T_base_object is None else np.asarray(T_base_object, dtype=np.float64)
-    return [
-        *_home_outside_limits(world),
-        *_housing_in_own_view(world),
-        *_part_out_of_room(world, T),
-        *_in_each_other(world, T),
-    ]
+def impossible(world: World) -> list[str]:
+    """What is wrong with a compiled scene, one sentence each; empty for a scene that can be."""
+    problems = _home_outside_limits(world)
+    if share := hidden_share(world):
+        problems.append(
+            f"the housing hides {100 * share:.0f} % of the scanner's own field of view; its front must lie behind "
+            "source and sensor: change housing.position_mm, housing.size_mm or the mount"
+        )
+    return [*problems, *_part_out_of_room(world), *_in_each_other(world)]
 
 
 def _home_outside_limits(world: World) -> list[str]:
@@ -60,24 +50,15 @@ def _home_outside_limits(world: World) -> list[str]:
     ]
 
 
-def _housing_in_own_view(world: World) -> list[str]:
-    share = hidden_share(world)
-    if share == 0:
-        return []
-    return [
-        f"the housing hides {100 * share:.0f} % of the scanner's own field of view; its front must lie behind source "
-        "and sensor: change housing.position_mm, housing.size_mm or the mount"
-    ]
-
-
-def _part_out_of_room(world: World, T: np.ndarray) -> list[str]:
-    top = world.post_top(T)
+def _part_out_of_room(world: World) -> list[str]:
+    top = world.post_top(world.T_base_object)
+    centre_z = (world.T_base_object @ world.T_object_centre)[2, 3]
     problems = []
     if top[2] < world.floor - _TOUCHING:
         depth = 1000 * (world.floor - top[2])
         problems.append(
             f"the part reaches {depth:.0f} mm below the floor, which is at z = {1000 * world.floor:g} mm; "
-            f"raise placement.position_mm (its centre is at z = {1000 * (T @ world.T_object_centre)[2, 3]:g} mm)"
+            f"raise placement.position_mm (its centre is at z = {1000 * centre_z:g} mm)"
         )
     if world.scene.post.enabled and top[2] - world.floor > cell_shapes.POST_LENGTH:
         problems.append(
@@ -87,9 +68,9 @@ def _part_out_of_room(world: World, T: np.ndarray) -> list[str]:
     return problems
 
 
-def _in_each_other(world: World, T: np.ndarray) -> list[str]:
+def _in_each_other(world: World) -> list[str]:
     """Overlaps of what stands still, and the robot at home nearer to anything than the clearance."""
-    data = world.data(T)
+    data = world.data()
     movable = {"part", "post"} | {f.name for f in world.scene.fixtures if f.attached_to == "object"}
     obstacles = movable | {fixture.name for fixture in world.scene.fixtures}
     ids: dict[str, list[int]] = {}
@@ -108,7 +89,7 @@ def _in_each_other(world: World, T: np.ndarray) -> list[str]:
         hits = [(gap(piece, obstacle), piece) for piece in [*arm, *mounted]]
         hits = [(d, piece) for d, piece in hits if d < (-_TOUCHING if piece in _MOUNTED else world.clearance - 1e-9)]
         if hits:
-            problems.append(_sentence(world, *min(hits), obstacle, T))
+            problems.append(_sentence(world, *min(hits), obstacle))
     standing = obstacles | set(_MOUNTED[1:])
     guarded = {tuple(sorted((world.entities[a], world.entities[b]))) for a, b in world.pairs}
     for one, other in sorted(guarded):
@@ -125,10 +106,10 @@ def _in_each_other(world: World, T: np.ndarray) -> list[str]:
     return problems
 
 
-def _sentence(world: World, distance: float, piece: str, obstacle: str, T: np.ndarray) -> str:
+def _sentence(world: World, distance: float, piece: str, obstacle: str) -> str:
     scene = world.scene
     robot_piece = piece if piece in ("pedestal", "housing", "bracket") else f"robot's {piece}"
-    place = ", ".join(f"{1000 * v:g}" for v in (T @ world.T_object_centre)[:3, 3].round(6))
+    place = ", ".join(f"{1000 * v:g}" for v in (world.T_base_object @ world.T_object_centre)[:3, 3].round(6))
     if obstacle in ("part", "post"):
         cure = f"move placement.position_mm (now {place})"
     else:

@@ -266,13 +266,6 @@ def quaternion(R: ArrayLike) -> Floats:
     return q
 
 
-def shift(x: float, y: float, z: float) -> Floats:
-    """(4, 4) a pure translation [m]."""
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
-
-
 def _turn_z_to(direction: Floats) -> Floats:
     """(3, 3) a rotation whose third column is the unit vector `direction`."""
     across = np.eye(3)[np.argmin(np.abs(direction))]

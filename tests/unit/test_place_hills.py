@@ -4,7 +4,7 @@ import numpy as np
 
 from cell.scene.scene import load_scene
 from cell.study.bench import Bench
-from cell.study.place import _apart, _best_and_others, _hills
+from cell.study.place import _best_and_others, _hills
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
 _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0.0, 60.0, 5.0, 0.0)]
@@ -15,7 +15,6 @@ def test_places_within_a_tenth_of_the_range_are_one_hill():
     """Turns count as well as metres, and a fixed axis does not."""
     hills = _hills([*_NEAR, *_FAR], _EXTENT)
     assert hills == [_NEAR, [_FAR[0], _FAR[2]], [_FAR[1]]]
-    assert _apart([*_NEAR, *_FAR], 2, _EXTENT) == [_NEAR[0], _FAR[0]]
 
 
 def test_the_best_half_is_kept_and_every_hill_has_its_turn():
