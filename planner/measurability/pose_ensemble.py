@@ -144,9 +144,9 @@ def probability_layer(
     """
     hits = np.zeros(len(M.indices), dtype=np.int32)
     targets = Targets.of(M.features.points, M.features.normals)
-    by_column = M.matrix().astype(np.int64)
-    by_column.data = np.arange(len(hits))  # number of each entry in row order
-    by_column = by_column.tocsc()
+    numbered = M.matrix().astype(np.int64)
+    numbered.data = np.arange(len(hits))  # entries are numbered in row order
+    by_column = numbered.tocsc()
     start, rows = by_column.indptr, by_column.indices.astype(np.int64)
     keys = np.repeat(np.arange(M.n_viewpoints), np.diff(start)) * len(targets) + rows
     K = viewpoints.T_object_scanner.shape[1]
