@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from drivers.profile import Reference, interpolate
 
-shares = st.floats(0.0, 1.0) | st.sampled_from([0.0, 1e-8, 0.5, 1.0 - 1e-9, 1.0])
+shares = st.floats(0.0, 1.0) | st.sampled_from([0.0, 1e-9, 0.5, 1.0 - 1e-9, 1.0])
 positive = arrays(float, 6, elements=st.floats(0.05, 20.0))
 
 
