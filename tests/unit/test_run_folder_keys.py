@@ -1,4 +1,4 @@
-"""docs/run_folder.md lists the keys of a plan's JSON files as their definitions say them.
+"""docs/run_folder.md lists the keys of the JSON files as their definitions say them.
 
 Written anew by `python tests/unit/test_run_folder_keys.py`.
 """
@@ -8,14 +8,24 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from cell.run.execution_json import ExecutionReport
+from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
 from cell.run.scene_json import ResolvedScene
+from cell.run.why_json import WhyReport
 from cell.scene.plan_settings import PlanKeys
 
 PAGE = Path(__file__).parents[2] / "docs" / "run_folder.md"
 BEGIN, END = "<!-- keys: `python tests/unit/test_run_folder_keys.py` writes them -->\n", "<!-- end of keys -->\n"
-FILES = {"plan.json": PlanFile, "report.json": Report, "scene.resolved.json": ResolvedScene}
+FILES = {
+    "plan.json": PlanFile,
+    "report.json": Report,
+    "scene.resolved.json": ResolvedScene,
+    "manifest.json of a run and of an execution; what is not known is left out": Manifest,
+    "report.json of an execution": ExecutionReport,
+    "why/why.json": WhyReport,
+}
 
 
 def table_in(annotation: Any) -> tuple[type[BaseModel] | None, str]:
@@ -41,6 +51,7 @@ def rows(model: type[BaseModel], before: str, known: dict[type[BaseModel], str])
         if table in known:
             meaning = f"as `{known[table]}`"
         assert meaning, f"{model.__name__}.{name} needs a description"
+        name = field.alias or name
         found.append((f"`{before}{name}`" + ("?" if field.exclude_if else ""), meaning))
         if table and table not in known:
             known[table] = before + name
