@@ -1,15 +1,15 @@
-"""The codecs against mangled frames, in a reduced form; the full one is `python -m benchmarks fuzz`."""
-
-import os
+"""The codecs against mangled frames, in reduced forms; the full one is `python -m benchmarks fuzz`."""
 
 import numpy as np
+import pytest
 
 from benchmarks import fuzz
 
 
-def test_no_mangled_frame_crashes_a_codec_or_passes_for_another() -> None:
-    """Bits, bytes, bursts, cuts and joins; FUZZ_FRAMES frames where the environment says so."""
-    for row in fuzz.run(int(os.environ.get("FUZZ_FRAMES", "12000")), seed=4):
+@pytest.mark.parametrize("frames", [12_000, pytest.param(120_000, marks=pytest.mark.slow)])
+def test_no_mangled_frame_crashes_a_codec_or_passes_for_another(frames: int) -> None:
+    """Bits, bytes, bursts, cuts and joins."""
+    for row in fuzz.run(frames, seed=4):
         assert row["crashes"] == 0, row
         assert row["false accepts"] == 0, row
         assert row["still whole"] < row["mangled"] / 4, row

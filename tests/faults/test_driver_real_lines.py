@@ -29,7 +29,7 @@ def turned(degrees: float) -> SetPoints:
     return points
 
 
-@pytest.mark.parametrize("protocol", ["serial", "modbus-rtu"])
+@pytest.mark.parametrize("protocol", ["serial", pytest.param("modbus-rtu", marks=pytest.mark.slow)])
 def test_a_controller_that_is_killed_and_comes_back(protocol: str, emulate: Callable[..., Any], tmp_path: Path) -> None:
     """While the arm moves: state unknown; then a stop opens the line again, and the arm stands where it was seen."""
     link = tmp_path / "kr16"

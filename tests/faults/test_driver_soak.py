@@ -1,16 +1,18 @@
-"""The soak over real processes, in a reduced form; the full one is `python -m benchmarks soak`."""
+"""The soak over real processes, in reduced forms; the full one is `python -m benchmarks soak`."""
 
 import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from benchmarks.soak import EVERY_FAULT, PATIENCE, Soak, drive, judge
 from drivers.registry import open_driver
 
 
-def test_a_reduced_soak_over_real_processes(emulate: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("moves", [6, pytest.param(60, marks=pytest.mark.slow)])
+def test_a_reduced_soak_over_real_processes(moves: int, emulate: Callable[..., Any]) -> None:
     """A few moves with 2 % of every fault over each wire at once."""
     faults = EVERY_FAULT.replace("=0.01", "=0.02")
     running = [emulate(name, "--time-scale", "40", "--faults", faults, "--seed", "3")
@@ -19,7 +21,7 @@ def test_a_reduced_soak_over_real_processes(emulate: Callable[..., Any]) -> None
 
     def soak(k: int) -> None:
         url = running[k].url
-        results[k] = drive(open_driver(f"{url}{'&' if '?' in url else '?'}{PATIENCE}"), 6, np.random.default_rng(k))
+        results[k] = drive(open_driver(f"{url}{'&' if '?' in url else '?'}{PATIENCE}"), moves, np.random.default_rng(k))
 
     threads = [threading.Thread(target=soak, args=(k,)) for k in range(len(running))]
     for thread in threads:
@@ -30,4 +32,4 @@ def test_a_reduced_soak_over_real_processes(emulate: Callable[..., Any]) -> None
         assert emulated.end() == 0
         journal = emulated.entries()
         assert judge(results[k], journal).clean, (judge(results[k], journal), results[k].outcomes)
-        assert len(results[k].commanded) == 6
+        assert len(results[k].commanded) == moves

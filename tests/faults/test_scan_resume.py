@@ -65,7 +65,7 @@ def _wait_for_scans(run: Path, count: int, process: "subprocess.Popen[str]") -> 
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("protocol", ["serial", "modbus"])
+@pytest.mark.parametrize("protocol", ["modbus", pytest.param("serial", marks=pytest.mark.slow)])
 def test_a_killed_client_goes_on_and_scans_every_view_once(
     protocol: str,
     run_folder: Path,
@@ -190,7 +190,7 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     assert _scans(execution) == undisturbed
 
 
-@pytest.mark.parametrize("protocol", ["serial", "modbus", "modbus-rtu"])
+@pytest.mark.parametrize("protocol", ["serial", pytest.param("modbus", marks=pytest.mark.slow), "modbus-rtu"])
 def test_every_wire_gives_the_same_scans_to_the_bit(
     protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
 ) -> None:
