@@ -36,7 +36,7 @@ from cell.robot.model import load
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, open_run
 from cell.scan import driver as scan_driver
-from cell.scan import execute
+from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from planner.values import Floats
 
@@ -74,7 +74,7 @@ def default_plan(run_record: RunRecord, speed: float) -> dict[str, Any]:
         driver, clock = scan_driver.prepare(ScanOptions(driver=URL), motion, 1.0, {"mujoco": make})
         with driver:
             began, spent = clock.now(), process_time()
-            for leg in execute.legs_of(motion).legs:
+            for leg in legs_of(motion).legs:
                 state = driver.move(leg.set_points, speed)
                 if attempt == 0:
                     stands.append((state.q, leg.via[-1]))

@@ -30,8 +30,8 @@ from cell.rays.virtual_scan import scan
 from cell.run import reader as run_reader
 from cell.run.record import open_run
 from cell.scan import driver as scan_driver
-from cell.scan import execute
 from cell.scan.execution_folder import EXECUTING
+from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
 
@@ -90,7 +90,7 @@ def _farthest(execution: Path) -> float:
 
 def _controller(plan: Path) -> dict[str, Any]:
     motion = run_reader.motion(open_run(plan))
-    legs = execute.legs_of(motion).legs
+    legs = legs_of(motion).legs
     best, simulated = np.inf, 0.0
     for _ in range(5):
         driver, clock = scan_driver.prepare(ScanOptions(), motion, 1.0)

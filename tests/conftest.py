@@ -34,6 +34,9 @@ for _name, _examples in (("full", 100), ("own", 25)):
     settings.register_profile(_name, deadline=None, derandomize="CI" in os.environ, max_examples=_examples)
 settings.load_profile("own")
 
+# MuJoCo reads it once, when it is imported: what draws without a display.
+os.environ.setdefault("MUJOCO_GL", "egl")
+
 _SMALL_PLAN = ("--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3")
 
 

@@ -1,18 +1,17 @@
-"""Pictures without a display: a MuJoCo renderer on EGL, else on OSMesa.
+"""Pictures without a display, by MuJoCo's renderer: on Linux on EGL, or on OSMesa where there is no EGL.
 
-Which of the two can be loaded is found out with `ctypes` before PyOpenGL is imported, because PyOpenGL binds one
-platform for the life of the process. `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` in the environment chooses.
+Both draw in software where there is no graphics card. `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` in the environment chooses;
+MuJoCo reads it once, when it is imported.
 """
 
 from __future__ import annotations
 
-import ctypes
 import ctypes.util
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import sys
+from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,25 +25,26 @@ Image = NDArray[np.uint8]
 Decorate = Callable[["mujoco.MjvScene"], None]
 
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri (EGL) or libosmesa6 (OSMesa)"
+_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _MAX_GEOMS = 20_000
-_EGL_PLATFORM_DEVICE = 0x313F
+_FONT = 20  # height of a caption [pixels]
 
 
 def backend() -> str | None:
-    """The library that can draw without a display: "egl", "osmesa" or None.
+    """What draws without a display, as MUJOCO_GL names it; None where nothing does.
 
     MUJOCO_GL leaves only the one that it names to be looked at.
     """
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if wanted in ("", "egl") and _has_egl():
-        return "egl"
-    if wanted in ("", "osmesa") and _has_osmesa():
-        return "osmesa"
-    return None
+    if sys.platform != "linux":
+        return "cgl" if sys.platform == "darwin" else "wgl"
+    asked = os.environ.get("MUJOCO_GL", "").strip().lower()
+    return next(
+        (name for name, lib in _LIBRARIES.items() if asked in ("", name) and ctypes.util.find_library(lib)), None
+    )
 
 
-def require_backend() -> str:
-    """The library that draws; call it before MuJoCo is imported, whose import fails for a MUJOCO_GL that is not there.
+def require_backend() -> None:
+    """Choose what draws; call it before MuJoCo is imported.
 
     Raises:
         UsageError: if there is neither EGL nor OSMesa.
@@ -57,11 +57,16 @@ def require_backend() -> str:
             f"pictures without a display need EGL or OSMesa, and neither can be loaded{named}; install the packages "
             f"{PACKAGES}, or replay on a display without --frames and --picture"
         )
-    return chosen
+    os.environ["MUJOCO_GL"] = chosen
 
 
 class OffScreen:
-    """Draws scenes of one model into arrays; a context manager, because it holds a GL context."""
+    """Draws scenes of one model into arrays; a context manager, because it holds a GL context.
+
+    Attributes:
+        renderer: of MuJoCo.
+        option: what is shown.
+    """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], samples: int = 4) -> None:
         """Open the context.
@@ -72,30 +77,18 @@ class OffScreen:
             samples: per pixel, against jagged edges; software rendering takes time in proportion.
 
         Raises:
-            UsageError: if there is neither EGL nor OSMesa.
+            UsageError: if there is neither EGL nor OSMesa, or no driver for it.
         """
-        chosen = require_backend()
+        require_backend()
         import mujoco
 
-        if chosen == "egl":
-            from mujoco.egl import GLContext
-        else:
-            from mujoco.osmesa import GLContext
-        self._size = size
-        self._model = model
         model.vis.quality.offsamples = samples
         try:
-            self._gl: Any = GLContext(*size)
-            self._gl.make_current()
-            with _named(chosen):
-                self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_150))
+            self.renderer = mujoco.Renderer(model, size[1], size[0], _MAX_GEOMS)
         except (ImportError, RuntimeError, mujoco.FatalError) as error:
             raise UsageError(
-                f"pictures without a display cannot be drawn with {chosen}: {error}; install the packages {PACKAGES}"
+                f"pictures without a display cannot be drawn: {error}; install the packages {PACKAGES}"
             ) from error
-        mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._context)
-        self._rectangle = mujoco.MjrRect(0, 0, *size)
-        self.scene = mujoco.MjvScene(model, _MAX_GEOMS)
         self.option = mujoco.MjvOption()
 
     def __enter__(self) -> OffScreen:
@@ -104,8 +97,7 @@ class OffScreen:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._context.free()
-        self._gl.free()
+        self.renderer.close()
 
     def picture(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, decorate: Decorate | None = None, caption: str = ""
@@ -118,95 +110,18 @@ class OffScreen:
             decorate: appends to the scene.
             caption: a line at the top left.
         """
-        import mujoco
-
-        self._update(data, camera, decorate)
-        self._gl.make_current()
-        mujoco.mjr_render(self._rectangle, self.scene, self._context)
-        if caption:
-            font, place = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_TOPLEFT
-            mujoco.mjr_overlay(font, place, self._rectangle, caption, "", self._context)
-        return self._pixels()
-
-    def segmentation(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> NDArray[np.int32]:
-        """(height, width) number of the geom that each pixel shows, -1 where it shows none; nothing is decorated."""
-        import mujoco
-
-        self._update(data, camera, None)
-        kept = self.scene.flags.copy()
-        self.scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = True
-        self.scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = True
-        self._gl.make_current()
-        mujoco.mjr_render(self._rectangle, self.scene, self._context)
-        self.scene.flags[:] = kept
-        shown = np.full(self.scene.ngeom + 1, -1, dtype=np.int32)
-        for geom in self.scene.geoms[: self.scene.ngeom]:
-            if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
-                shown[geom.segid + 1] = geom.objid
-        codes: NDArray[np.int32] = self._pixels().astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], dtype=np.int32)
-        return shown[codes]
-
-    def _update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, decorate: Decorate | None) -> None:
-        import mujoco
-
-        everything = int(mujoco.mjtCatBit.mjCAT_ALL)
-        mujoco.mjv_updateScene(self._model, data, self.option, None, camera, everything, self.scene)
+        self.renderer.update_scene(data, camera, self.option)
         if decorate is not None:
-            decorate(self.scene)
-
-    def _pixels(self) -> Image:
-        import mujoco
-
-        width, height = self._size
-        pixels = np.empty((height, width, 3), dtype=np.uint8)
-        mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
-        return np.ascontiguousarray(pixels[::-1])  # GL counts rows from below
+            decorate(self.renderer.scene)
+        picture: Image = self.renderer.render()
+        return _captioned(picture, caption) if caption else picture
 
 
-@contextmanager
-def _named(chosen: str) -> Iterator[None]:
-    """Tell MuJoCo's own loader of GL functions, which reads MUJOCO_GL, and leave the environment as it was."""
-    before = os.environ.get("MUJOCO_GL")
-    os.environ["MUJOCO_GL"] = chosen
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["MUJOCO_GL"]
-        else:
-            os.environ["MUJOCO_GL"] = before
+def _captioned(picture: Image, caption: str) -> Image:
+    from PIL import Image as Picture
+    from PIL import ImageDraw, ImageFont
 
-
-def _has_egl() -> bool:
-    """Whether EGL is there *with* a driver: libegl1 alone loads, but opens no display."""
-    name = ctypes.util.find_library("EGL")
-    if name is None:
-        return False
-    try:
-        egl = ctypes.CDLL(name)
-        address = egl.eglGetProcAddress
-        address.restype, address.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
-        pointers = [address(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")]
-    except (OSError, AttributeError):
-        return False
-    if not all(pointers):
-        return False
-    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(pointers[0])
-    open_display = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(pointers[1])
-    devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
-    if not query(16, devices, ctypes.byref(count)):
-        return False
-    egl.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-    displays = (open_display(_EGL_PLATFORM_DEVICE, device, None) for device in devices[: count.value])
-    # The displays stay initialised: EGL counts no users, and the renderer opens the same one next.
-    return any(display and egl.eglInitialize(display, None, None) for display in displays)
-
-
-def _has_osmesa() -> bool:
-    name = ctypes.util.find_library("OSMesa")
-    if name is None:
-        return False
-    try:
-        return hasattr(ctypes.CDLL(name), "OSMesaCreateContextExt")
-    except OSError:
-        return False
+    drawn = Picture.fromarray(picture)
+    font = ImageFont.load_default(_FONT)
+    ImageDraw.Draw(drawn).text((8, 4), caption, "white", font, stroke_width=2, stroke_fill="black")
+    return np.asarray(drawn)

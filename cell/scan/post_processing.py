@@ -21,10 +21,11 @@ from cell.run.execution_json import ExecutedMotion, ExecutionReport
 from cell.run.executions import RecordedExecution, read_execution
 from cell.run.plan_json import PlanFile
 from cell.run.record import open_finished, understood
-from cell.scan import execute, execution_page
+from cell.scan import execution_page
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
 from cell.scan.execution_summary import Results, execution_report, settings_of
+from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome, Work
 from planner.surface.closest import NearestSurface
@@ -105,7 +106,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
             off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
 
     with work.step("report"):
-        legs = execute.legs_of(motion, options.view)
+        legs = legs_of(motion, options.view)
         # Of a resumed execution only the time of the last part is known.
         timed = bool(manifest.simulated_time) and not manifest.resumed
         times = ExecutedMotion(planned_s=legs.planned_seconds, executed_s=manifest.moving_s if timed else None)

@@ -14,7 +14,8 @@ from cell.errors import DriverFailureError
 from cell.run import reader as run_reader
 from cell.run.cell import world_of
 from cell.run.record import RunRecord
-from cell.scan.execute import Leg, Legs, stands_at
+from cell.scan.execute import stands_at
+from cell.scan.legs import Leg, Legs
 from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import RobotState
 from drivers.setpoints import text

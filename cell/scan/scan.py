@@ -18,9 +18,9 @@ from cell.run.executions import RecordedExecution, read_execution
 from cell.run.record import RunRecord, open_finished, read_manifest, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, safety
-from cell.scan.execute import Legs
 from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.execution_results import usable
+from cell.scan.legs import Legs, legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scan.post_processing import exit_code_of, results
@@ -54,7 +54,7 @@ def scan(
     """
     run = open_finished(run_folder)
     motion = run_reader.driven_motion(run)
-    legs = execute.legs_of(motion, options.view)
+    legs = legs_of(motion, options.view)
     cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run))
@@ -102,7 +102,7 @@ def resume(
     motion = run_reader.motion(run)
     cell = read_cell(run, begun.resolution_deg)
     seed = recorded.manifest.require_seed(recorded.folder)
-    legs, done = execute.legs_of(motion, begun.view), {scan.stop for scan in scans}
+    legs, done = legs_of(motion, begun.view), {scan.stop for scan in scans}
     if recorded.manifest.status == "finished" and done >= {leg.stop for leg in legs.legs if leg.stop}:
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:

@@ -51,6 +51,14 @@ class Group:
     patches: tuple[Patch, ...]
     named: tuple[Named, ...]
 
+    @property
+    def title(self) -> str:
+        """The reason with what is in the way: "sensor shaded by part", "view in collision: housing with post"."""
+        if not self.what:
+            return self.reason.sentence
+        joint = " by " if self.reason <= Reason.SENSOR_SHADED else ": "
+        return f"{self.reason.sentence}{joint}{self.what}"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:

@@ -24,6 +24,7 @@ from cell.run.scene_json import ScannerKeys
 from cell.scan import driver as scan_driver
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
+from cell.scan.legs import Leg, Legs, legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
@@ -103,7 +104,7 @@ class Recorded:
 
 
 def _run(driver, motion, folder, stop=None, disturbance=None, seed=5):
-    legs = execute.legs_of(motion, stop)
+    legs = legs_of(motion, stop)
     execute.run(
         legs, driver, _scene(), disturbance or Disturbance(), folder, seed=seed, speed=0.5, clock=SimulatedClock()
     )  # fmt: skip
@@ -116,7 +117,7 @@ def _events(folder) -> list[dict]:
 def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
     """Start and legs joined are exactly the plan's via points; each stop ends a leg, numbered in visiting order."""
     motion = _tour()
-    legs = execute.legs_of(motion)
+    legs = legs_of(motion)
     joined = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
     assert (joined == motion.via_q).all()
     assert [(leg.stop, leg.view) for leg in legs.legs] == [(1, 70), (2, 71), (3, 72), (0, -1)]
@@ -130,7 +131,7 @@ def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
 def test_one_view_is_reached_and_left_on_the_plans_own_path(stop: int) -> None:
     """Every step of the way is a step of the plan, forward or backward, from home to home, by the shorter side."""
     motion = _tour()
-    legs = execute.legs_of(motion, stop)
+    legs = legs_of(motion, stop)
     at = int(np.flatnonzero(motion.view >= 0)[stop - 1])
     joined = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
     steps = {(a.tobytes(), b.tobytes()) for a, b in zip(motion.via_q[:-1], motion.via_q[1:], strict=True)}
@@ -147,7 +148,7 @@ def test_one_view_is_reached_and_left_on_the_plans_own_path(stop: int) -> None:
 def test_a_view_that_the_plan_does_not_have_is_refused(stop: int) -> None:
     """The sentence names the views there are."""
     with pytest.raises(UsageError, match="views 1 to 3"):
-        execute.legs_of(_tour(), stop)
+        legs_of(_tour(), stop)
 
 
 def test_the_controller_gets_exactly_the_planned_counts_at_the_planned_speed(folder: ExecutionFolder) -> None:
@@ -233,7 +234,7 @@ def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFold
     """Far from the part every ray meets nothing; the file is whole and readable, with noise asked for as well."""
     motion = _tour((1,), seed=3)
     away = motion.via_q[:1] + np.array([1.5, 0, 0, 0, 0, 0])
-    legs = execute.Legs(motion.via_q[0], (execute.Leg(away, 1, 70),), 1.0)
+    legs = Legs(motion.via_q[0], (Leg(away, 1, 70),), 1.0)
     execute.run(
         legs, Recorded(), _scene(), Disturbance(range_noise=1e-4), folder, seed=0, speed=0.5, clock=SimulatedClock()
     )  # fmt: skip
@@ -279,7 +280,7 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
     with open_driver("sim://", Context(clock=clock, limits=kr16())) as driver:
         scene = _scene()
         seconds = execute.run(
-            execute.legs_of(motion), driver, scene, Disturbance(), folder, seed=0, speed=1.0, clock=clock
+            legs_of(motion), driver, scene, Disturbance(), folder, seed=0, speed=1.0, clock=clock
         )  # fmt: skip
     assert seconds == pytest.approx(motion.duration, abs=1e-6 * len(motion.via_q))
     assert _events(folder)[-1]["t_s"] == pytest.approx(motion.duration, abs=1e-4)

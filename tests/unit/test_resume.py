@@ -8,7 +8,7 @@ import pytest
 from cell.errors import DriverFailureError
 from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord
-from cell.scan.execute import Leg, Legs
+from cell.scan.legs import Leg, Legs
 from cell.scan.resume import Rest, rest_of
 from drivers.contract import Mode, RobotState
 from drivers.limits import kr16

@@ -18,6 +18,7 @@ from cell.run.record import RunRecord
 from cell.run.scene_json import ScannerKeys
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
+from cell.scan.legs import legs_of
 from cell.scan.pose_error import Disturbance
 from cell.scan.sweep_scan import line_poses, lines_between
 from cell.scanners.laser_line import LaserLine
@@ -103,7 +104,7 @@ def _folder(tmp_path: Path) -> ExecutionFolder:
 def test_legs_end_at_each_pose_and_drive_every_vertex_once(path: SweepPath) -> None:
     """Two views of four poses, the second backwards: eight scanning legs and the way home."""
     motion = _motion(path)
-    legs = execute.legs_of(motion)
+    legs = legs_of(motion)
     assert [(leg.stop, leg.view, leg.pose) for leg in legs.legs] == [
         *((1, 70, pose) for pose in range(4)), *((2, 71, pose) for pose in (3, 2, 1, 0)), (0, -1, 0),
     ]  # fmt: skip
@@ -114,7 +115,7 @@ def test_legs_end_at_each_pose_and_drive_every_vertex_once(path: SweepPath) -> N
 def test_one_view_alone_is_driven_along_checked_paths_only(path: SweepPath, stop: int) -> None:
     """There, through its poses, and back: every move is one of the plan's, one way or the other."""
     motion = _motion(path)
-    legs = execute.legs_of(motion, stop)
+    legs = legs_of(motion, stop)
     assert [leg.stop for leg in legs.legs] == [stop] * 4 + [0]
     assert sorted(leg.pose for leg in legs.legs[:4]) == [0, 1, 2, 3]
     driven = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
@@ -133,7 +134,7 @@ def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
     """Poses in the column's order, points on the ball, forwards and backwards the same lines."""
     folder = _folder(tmp_path)
     execute.run(
-        execute.legs_of(_motion(path)), _Driver(), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
+        legs_of(_motion(path)), _Driver(), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
         clock=SimulatedClock(),
     )  # fmt: skip
     first, second = (read_scan(folder.path / "scans" / f"{stop:04d}.npz") for stop in (1, 2))
@@ -153,7 +154,7 @@ def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell,
     folder = _folder(tmp_path)
     with pytest.raises(FaultError):
         execute.run(
-            execute.legs_of(_motion(path)), _Driver(6), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
+            legs_of(_motion(path)), _Driver(6), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
             clock=SimulatedClock(),
         )  # fmt: skip
     assert [file.name for file in (folder.path / "scans").iterdir()] == ["0001.npz"]
