@@ -103,8 +103,9 @@ def _bvh(vertices: Floats, faces: np.ndarray) -> fcl.BVHModel:
 
 def _gaps(world: World, q: Floats) -> Floats:
     """(N, 2) distance of the nearest moving shape from the bracket [m]: at least, at most."""
-    placed = next(o for o in occluder_triangles(world, frame="base") if o.name == "bracket U")
-    bracket = fcl.CollisionObject(_bvh(placed.vertices, placed.faces))
+    placed = next(o for o in occluder_triangles(world) if o.name == "bracket U")
+    in_base = placed.vertices @ world.T_base_object[:3, :3].T + world.T_base_object[:3, 3]
+    bracket = fcl.CollisionObject(_bvh(in_base, placed.faces))
     model, data = world.model, world.data()
     fixture = model.geom("bracket U").id
     shapes = {}

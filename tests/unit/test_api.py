@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,14 @@ from cell.run.planned import PlannedRun
 from cell.scene.scene import load_scene
 
 _QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(cache: Path) -> Iterator[None]:
+    """The tests' own cache in place of the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(cache))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +62,10 @@ def test_a_run_opened_again_is_the_same_value(planned: PlannedRun) -> None:
     assert np.array_equal(again.reference.faces, planned.reference.faces)
 
 
-def test_a_mesh_in_memory_is_planned_as_its_file(planned: PlannedRun, tmp_path: Path) -> None:
-    """The same part from a file gives the same views, and a checked scene the same as its wishes."""
+def test_a_mesh_in_memory_is_planned_as_its_file(
+    planned: PlannedRun, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The same part from a file gives the same views, a checked scene the same as its wishes; and nothing is printed."""
     file = tmp_path / "ball.ply"
     trimesh.creation.icosphere(subdivisions=3, radius=60.0).export(file, vertex_normal=False)
     of_file = plan(file, units="mm", out=tmp_path / "file", **_QUICK)
@@ -70,6 +81,7 @@ def test_a_mesh_in_memory_is_planned_as_its_file(planned: PlannedRun, tmp_path: 
     assert np.array_equal(of_file.q, of_scene.q)
     assert of_file.candidate.tolist() == of_scene.candidate.tolist()
     assert len(of_file.candidate) == len(planned.candidate)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_an_execution_is_a_value_too(planned: PlannedRun) -> None:
@@ -84,13 +96,6 @@ def test_an_execution_is_a_value_too(planned: PlannedRun) -> None:
     assert execution.deviation.rms_mm < 1.0
     assert execution.coverage.visible == pytest.approx(execution.coverage.predicted, abs=0.02)
     assert {stage for stage, _, _ in told} >= {"execute and scan", "merge"}
-
-
-def test_nothing_is_printed(planned: PlannedRun, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Quiet by default, stdout and stderr alike."""
-    plan(planned.folder / "reference.ply", units="mm", out=tmp_path / "run", **_QUICK)
-    out, err = capfd.readouterr()
-    assert (out, err) == ("", "")
 
 
 @pytest.mark.parametrize(
