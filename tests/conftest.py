@@ -8,6 +8,7 @@ kills, libraries that a fresh process loads (`start_cell`).
 import contextlib
 import io
 import json
+import logging
 import os
 import select
 import shutil
@@ -27,6 +28,8 @@ from filelock import FileLock
 from hypothesis import settings
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
+
+from cell.plan import picture_process
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
 # `--hypothesis-profile=full` has four times as many.
@@ -99,7 +102,6 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """`cell` with arguments in a directory `cwd`, in this process; what it returns looks like that of another."""
     from cell.cli import app
     from cell.commands.failures import INTERRUPTED, guarded
-    from cell.plan import picture_process
 
     def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
         words = [str(word) for word in arguments]
@@ -113,7 +115,7 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
                 patch.setenv(name, value)
             patch.delenv("SCAN_CELL_TRACEBACK", raising=False)
             patch.setattr(sys, "argv", ["cell", *words])
-            patch.setattr(picture_process, "beside", _drawn_here)
+            patch.setattr(logging.getLogger("planner.compiled"), "disabled", True)  # as if all were compiled already
             patch.chdir(cwd)
             code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
         if code == INTERRUPTED:  # the person at the terminal ends the tests
@@ -121,6 +123,30 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
         return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())
 
     return run
+
+
+class _DrawingHere(picture_process.Drawing):
+    """Draws in this process what the plan's process for pictures draws."""
+
+    def __init__(self) -> None:
+        self._sent = []
+
+    def send(self, picture: str, path: Path, **arrays: Any) -> None:
+        from cell.plan import pictures
+
+        getattr(pictures, picture)(path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+        self._sent.append(path)
+
+    def _wait(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="session", autouse=True)
+def pictures_drawn_here() -> Iterator[None]:
+    """A plan made in this process needs no other for its pictures; those of `start_cell` have their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(picture_process, "beside", lambda: contextlib.nullcontext(_DrawingHere()))
+        yield
 
 
 @pytest.fixture
@@ -146,25 +172,6 @@ def start_cell(cache: Path) -> Callable[..., "subprocess.Popen[str]"]:
             signal.signal(signal.SIGINT, inherited)
 
     return start
-
-
-@contextlib.contextmanager
-def _drawn_here() -> Iterator[Any]:
-    """In place of `cell.plan.picture_process.beside`: the same pictures, drawn in this process."""
-    from cell.plan import picture_process, pictures
-
-    class Drawing(picture_process.Drawing):
-        def __init__(self) -> None:
-            self._sent = []
-
-        def send(self, picture: str, path: Path, **arrays: Any) -> None:
-            getattr(pictures, picture)(path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
-            self._sent.append(path)
-
-        def _wait(self) -> None:
-            pass
-
-    yield Drawing()
 
 
 def _surroundings(cache: Path) -> dict[str, str]:

@@ -134,6 +134,12 @@ def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
     assert _scans(execution) == undisturbed
 
 
+@pytest.fixture(scope="module")
+def standing(emulate: Callable[..., Any]) -> Any:
+    """A controller whose arm no test moves."""
+    return emulate("modbus", *_FAST)
+
+
 class _Told:
     """A narrator that keeps what it is told."""
 
@@ -144,7 +150,7 @@ class _Told:
         self.notes.append(sentence)
 
 
-def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, emulate: Callable[..., Any]) -> None:
+def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, standing: Any) -> None:
     """Who is asked has read where the arm will go; without a yes nothing moves and the execution stays as it is."""
     execution = executed_folder / "executions" / "0001"
     for name in list(_scans(execution))[1:]:
@@ -152,19 +158,18 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
     kept = (execution / "manifest.json").read_bytes()
-    emulated = emulate("modbus", *_FAST)
     narrator, known = _Told(), []
 
     def ask(question: str) -> str:
         known.extend([*narrator.notes, question])
         return "no"
 
-    options = ScanOptions(driver=str(emulated.url), speed_percent=50.0)
+    options = ScanOptions(driver=str(standing.url), speed_percent=50.0)
     with pytest.raises(UsageError, match="nothing was moved"):
         resume(executed_folder, "latest", options, argv=[], narrator=narrator, ask=ask)
     assert "a new way to view 2 was planned" in known[1]
     assert "Type yes" in known[2]
-    assert emulated.entries("move") == []
+    assert standing.entries("move") == []
     assert (execution / "manifest.json").read_bytes() == kept
 
 
@@ -204,15 +209,14 @@ def test_every_wire_gives_the_same_scans_to_the_bit(
 
 
 def test_what_moves_steel_is_refused_without_a_word_and_leaves_nothing(
-    run_folder: Path, emulate: Callable[..., Any], run_cell: Run
+    run_folder: Path, standing: Any, run_cell: Run
 ) -> None:
     """No terminal and no --confirm-motion: exit code 2, no execution, no move."""
-    emulated = emulate("modbus", *_FAST)
-    done = run_cell("scan", str(run_folder), "--driver", emulated.url, cwd=run_folder.parent)
+    done = run_cell("scan", str(run_folder), "--driver", standing.url, cwd=run_folder.parent)
     assert done.returncode == 2, done.stderr
     assert "--confirm-motion" in done.stderr
     assert not (run_folder / "executions").exists()
-    assert emulated.entries("move") == []
+    assert standing.entries("move") == []
 
 
 def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
