@@ -65,7 +65,7 @@ def test_a_run_opened_again_is_the_same_value(planned: PlannedRun) -> None:
 def test_a_mesh_in_memory_is_planned_as_its_file(
     planned: PlannedRun, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """The same part from a file gives the same views, a checked scene the same as its wishes; and nothing is printed."""
+    """A file of the same part gives the same views, a checked scene the same as its wishes; nothing is printed."""
     file = tmp_path / "ball.ply"
     trimesh.creation.icosphere(subdivisions=3, radius=60.0).export(file, vertex_normal=False)
     of_file = plan(file, units="mm", out=tmp_path / "file", **_QUICK)
