@@ -196,7 +196,7 @@ def measure(
         plan_files.write_measurability(run.folder, M)
         samples = held_out(surface.reference, surface.planning, run.seed)
         poses = candidates.T_object_scanner[reached.reachable]
-        prediction = Prediction.of(samples, scanner, casters, poses)
+        prediction = Prediction.of(samples, scanner, casters, poses, progress)
         return Measured(candidates, reached, M, scanner, casters), prediction
 
 

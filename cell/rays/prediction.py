@@ -1,7 +1,6 @@
 """Predicted coverage of a plan on samples that the optimiser has not seen (planner/measurability/coverage.py)."""
 
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import measured
-from planner.ports import RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Floats
@@ -41,13 +40,13 @@ class Prediction:
         samples: of the reference, not those of the matrix.
         scanner: the sensor's law.
         casters: the part's and the occluders', object frame.
-        asked: what at least one reachable candidate measures, worked out beside what else goes on.
+        coverable: what at least one reachable candidate measures.
     """
 
     samples: SurfaceSamples
     scanner: Scanner
     casters: Sequence[RayCaster]
-    asked: Future[Coverage]
+    coverable: Coverage
 
     @classmethod
     def of(
@@ -56,24 +55,19 @@ class Prediction:
         scanner: Scanner,
         casters: Sequence[RayCaster],
         T_object_scanner: Floats,
+        progress: Progress | None = None,
     ) -> "Prediction":
-        """Ask the reachable candidates, in a thread: rays and arrays let other threads work.
+        """Ask the reachable candidates.
 
         Args:
             samples: held-out samples of the reference.
             scanner: the sensor's law.
             casters: the part's and the occluders', object frame.
             T_object_scanner: (n, K, 4, 4) poses of the reachable candidates [m].
+            progress: called with (poses done, poses in all).
         """
-        thread = ThreadPoolExecutor(1, "prediction")
-        asked = thread.submit(coverage.visible, T_object_scanner, samples, scanner, casters)
-        thread.shutdown(wait=False)
-        return cls(samples, scanner, casters, asked)
-
-    @property
-    def coverable(self) -> Coverage:
-        """What at least one reachable candidate measures; waits until it is known."""
-        return self.asked.result()
+        found = coverage.visible(T_object_scanner, samples, scanner, casters, progress=progress)
+        return cls(samples, scanner, casters, found)
 
     def visible(self, T_object_scanner: Floats) -> Coverage:
         """Visible coverage of views (n, K, 4, 4) [m]."""
