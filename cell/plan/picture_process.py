@@ -10,8 +10,10 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +29,9 @@ class Drawing:
     def __init__(self, process: "subprocess.Popen[bytes]") -> None:
         self._process = process
         self._sent: list[Path] = []
+        self._waiting: SimpleQueue[bytes | None] = SimpleQueue()
+        self._writer = Thread(target=self._write, name="pictures", daemon=True)
+        self._writer.start()
 
     def send(self, picture: str, path: Path, **arrays: ArrayLike) -> None:
         """Have a picture drawn.
@@ -38,13 +43,7 @@ class Drawing:
         """
         content = io.BytesIO()
         np.savez(content, allow_pickle=False, picture=np.array(picture), path=np.array(str(path)), **arrays)
-        assert self._process.stdin is not None
-        try:
-            self._process.stdin.write(_LENGTH.pack(content.getbuffer().nbytes))
-            self._process.stdin.write(content.getbuffer())
-            self._process.stdin.flush()
-        except BrokenPipeError:
-            self._wait()
+        self._waiting.put(_LENGTH.pack(content.getbuffer().nbytes) + content.getvalue())
         self._sent.append(path)
 
     def finish(self, folder: RunFolder) -> None:
@@ -53,14 +52,21 @@ class Drawing:
         Raises:
             RuntimeError: if the process ended without drawing; with what it said.
         """
-        self._wait()
-        for path in self._sent:
-            folder.adopt(path.name)
-
-    def _wait(self) -> None:
+        self._waiting.put(None)
+        self._writer.join()
         _, said = self._process.communicate()
         if self._process.returncode:
             raise RuntimeError(f"pictures were not drawn: {said.decode(errors='replace').strip()[-2000:]}")
+        for path in self._sent:
+            folder.adopt(path.name)
+
+    def _write(self) -> None:
+        """Hand on what was sent: the pipe holds less than a picture, and the process reads after drawing."""
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # the process has ended: `finish` says why
+            while (content := self._waiting.get()) is not None:
+                self._process.stdin.write(content)
+                self._process.stdin.flush()
 
 
 @contextmanager
