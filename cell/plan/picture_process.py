@@ -52,13 +52,16 @@ class Drawing:
         Raises:
             RuntimeError: if the process ended without drawing; with what it said.
         """
+        self._wait()
+        for path in self._sent:
+            folder.adopt(path.name)
+
+    def _wait(self) -> None:
         self._waiting.put(None)
         self._writer.join()
         _, said = self._process.communicate()
         if self._process.returncode:
             raise RuntimeError(f"pictures were not drawn: {said.decode(errors='replace').strip()[-2000:]}")
-        for path in self._sent:
-            folder.adopt(path.name)
 
     def _write(self) -> None:
         """Hand on what was sent: the pipe holds less than a picture, and the process reads after drawing."""
