@@ -9,8 +9,9 @@ _DEPTH = 128  # nodes that wait at most: two for each level
 
 
 @compiled
-def crossings(origin: Floats, ray: Floats, triangles: Floats, first: Ints, bounds: Floats) -> int:
+def crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Floats]) -> int:
     """How often a ray crosses the triangles (Moeller and Trumbore 1997, doi:10.1080/10867651.1997.10487468)."""
+    triangles, first, bounds = tree
     leaves = len(first) - 1
     waiting = np.empty(_DEPTH, dtype=np.int64)
     waiting[0], count, met = 1, 1, 0

@@ -141,16 +141,17 @@ class World(Value):
         """
         import mujoco
 
+        mesh, shape = (a, b) if a in self.trees else (b, a)
+        tree = self.trees.get(mesh)
+        if tree is not None and any_nearer and reach > 0:  # yes or no asks for no depth
+            return tree.from_geom(self.model, data, shape, mesh, reach, any_nearer=True)
         ends = None if points is None else np.empty(6)
         measured = float(mujoco.mj_geomDistance(self.model, data, a, b, reach, ends))
         if ends is not None and points is not None:
             points[:] = ends.reshape(2, 3)
-        mesh, shape = (a, b) if a in self.trees else (b, a)
-        if mesh not in self.trees or measured >= reach:
+        if tree is None or measured >= reach:
             return measured
-        exact = self.trees[mesh].from_geom(
-            self.model, data, shape, mesh, max(reach, _APART), any_nearer=any_nearer, points=points
-        )
+        exact = tree.from_geom(self.model, data, shape, mesh, max(reach, _APART), any_nearer=any_nearer, points=points)
         if points is not None and mesh == a:
             points[:] = points[::-1].copy()
         # A surface has no depth: that of the hull stands for it.

@@ -21,12 +21,15 @@ carries half.
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cell.errors import SceneError
+from cell.part import mesh_files
+from cell.part.workpiece import UNITS
 from cell.robot import model as robot
 from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene
 from cell.world.solid_hull import solid_hull
@@ -208,11 +211,6 @@ def add_fixtures(spec: mujoco.MjSpec, scene: Scene, placed_body: mujoco.MjsBody)
 
 def _fixture_mesh(fixture: MeshFixture) -> TriangleMesh:
     """The fixture's triangles in the frame that it is attached to [m]."""
-    from pathlib import Path
-
-    from cell.part import mesh_files
-    from cell.part.workpiece import UNITS
-
     path = Path(fixture.path)
     vertices, faces = mesh_files.parse(path, mesh_files.read_bytes(path))
     T = fixture.T

@@ -52,18 +52,17 @@ _A, _WEIGHT, _V, _W, _P, _OF_B = 4, 8, 9, 10, 11, 12
 def nearest_triangle(
     kind: int,
     size: Floats,
-    position: Floats,
-    rotation: Floats,
-    part_position: Floats,
-    part_rotation: Floats,
-    triangles: Floats,
-    first: Ints,
-    bounds: Floats,
+    body: tuple[Floats, Floats],
+    part: tuple[Floats, Floats],
+    tree: tuple[Floats, Ints, Floats],
     reach: float,
     any_nearer: bool,
     points: Floats,
 ) -> float:
     """Distance of a body from the triangles, `reach` where it is more; see `TriangleTree.distance`."""
+    position, rotation = body
+    part_position, part_rotation = part
+    triangles, first, bounds = tree
     R, p, extent = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for i in range(3):  # into the object frame
         for k in range(3):

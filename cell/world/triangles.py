@@ -1,4 +1,4 @@
-"""The true triangles of a part, asked for their distance from a box or cylinder: a tree of bounds over GJK, compiled.
+"""True triangles of a part or fixture: their distance from a box or cylinder by a tree of bounds over GJK, compiled.
 
 Triangles are sorted along Morton's curve and split evenly into the leaves of a complete binary tree. A query goes down
 to the nearer child first and leaves out whatever cannot be nearer than what it has found; the bound of a node is that
@@ -45,14 +45,13 @@ class TriangleTree:
         """
         corners = np.array(mesh.vertices[mesh.faces], dtype=np.float64)
         order = np.argsort(_morton(corners.mean(axis=1)), kind="stable")
-        self._triangles: Floats = np.ascontiguousarray(corners[order])
+        triangles = np.ascontiguousarray(corners[order])
         leaves = 1 << max(0, int(np.ceil(np.log2(max(1.0, len(order) / _LEAF)))))
-        self._first = (np.arange(leaves + 1, dtype=np.int64) * len(order)) // leaves
+        first = (np.arange(leaves + 1, dtype=np.int64) * len(order)) // leaves
         bounds = np.empty((2 * leaves, 3, 3))
         bounds[:, 2] = 0.0
-        starts = self._first[:-1]
-        bounds[leaves:, 0] = np.minimum.reduceat(self._triangles.min(axis=1), starts)
-        bounds[leaves:, 1] = np.maximum.reduceat(self._triangles.max(axis=1), starts)
+        bounds[leaves:, 0] = np.minimum.reduceat(triangles.min(axis=1), first[:-1])
+        bounds[leaves:, 1] = np.maximum.reduceat(triangles.max(axis=1), first[:-1])
         below = leaves
         while below > 1:
             pairs = bounds[below : 2 * below].reshape(-1, 2, 3, 3)
@@ -60,7 +59,7 @@ class TriangleTree:
             bounds[below : 2 * below, 0] = pairs[:, :, 0].min(axis=1)
             bounds[below : 2 * below, 1] = pairs[:, :, 1].max(axis=1)
         bounds[0] = bounds[1]
-        self._bounds: Floats = bounds
+        self._tree = triangles, first, bounds
         self.closed = is_closed(mesh)
 
     def from_geom(
@@ -123,8 +122,7 @@ class TriangleTree:
         """
         found = np.zeros((2, 3)) if points is None else points
         measured = nearest_triangle(
-            kind, size, position, rotation, part_position, part_rotation, self._triangles, self._first, self._bounds,
-            reach, any_nearer, found,
+            kind, size, (position, rotation), (part_position, part_rotation), self._tree, reach, any_nearer, found
         )  # fmt: skip
         if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
             return -measured
@@ -132,10 +130,10 @@ class TriangleTree:
 
     def _inside(self, local: Floats) -> bool:
         """Whether a point off the surface, object frame, is inside the closed mesh: most of three rays say so."""
-        low, high = self._bounds[1, 0], self._bounds[1, 1]
+        low, high = self._tree[2][1, :2]
         if (local < low).any() or (local > high).any():
             return False
-        odd = [crossings(local, ray, self._triangles, self._first, self._bounds) % 2 for ray in _RAYS]
+        odd = [crossings(local, ray, self._tree) % 2 for ray in _RAYS]
         return sum(odd) >= 2
 
 

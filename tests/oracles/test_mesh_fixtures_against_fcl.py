@@ -13,7 +13,6 @@ import pytest
 import trimesh
 
 from benchmarks.triangle_cell import TriangleCell
-from cell.rays.occluders import occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
@@ -103,9 +102,9 @@ def _bvh(vertices: Floats, faces: np.ndarray) -> fcl.BVHModel:
 
 def _gaps(world: World, q: Floats) -> Floats:
     """(N, 2) distance of the nearest moving shape from the bracket [m]: at least, at most."""
-    placed = next(o for o in occluder_triangles(world) if o.name == "bracket U")
-    in_base = placed.vertices @ world.T_base_object[:3, :3].T + world.T_base_object[:3, 3]
-    bracket = fcl.CollisionObject(_bvh(in_base, placed.faces))
+    mesh = _bracket()
+    placed = np.array(mesh.vertices) / 1000 @ R.T + MIDDLE
+    bracket = fcl.CollisionObject(_bvh(placed, mesh.faces))
     model, data = world.model, world.data()
     fixture = model.geom("bracket U").id
     shapes = {}
@@ -120,7 +119,7 @@ def _gaps(world: World, q: Floats) -> Floats:
             ]
             shapes[geom] = [fcl.CollisionObject(_bvh(prism.vertices, prism.faces)) for prism in prisms]
     found = np.full((len(q), 2), 1.0)
-    reach = float(np.linalg.norm(placed.vertices - MIDDLE, axis=1).max())
+    reach = float(np.linalg.norm(placed - MIDDLE, axis=1).max())
     for k, configuration in enumerate(q):
         data.qpos[:] = configuration
         mujoco.mj_kinematics(model, data)
