@@ -11,7 +11,7 @@ from types import FrameType
 
 import typer
 
-from cell.commands import check, cover, emulate, export, place, plan, replay, scan, sensors, study, why
+from cell.commands import check, cover, diff, emulate, export, place, plan, replay, scan, sensors, study, why
 from cell.commands.failures import INTERRUPTED, guarded
 
 app = typer.Typer(
@@ -29,6 +29,7 @@ app.command(epilog=sensors.EPILOG)(sensors.sensors)
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=scan.EPILOG)(scan.scan)
 app.command(epilog=why.EPILOG)(why.why)
+app.command(epilog=diff.EPILOG)(diff.diff)
 app.add_typer(study.app, name="study")
 app.command(epilog=place.EPILOG)(place.place)
 app.command(epilog=export.EPILOG)(export.export)

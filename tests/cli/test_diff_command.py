@@ -1,0 +1,114 @@
+"""`cell diff` as a user meets it: what differs, what does not, and areas that another count gives as well."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from cell.rays.prediction import held_out
+from cell.run import ply, reader
+from cell.run.cell import read_cell
+from cell.run.planned import open_run
+from planner.measurability import coverage
+
+Cell = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def other(
+    made_once: Callable[..., Path], planned: Path, part_file: Path, small_plan: tuple[str, ...], run_cell: Cell
+) -> Path:
+    """The small part planned again with one view's candidate banned and a slower arm."""
+
+    def make(folder: Path) -> None:
+        banned = open_run(planned).plan.views[1].id
+        options = (*small_plan, "--ban", banned, "--speed", "0.5", "--out", "run", "--json")
+        done = run_cell("plan", part_file, "--units", "mm", *options, cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once("planned_otherwise", make) / "run"
+
+
+def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """One sentence, of a plan and of an execution; as JSON every list is empty but for the views that are kept."""
+    execution = executed / "executions" / "0001"
+    for run in (executed, execution):
+        done = run_cell("diff", run, run, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (0, "nothing differs\n"), done.stderr
+    said = json.loads(run_cell("diff", execution, execution, "--json", cwd=tmp_path).stdout)
+    assert said["kind"] == "execution"
+    assert [said["settings"], said["numbers"], said["views"]["moved"], said["views"]["lost"], said["views"]["new"]] == [
+        [], [], [], [], [],
+    ]  # fmt: skip
+    assert said["surface"]["gained_mm2"] == said["surface"]["lost_mm2"] == 0
+
+
+def test_settings_views_and_areas_of_two_plans(planned: Path, other: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """The changed settings and no others; each view once on each side; areas as counted from the artefacts."""
+    said = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
+    assert {each["key"] for each in said["settings"]} == {"speed_scaling", "plan.banned"}
+    a, b = open_run(planned), open_run(other)
+    views = said["views"]
+    moved = [(each["a"], each["b"]) for each in views["moved"]]
+    assert sorted([i for i, _ in (*views["kept"], *moved)] + views["lost"]) == list(range(1, len(a.plan.views) + 1))
+    assert sorted([j for _, j in (*views["kept"], *moved)] + views["new"]) == list(range(1, len(b.plan.views) + 1))
+    assert 2 not in [i for i, _ in views["kept"]]
+    for i, j in views["kept"]:
+        assert np.allclose(a.T_object_scanner[i - 1], b.T_object_scanner[j - 1], atol=2e-4)
+    cell = read_cell(a.record)
+    samples = held_out(cell.reference, cell.planning, a.record.seed)
+    seen = [
+        coverage.visible(
+            run.T_object_scanner[:, None], samples, cell.scanner, (cell.part_caster, cell.occluder_caster)
+        ).covered
+        for run in (a, b)
+    ]
+    lost, gained = (1e6 * samples.areas[mask].sum() for mask in (seen[0] & ~seen[1], seen[1] & ~seen[0]))
+    assert (said["surface"]["lost_mm2"], said["surface"]["gained_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
+    told = run_cell("diff", planned, other, cwd=tmp_path).stdout
+    assert "speed_scaling" in told
+    assert "that A measures." in told
+
+
+def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """What is gained one way is lost the other way."""
+    one, back = (
+        json.loads(run_cell("diff", *pair, "--json", cwd=tmp_path).stdout)
+        for pair in ((planned, other), (other, planned))
+    )
+    assert (one["surface"]["gained_mm2"], one["views"]["lost"]) == (back["surface"]["lost_mm2"], back["views"]["new"])
+    assert [(n["a"], n["b"]) for n in one["numbers"]] == [(n["b"], n["a"]) for n in back["numbers"]]
+
+
+def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """An execution with one view has less of the surface; the loss is recounted from the two clouds."""
+    shutil.copytree(executed, tmp_path / "run")
+    done = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)
+    assert done.returncode in (0, 3), done.stderr
+    whole, one = (tmp_path / "run" / "executions" / number for number in ("0001", "0002"))
+    said = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
+    assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in said["settings"]]
+    assert said["views"]["kept"] == [[1, 1]]
+    run = open_run(executed)
+    reference, planning = (reader.mesh(run.record, name) for name in ("reference.ply", "planning.ply"))
+    samples = held_out(reference, planning, run.record.seed)
+    near = []
+    for folder in (whole, one):
+        points = ply.places(ply.elements((folder / "cloud.ply").read_bytes())["vertex"])
+        distance, _ = cKDTree(points).query(samples.points)
+        near.append(distance <= coverage.sampling_radius(reference))
+    assert said["surface"]["lost_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)
+    assert said["surface"]["gained_mm2"] == 0
+
+
+def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """A plan beside an execution is 2, what is no run 6; one sentence each."""
+    mixed = run_cell("diff", executed, executed / "executions" / "0001", cwd=tmp_path)
+    assert (mixed.returncode, mixed.stderr.count("\n")) == (2, 1)
+    nowhere = run_cell("diff", executed, tmp_path / "nowhere", cwd=tmp_path)
+    assert (nowhere.returncode, nowhere.stderr.count("\n")) == (6, 1)
