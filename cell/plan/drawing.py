@@ -34,15 +34,6 @@ def draw_views(
     """
     cover, world = chosen.cover, problem.world
     drawing.send(
-        "part_and_views",
-        folder.path / "views.png",
-        vertices=planning.vertices,
-        faces=planning.faces,
-        views_per_face=problem.prediction.views_per_face(chosen.T_object_poses, len(planning.faces)),
-        T_object_scanner=chosen.T_object_scanner,
-        fov_rad=np.deg2rad(world.scene.scanner.opening_deg),
-    )
-    drawing.send(
         "cover_curve",
         folder.path / "cover.png",
         marginal_area=cover.marginal_area,
@@ -60,6 +51,15 @@ def draw_views(
         part_corners=corners @ T[:3, :3].T + T[:3, 3],
         chosen=chosen.candidate,
         envelope=_envelope(world),
+    )
+    drawing.send(
+        "part_and_views",
+        folder.path / "views.png",
+        vertices=planning.vertices,
+        faces=planning.faces,
+        views_per_face=problem.prediction.views_per_face(chosen.T_object_poses, len(planning.faces)),
+        T_object_scanner=chosen.T_object_scanner,
+        fov_rad=np.deg2rad(world.scene.scanner.opening_deg),
     )
 
 

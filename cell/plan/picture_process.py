@@ -1,10 +1,11 @@
 """The report's pictures, drawn beside the work by a process of their own: matplotlib is never imported by the planner.
 
-The process imports matplotlib while the plan is made, and draws what it is sent, one picture after the other. Arrays go
-to it through a pipe as .npz, without pickled objects; it ends when the pipe does.
+The process imports matplotlib while the plan is made, and forks for each picture that it is sent, so that several are
+drawn at a time. Arrays go to it through a pipe as .npz, without pickled objects; it ends when the pipe does.
 """
 
 import io
+import os
 import signal
 import struct
 import subprocess
@@ -90,7 +91,15 @@ def serve() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the planner's; the pipe ends with it
     from cell.plan import pictures  # matplotlib takes a second: that is why this is a process of its own
 
+    forks = []
     while length := sys.stdin.buffer.read(_LENGTH.size):
-        with np.load(io.BytesIO(sys.stdin.buffer.read(*_LENGTH.unpack(length))), allow_pickle=False) as content:
-            arguments = {name: content[name][()] for name in content.files}
-        getattr(pictures, str(arguments.pop("picture")))(Path(str(arguments.pop("path"))), **arguments)
+        content = sys.stdin.buffer.read(*_LENGTH.unpack(length))
+        fork = os.fork() if hasattr(os, "fork") else None  # Windows has none: one is drawn after the other
+        if not fork:
+            with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+                arguments = {name: stored[name][()] for name in stored.files}
+            getattr(pictures, str(arguments.pop("picture")))(Path(str(arguments.pop("path"))), **arguments)
+        if fork == 0:
+            return
+        forks += [fork] if fork else []
+    sys.exit(any([os.waitpid(fork, 0)[1] for fork in forks]))  # a fork that failed has said why
