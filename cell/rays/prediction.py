@@ -66,7 +66,9 @@ class Prediction:
             T_object_scanner: (n, K, 4, 4) poses of the reachable candidates [m].
             progress: called with (poses done, poses in all).
         """
-        found = coverage.visible(T_object_scanner, samples, scanner, casters, progress=progress)
+        # Neighbours measure much the same: views far apart in turn (by the golden ratio) soon leave few samples to ask.
+        order = np.argsort(np.arange(len(T_object_scanner)) * ((np.sqrt(5) - 1) / 2) % 1)
+        found = coverage.visible(T_object_scanner[order], samples, scanner, casters, progress=progress)
         return cls(samples, scanner, casters, found)
 
     def visible(self, T_object_scanner: Floats) -> Coverage:

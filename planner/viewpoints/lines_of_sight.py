@@ -112,11 +112,14 @@ def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Ints | None = N
     passed = []
     for start in range(0, count, _BLOCK):
         stop = min(start + _BLOCK, count)
-        asked: slice | Ints = slice(start, stop) if rows is None else rows[start:stop]
-        points = into_scanner @ targets.points[:, asked] - origin
-        codes = scanner.reject(points.T, (into_scanner @ targets.normals[:, asked]).T)
+        asked = None if rows is None else rows[start:stop]
+        points, normals = (
+            into_scanner @ (all_[:, start:stop] if asked is None else np.take(all_, asked, axis=1))
+            for all_ in (targets.points, targets.normals)
+        )
+        codes = scanner.reject((points - origin).T, normals.T)
         found = np.flatnonzero(codes == Rejection.MEASURED)
-        passed.append(found + start if rows is None else rows[start:stop][found])
+        passed.append(found + start if asked is None else asked[found])
     return np.concatenate(passed) if passed else np.empty(0, dtype=np.int64)
 
 
