@@ -66,6 +66,7 @@ class LaserArea:
     depth_of_field_mm: tuple[float, float] | None = None
     sigma_angle_mdeg: float = SIGMA_ANGLE_MDEG
     _shape: tuple[int, int] = field(init=False, repr=False)
+    _limits: tuple[float, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("fov_deg", "resolution_deg", "range_mm", "sensor_fov_deg", "depth_of_field_mm"):
@@ -102,6 +103,7 @@ class LaserArea:
                 f"{list(self.fov_deg)}; it must be at most the field of view"
             )
         object.__setattr__(self, "_shape", (n_v, n_h))
+        object.__setattr__(self, "_limits", self._constants())
 
     @property
     def source(self) -> Floats:
@@ -171,8 +173,7 @@ class LaserArea:
         x_y_z, n_x_y_z = (np.array(vectors.T, dtype=np.float64, order="C") for vectors in (points, normals))
         return rejections(x_y_z, n_x_y_z, self._limits, TOLERANCE)
 
-    @property
-    def _limits(self) -> tuple[float, ...]:
+    def _constants(self) -> tuple[float, ...]:
         """As `cell.scanners.area_law.rejections` takes them; `TOLERANCE` applied to those that are constants."""
 
         def tangents(angles: tuple[float, float] | None) -> tuple[float, ...]:

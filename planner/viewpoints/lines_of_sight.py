@@ -192,7 +192,7 @@ def _unhidden(
     origins = poses[:, :3, :3] @ position + poses[:, :3, 3]
     standing = np.cumsum(np.concatenate([[0], (origins[1:] != origins[:-1]).any(axis=1)]))
     if standing[-1] + 1 == len(origins):  # every pose stands somewhere else
-        return _free(origins[pose], targets.lifted[row], casters)
+        return _free(np.take(origins, pose, axis=0), np.take(targets.lifted, row, axis=0), casters)
     place = standing[pose]
     leg_of = np.empty(len(row), dtype=np.int64)
     at: list[Ints] = []
@@ -212,8 +212,9 @@ def _unhidden(
         count += len(distinct)
     if not at:
         return np.ones(len(row), dtype=np.bool_)
-    free = _free(origins[np.concatenate(at)], targets.lifted[np.concatenate(towards)], casters)
-    return np.asarray(free[leg_of])
+    ends = np.take(targets.lifted, np.concatenate(towards), axis=0)
+    free = _free(np.take(origins, np.concatenate(at), axis=0), ends, casters)
+    return np.take(free, leg_of)
 
 
 def _free(origins: Floats, ends: Floats, casters: Sequence[RayCaster]) -> Bools:
@@ -221,6 +222,8 @@ def _free(origins: Floats, ends: Floats, casters: Sequence[RayCaster]) -> Bools:
     free = np.ones(len(origins), dtype=np.bool_)
     for caster in casters:
         alive = np.flatnonzero(free)
-        if len(alive):
-            free[alive] = ~caster.blocked(origins[alive], ends[alive])
+        if len(alive) < len(free):
+            free[alive] = ~caster.blocked(np.take(origins, alive, axis=0), np.take(ends, alive, axis=0))
+        elif len(alive):
+            free = ~caster.blocked(origins, ends)
     return free
