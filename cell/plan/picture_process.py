@@ -75,7 +75,7 @@ class Drawing:
 
 @contextmanager
 def beside() -> Iterator[Drawing]:
-    """A process that draws; it is ended with the block, whatever happens in it."""
+    """A process that draws; it is ended with the block, whatever happens in it, but for pictures that are begun."""
     command = [sys.executable, "-P", "-c", "from cell.plan.picture_process import serve; serve()"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe) as process:

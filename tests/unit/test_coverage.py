@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cell.rays.embree import EmbreeRayCaster
+from cell.rays.prediction import Prediction
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
 from planner.measurability import coverage
@@ -80,3 +81,15 @@ def test_visible_coverage_of_a_slab():
     best = coverage.visible(candidates[candidates[:, 0, 2, 3] > 0], samples, SCANNER, [caster])
     assert best.fraction == pytest.approx((samples.normals[:, 2] > -0.9).mean(), abs=1e-12)
     assert best.total_area == plan.total_area
+
+
+def test_coverable_is_what_any_candidate_measures_asked_alone():
+    """In whatever order candidates are asked, and whatever samples are left by then."""
+    part = _slab()
+    samples, caster = sample(part, part, 3000, np.random.default_rng(0)), EmbreeRayCaster(part.vertices, part.faces)
+    poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
+    alone = [coverage.visible(pose[None], samples, SCANNER, [caster]).covered for pose in poses]
+    found = Prediction.of(samples, SCANNER, [caster], poses).coverable.covered
+    assert (found == np.any(alone, axis=0)).all()
+    assert found.sum() > 0
+    assert not np.all(alone, axis=0).all()
