@@ -19,12 +19,11 @@ def rejections(points: Floats, normals: Floats, limits: tuple[float, ...], toler
     Args:
         points: (3, N) coordinates [m], scanner frame.
         normals: (3, N) outward unit normals, scanner frame.
-        limits: baseline [m]; tangents of half the field of view; range [m]; depth [m]; cosines of the grazing limits at
-            source and sensor; tangents of half the sensor's field of view (0: not limited), cosine and sine of
-            its tilt.
+        limits: baseline [m]; tangents of half the field of view, and of the sensor's (0: not limited); range and depth
+            [m]; cosines of the grazing limits at source and sensor; cosine and sine of the sensor's tilt.
         tolerance: of planar angles, relative to the distance.
     """
-    baseline, tan_h, tan_v, nearest, farthest, front, back, cos_source, cos_sensor, tan_u, tan_w, cos_t, sin_t = limits
+    baseline, tan_h, tan_v, tan_u, tan_w, nearest, farthest, front, back, cos_source, cos_sensor, cos_t, sin_t = limits
     codes = np.empty(points.shape[1], dtype=np.uint8)
     for i in range(len(codes)):
         x, y, z = points[0, i], points[1, i], points[2, i]

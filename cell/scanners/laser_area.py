@@ -175,23 +175,16 @@ class LaserArea:
 
     def _constants(self) -> tuple[float, ...]:
         """As `cell.scanners.area_law.rejections` takes them; `TOLERANCE` applied to those that are constants."""
-
-        def tangents(angles: tuple[float, float] | None) -> tuple[float, ...]:
-            return tuple(math.tan(math.radians(angle / 2)) for angle in angles or (0.0, 0.0))
-
-        def widened(limits: tuple[float, float] | None) -> tuple[float, float]:
-            low, high = limits or (-math.inf, math.inf)
-            return low / 1000 * (1 - TOLERANCE), high / 1000 * (1 + TOLERANCE)
-
-        def cosine(limit: float) -> float:
-            return math.cos(math.radians(limit)) - TOLERANCE
-
-        tilt = self.sensor_tilt
+        angles = (*self.fov_deg, *(self.sensor_fov_deg or (0.0, 0.0)))
+        lengths = (self.range_mm, self.depth_of_field_mm or (-math.inf, math.inf))
         return (
-            self.baseline_mm / 1000, *tangents(self.fov_deg), *widened(self.range_mm), *widened(self.depth_of_field_mm),
-            cosine(self.grazing_max_deg), cosine(self.sensor_grazing_max_deg),
-            *tangents(self.sensor_fov_deg), math.cos(tilt), math.sin(tilt),
-        )  # fmt: skip
+            self.baseline_mm / 1000,
+            *(math.tan(math.radians(angle / 2)) for angle in angles),
+            *(end / 1000 * (1 + side * TOLERANCE) for ends in lengths for side, end in zip((-1, 1), ends, strict=True)),
+            *(math.cos(math.radians(a)) - TOLERANCE for a in (self.grazing_max_deg, self.sensor_grazing_max_deg)),
+            math.cos(self.sensor_tilt),
+            math.sin(self.sensor_tilt),
+        )
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
         """Expected standard deviation of a measured point along the ray from the source.
