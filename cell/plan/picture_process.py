@@ -100,6 +100,6 @@ def serve() -> None:
                 arguments = {name: stored[name][()] for name in stored.files}
             getattr(pictures, str(arguments.pop("picture")))(Path(str(arguments.pop("path"))), **arguments)
         if fork == 0:
-            return
+            os._exit(0)  # what a fork leaves to its parent need not be taken down
         forks += [fork] if fork else []
     sys.exit(any([os.waitpid(fork, 0)[1] for fork in forks]))  # a fork that failed has said why
