@@ -110,9 +110,9 @@ def command_blocks(rng: np.random.Generator) -> list[list[int]]:
     for k in range(GOOD):
         points = rng.integers(-(2**31), 2**31, (k % 10, 6))
         values: dict[str, registers.Value] = {
-            "heartbeat": k, "session": 4711, "sequence": int(rng.integers(1, 65536)), "command": (0, 1, 2, 4, 5, 6, 9)[k % 7],
-            "watchdog_ms": 1000, "speed": int(rng.integers(1, 10001)), "points": len(points), "offset": k,
-            "count": k, "points_crc": int(rng.integers(2**32)),
+            "heartbeat": k, "session": 4711, "sequence": int(rng.integers(1, 65536)), "watchdog_ms": 1000,
+            "command": (0, 1, 2, 4, 5, 6, 9)[k % 7], "speed": int(rng.integers(1, 10001)), "points": len(points),
+            "offset": k, "count": k, "points_crc": int(rng.integers(2**32)),
         }  # fmt: skip
         made.append(_COMMAND.encode(values, points.ravel().tolist()))
     return made
