@@ -277,7 +277,8 @@ class ControllerClient:
         """Wait until a move ended and the arm stands."""
         try:
             while (state := self._believed()).busy:
-                if foreign := self._account.foreign(state):
+                ended = state.done_sequence == sequence  # it brakes, on whosever word
+                if not ended and (foreign := self._account.foreign(state)):
                     raise ProtocolError(foreign)
                 watch.see(state)
                 self._pause()
