@@ -6,10 +6,14 @@ are possible.
 
 from collections.abc import Callable
 
-from drivers.commands import Answer, Command, Result, next_sequence
+from drivers import status
+from drivers.clock import Clock
+from drivers.commands import Answer, Command, Result, next_sequence, sentence_of
 from drivers.contract import RobotState
 from drivers.errors import LinkError, LinkLostError, NotOwnerError, ProtocolError, RefusedError, StateUnknownError
 from drivers.link import Link
+
+_TAKE_PAUSE = 0.1  # s between two attempts to take a session
 
 
 class Account:
@@ -51,6 +55,38 @@ class Account:
         """
         if self.doubt:
             raise StateUnknownError(f"{self.doubt}; only reading and stopping are possible, so stop() first")
+
+    def take(self, clock: Clock, say: Callable[[str], None] | None) -> None:
+        """Own the arm; a silent owner is waited for, as long as its watchdog may be.
+
+        Args:
+            clock: with which to wait.
+            say: told what is waited for.
+
+        Raises:
+            NotOwnerError: if another client owns the arm and is there.
+            RefusedError: if the controller refuses otherwise.
+            StateUnknownError: in doubt, and where the controller was restarted since it was connected.
+        """
+        self.require_no_doubt()
+        if self.owns:
+            return
+        began, said = clock.now(), False
+        while (result := self._link.take(self.session)) != Result.OK:
+            waited, owner = clock.now() - began, self._link.state().owner
+            if result != Result.NOT_OWNER:
+                raise RefusedError(sentence_of(result), result)
+            if waited > status.TAKE:
+                raise NotOwnerError(f"session {owner} owns the arm and its client is there; end that client first")
+            if say and waited > status.SAID_AFTER and not said:
+                said = True
+                say(f"waiting for the client of session {owner}, which owns the arm, to fall silent")
+            clock.wait(_TAKE_PAUSE)
+        state = self._read()
+        if state.boot != self.boot:
+            self.doubt = "the controller was restarted"
+            self.require_no_doubt()
+        self.agree(state)
 
     def foreign(self, state: RobotState) -> str:
         """Why this is not the controller that this client left; empty if it is."""

@@ -28,7 +28,7 @@ from typing import Self
 from drivers import arrival, status
 from drivers.account import Account
 from drivers.clock import Clock
-from drivers.commands import Move, Reset, Result, Stop, sentence_of
+from drivers.commands import Move, Reset, Result, Stop
 from drivers.contract import Capabilities, RobotState
 from drivers.errors import (
     ArrivalError,
@@ -36,7 +36,6 @@ from drivers.errors import (
     DriverError,
     LinkError,
     NotConnectedError,
-    NotOwnerError,
     OverdueError,
     ProtocolError,
     RefusedError,
@@ -48,7 +47,6 @@ from drivers.setpoints import SetPoints
 _STOP_TRIES = 4
 """How often a stop is sent before its failure is raised."""
 
-_TAKE_PAUSE = 0.1  # s between two attempts to take a session
 _SHORTEST_PAUSE = 0.001  # s, where a link knows no better: time has to pass for a limit to be reached
 
 
@@ -141,26 +139,7 @@ class ControllerClient:
         """Become the owner; a silent one is waited for, as long as its watchdog may be."""
         with self._lock:
             _ = self.capabilities
-            self._account.require_no_doubt()
-            if self._account.owns:
-                return
-            began, said = self._clock.now(), False
-            while (result := self._link.take(self._account.session)) != Result.OK:
-                waited = self._clock.now() - began
-                owner = self._link.state().owner
-                if result != Result.NOT_OWNER:
-                    raise RefusedError(sentence_of(result), result)
-                if waited > status.TAKE:
-                    raise NotOwnerError(f"session {owner} owns the arm and its client is there; end that client first")
-                if self._say and waited > status.SAID_AFTER and not said:
-                    said = True
-                    self._say(f"waiting for the client of session {owner}, which owns the arm, to fall silent")
-                self._clock.wait(_TAKE_PAUSE)
-            state = self._read()
-            if state.boot != self._account.boot:
-                self._account.doubt = "the controller was restarted"
-                self._account.require_no_doubt()
-            self._account.agree(state)
+            self._account.take(self._clock, self._say)
 
     def ready(self) -> RobotState:
         """The state of an arm that stands without a fault."""

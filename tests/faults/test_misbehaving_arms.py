@@ -67,6 +67,11 @@ def arrived(state: RobotState, axes: SetPoints) -> RobotState:
     )  # fmt: skip
 
 
+def idle(state: RobotState) -> RobotState:
+    """Stands, and not in position."""
+    return replace(state, mode=Mode.IDLE, flags=int(Flag.STANDS))
+
+
 def off(axes: SetPoints, by: float) -> SetPoints:
     """Axes with A1 further by so many degrees."""
     return (axes + np.int32([round(by * 1e4), 0, 0, 0, 0, 0])).astype(np.int32)
@@ -110,7 +115,7 @@ ARMS: dict[str, tuple[Callable[[Any], Callable[[RobotState, float], RobotState]]
         ArrivalError, "said to be done, and the arm stands at", 3.0,
     ),
     "says done and idle": (
-        lambda wire: lambda state, t: replace(arrived(state, goal_of(wire)), mode=Mode.IDLE, flags=1) if t > 1 else moves(state, HOME, 0),
+        lambda wire: lambda state, t: idle(arrived(state, goal_of(wire))) if t > 1 else moves(state, HOME, 0),
         ArrivalError, "not in position", 3.0,
     ),
 }  # fmt: skip
@@ -256,9 +261,14 @@ def test_an_interrupt_at_any_moment_leaves_a_standing_arm(bench: Callable[..., A
 
     made.clock.wait = interrupted
     braking: list[float] = []
-    with pytest.raises(KeyboardInterrupt), made.driver:
-        for degrees in 40.0 * (-1.0) ** np.arange(20):
-            made.driver.move(turned(degrees), speed)
+
+    def to_and_fro() -> None:
+        with made.driver:
+            for degrees in 40.0 * (-1.0) ** np.arange(20):
+                made.driver.move(turned(degrees), speed)
+
+    with pytest.raises(KeyboardInterrupt):
+        to_and_fro()
     gone = made.clock.now()
     made.clock.wait = wait
     assert gone - came[0] < 2.0

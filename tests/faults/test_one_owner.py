@@ -1,4 +1,4 @@
-"""One owner: the arm is taken and given, a stop is everybody's, looking disturbs nobody; versions and axes agreed on."""
+"""One owner: the arm is taken and given, a stop is everybody's, looking disturbs nobody; versions, axes."""
 
 import dataclasses
 import re
