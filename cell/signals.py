@@ -40,9 +40,14 @@ def told() -> str:
 
 def end_politely() -> None:
     """SIGTERM and SIGHUP end a command as Ctrl-C does: its folder keeps its status."""
-    for number in NAMES:
+    for number in _heard():
         if number != signal.SIGINT:
             signal.signal(number, _killed)
+
+
+def _heard() -> list[signal.Signals]:
+    """Those that whoever started the process did not ask it to ignore, as nohup does."""
+    return [number for number in NAMES if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def _killed(number: int, frame: FrameType | None) -> None:
@@ -71,7 +76,7 @@ def driving() -> Iterator[None]:
         _last[0] = NAMES[signal.Signals(number)]
         raise (KeyboardInterrupt if number == signal.SIGINT else Killed)(_last[0])
 
-    before = {number: signal.signal(number, first_or_second) for number in NAMES}
+    before = {number: signal.signal(number, first_or_second) for number in _heard()}
     try:
         yield
     finally:

@@ -15,6 +15,7 @@ from drivers.clock import Clock
 from drivers.commands import Result
 from drivers.contract import Capabilities, RobotState
 from drivers.errors import AnswerTimeoutError, LinkError, LinkLostError, NotConnectedError, ProtocolError
+from drivers.status import SAID_AFTER
 from drivers.wire import Patience, Pulse
 
 T = TypeVar("T")
@@ -49,6 +50,7 @@ class ReopeningLink(ABC):
         self._busy = False
         self.session = 0  # the one that was taken; 0: this client only reads
         self.deadline = math.inf
+        self.say: Callable[[str], None] | None = None  # told what is waited for
 
     @abstractmethod
     def _ask_for(self, session: int) -> int:
@@ -105,7 +107,7 @@ class ReopeningLink(ABC):
         It gives up after `tries`, but not before the watchdog's time: earlier, a moving arm has not been stopped by
         the controller's own watchdog, and what became of its move may still be learned.
         """
-        began, asked = self._clock.now(), 0
+        began, asked, said = self._clock.now(), 0, self.say is None
         while True:
             try:
                 self._require_open()
@@ -115,6 +117,9 @@ class ReopeningLink(ABC):
                 now = self._clock.now()
                 if now >= self.deadline or (asked >= self._patience.tries and now - began >= self._patience.watchdog):
                     raise
+                if self.say and not said and now - began > SAID_AFTER:
+                    said = True
+                    self.say(f"waiting for an answer of the controller ({error})")
                 if not isinstance(error, AnswerTimeoutError):  # that one has waited already
                     self._clock.wait(self._patience.poll)
 

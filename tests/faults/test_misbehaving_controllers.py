@@ -285,3 +285,44 @@ def test_a_register_that_is_wrong(rig: Callable[[str], Rig], name: str, wrong: s
         surely,
         r"register 0|version|word|echo|answers command|axes|result|refus|number|owner|stopped|set-point|done|session",
     )
+
+
+LINES: dict[str, Callable[[bytes], list[bytes]]] = {
+    "mute": lambda packet: [],
+    "torn": lambda packet: [packet[: len(packet) // 2]],
+    "doubled": lambda packet: [packet, packet],
+    "noisy": lambda packet: [bytes(byte ^ 0x55 for byte in packet)],
+    "chatty": lambda packet: [b"<00001,0003,abc*00000000\r\n" * 20, packet],
+}
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("kind", [*LINES, "late", "refusing"])
+def test_a_controller_whose_answers_are_wrong(rig: Callable[[str], Rig], kind: str, phase: str, wire: str) -> None:
+    """From a moment of a phase on, for good: nothing is scanned after it that was not driven, and it ends in time."""
+    made = rig(wire)
+    send, station, clock = made.bench.line.send, made.bench.server._station, made.bench.clock
+    answer, later = station.answer, []
+
+    def sent(peer: int, packet: bytes) -> None:
+        if made.phase != phase or kind == "refusing":
+            send(peer, packet)
+        elif kind == "late":
+            later.append((clock.now() + 0.2, peer, packet))
+        else:
+            for piece in LINES[kind](packet):
+                send(peer, piece)
+
+    def turn(before: Callable[[], None] = clock.turn) -> None:
+        before()
+        while later and later[0][0] <= clock.now():
+            send(*later.pop(0)[1:])
+
+    made.bench.line.send, clock.turn = sent, turn
+    station.answer = lambda packet: (station.refuse if kind == "refusing" and made.phase == phase else answer)(packet)
+    made.drive()
+    made.judge(
+        kind in ("mute", "noisy", "refusing", "torn") and phase in ("connect", "move", "standing", "scan"),
+        r"answer|frame|refused|gone|telegram|closed|exception|arguments|could not|occupied|echo",
+    )

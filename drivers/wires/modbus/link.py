@@ -20,7 +20,7 @@ only that something took it.
 import secrets
 from collections.abc import Mapping
 from functools import partial
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -47,6 +47,9 @@ class Port(Line, Protocol):
 
     def write(self, address: int, values: list[int]) -> None:
         """Holding registers, in one FC16."""
+
+
+Client = TypeVar("Client", bound=ControllerClient)
 
 
 class ModbusLink(ReopeningLink):
@@ -236,7 +239,7 @@ class ModbusDriver(ControllerClient):
             raise DriverUrlError(f"'{url.text}' must name a host and no path: modbus://192.168.0.10:502?unit=1")
         clock = context.clock or RealTimeClock()
         port = ModbusPort.tcp(url.host, url.port or 502, unit, patience.answer)
-        return cls(ModbusLink(port, clock, patience), clock, limits=context.limits, say=context.say)
+        return _driver(cls, port, clock, patience, context)
 
 
 class ModbusRtuDriver(ControllerClient):
@@ -254,8 +257,13 @@ class ModbusRtuDriver(ControllerClient):
         url.finish()
         path = port_path(url)
         clock = context.clock or RealTimeClock()
-        link = ModbusLink(ModbusPort.rtu(path, baud, unit, patience.answer), clock, patience)
-        return cls(link, clock, limits=context.limits, say=context.say)
+        return _driver(cls, ModbusPort.rtu(path, baud, unit, patience.answer), clock, patience, context)
+
+
+def _driver(kind: type[Client], port: ModbusPort, clock: Clock, patience: Patience, context: Context) -> Client:
+    link = ModbusLink(port, clock, patience)
+    link.say = context.say
+    return kind(link, clock, limits=context.limits, say=context.say)
 
 
 def _unit(url: DriverUrl) -> int:

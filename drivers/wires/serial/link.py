@@ -188,6 +188,7 @@ class SerialDriver(ControllerClient):
         path = port_path(url)
         clock = context.clock or RealTimeClock()
         link = SerialLink(SerialPort(path, baud), clock, patience, seconds_per_byte=BITS_PER_BYTE / baud)
+        link.say = context.say
         return cls(link, clock, limits=context.limits, say=context.say)
 
 
