@@ -75,7 +75,7 @@ class Account:
         while (result := self._link.take(self.session)) != Result.OK:
             waited, owner = clock.now() - began, self._link.state().owner
             if result != Result.NOT_OWNER:
-                raise RefusedError(sentence_of(result), result)
+                raise RefusedError(f"the controller does not give the arm: {sentence_of(result)}", result)
             if waited > status.TAKE:
                 raise NotOwnerError(f"session {owner} owns the arm and its client is there; end that client first")
             if say and waited > status.SAID_AFTER and not said:
@@ -117,7 +117,7 @@ class Account:
             raise NotOwnerError(f"{answer.sentence}: {self.doubt}, and nothing is sent before a stop")
         self._acknowledged = sequence
         if answer.result != Result.OK:
-            raise RefusedError(answer.sentence, answer.result)
+            raise RefusedError(f"the controller refused command {sequence}: {answer.sentence}", answer.result)
         return sequence
 
     def _answer_to(self, sequence: int, command: Command) -> Answer:
