@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.cover.budget import STEP_WORK, Budget
 from planner.cover.interrupts import ends_search
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.values import Floats, Ints, Value
 
 ROUNDING = 1e-9

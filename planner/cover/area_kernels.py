@@ -1,6 +1,6 @@
 """Compiled loops of the search for the most area with a given number of columns: tabu search over swaps.
 
-Whole numbers throughout (units of `planner.cover.problem`), so that gains are exact and a run is the same everywhere.
+Whole numbers throughout (units of `planner.cover.canonical`), so that gains are exact and a run is the same everywhere.
 """
 
 import numpy as np

@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.cover.budget import Budget
 from planner.cover.interrupts import ends_search
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.values import Ints
 
 TENURES = 61

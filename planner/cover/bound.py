@@ -19,7 +19,7 @@ import numpy as np
 
 from planner.cover.budget import STEP_WORK, Bound, Budget
 from planner.cover.interrupts import interruptible
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.values import Floats, Ints
 
 LARGE_SUM = 1e-9

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 import scipy.sparse as sp
 
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.values import Bools, Floats, Ints, Value
 
 
@@ -29,7 +29,7 @@ class DemandProblem(Value):
         column_rows: (nnz,) rows of each column, ascending within a column.
         column_load: (nnz,) what the column brings to the row.
         demand: (S,) of each row, at least 1.
-        units: (S,) weight of each row, whole numbers (`planner.cover.problem`).
+        units: (S,) weight of each row, whole numbers (`planner.cover.canonical`).
         required: units of satisfied rows that are asked for; ignored where `full`.
         full: whether every row must be satisfied.
     """

@@ -13,7 +13,7 @@ from planner.cover.bound import bound, without_useless_columns
 from planner.cover.budget import ROUNDING, WORK_PER_SECOND, Bound, Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.interrupts import interruptible
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.cover.reductions import reduce
 from planner.values import Ints
 

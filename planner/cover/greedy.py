@@ -9,7 +9,7 @@ import heapq
 import numpy as np
 
 from planner.cover.budget import Budget
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.values import Bools, Floats, Ints
 
 

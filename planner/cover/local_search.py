@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.cover.budget import Budget
 from planner.cover.greedy import greedy, prune
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.values import Ints
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.cover.budget import STEP_WORK, Budget
 from planner.cover.greedy import greedy, missing_units, prune, uncovered_area
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.errors import PlannerError
 from planner.values import Floats, Ints
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.cover.answer import told
+from planner.cover.told import told
 from planner.cover.area_bound import AreaBounds, area_bounds
 from planner.cover.area_search import search_most
 from planner.cover.budget import Budget
 from planner.cover.interrupts import ends_search, interruptible
 from planner.cover.prepared import Prepared, prepare
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.cover.selection import Cover
 from planner.errors import PlannerError
 from planner.values import Ints

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from planner.cover import demand_search
-from planner.cover.answer import told
+from planner.cover.told import told
 from planner.cover.budget import Budget
 from planner.cover.demand_search import Graph, connected, parts_of
 from planner.cover.demands import DemandProblem

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.cover.problem import Candidates, CoverProblem, candidates, column_indices
+from planner.cover.canonical import Candidates, CoverProblem, candidates, column_indices
 from planner.cover.reductions import take
 from planner.errors import PlannerError
 from planner.values import Ints
@@ -71,7 +71,7 @@ def prepare(
     """Check the input and take the pinned columns.
 
     Raises:
-        PlannerError: for input that `planner.cover.problem.candidates` refuses, or a pinned column that is not allowed.
+        PlannerError: for input that `planner.cover.canonical.candidates` refuses, or a pinned column that is not allowed.
     """
     found = candidates(M, areas, allowed, coverage=coverage, banned=banned)
     n_columns = np.shape(M)[1]

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cover.problem import CoverProblem, gather, set_hash
+from planner.cover.canonical import CoverProblem, gather, set_hash
 from planner.values import Bools, Floats, Ints
 
 SUBSET_WORK = 400_000_000

@@ -22,11 +22,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from planner.cover import demand_bound, demand_search
-from planner.cover.answer import told
+from planner.cover.told import told
 from planner.cover.budget import Budget
 from planner.cover.demands import DemandProblem
 from planner.cover.prepared import Prepared, prepare
-from planner.cover.problem import TARGET_SLACK
+from planner.cover.canonical import TARGET_SLACK
 from planner.cover.selection import Cover, beginning, solve
 from planner.errors import PlannerError
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited

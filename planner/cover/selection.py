@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from planner.cover.bound import bound
 from planner.cover.budget import DEFAULT_WORK, Budget
 from planner.cover.greedy import by_marginal_area, greedy
-from planner.cover.problem import Candidates, CoverProblem, candidates, column_indices
+from planner.cover.canonical import Candidates, CoverProblem, candidates, column_indices
 from planner.cover.reductions import reduce, take
 from planner.cover.solvers import BOUND_SHARE, SOLVERS
 from planner.errors import PlannerError

@@ -11,7 +11,7 @@ from planner.cover.exact import exact, improve_or_prove
 from planner.cover.greedy import greedy, prune
 from planner.cover.local_search import local_search
 from planner.cover.meta_raps import meta_raps
-from planner.cover.problem import CoverProblem
+from planner.cover.canonical import CoverProblem
 from planner.values import Ints
 
 Solver = Callable[[CoverProblem, np.random.Generator, Budget], Ints]

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from planner.cover import SOLVERS, Budget, CoverStatus, solve
-from planner.cover.problem import candidates
+from planner.cover.canonical import candidates
 from planner.cover.selection import PRICE_ROUNDING
 
 WORK = 20_000_000

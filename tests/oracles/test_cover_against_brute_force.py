@@ -8,7 +8,7 @@ from scipy.optimize import LinearConstraint, linprog, milp
 
 from planner.cover import SOLVERS, Budget, CoverStatus, solve
 from planner.cover.bound import bound
-from planner.cover.problem import candidates
+from planner.cover.canonical import candidates
 from planner.cover.reductions import reduce
 
 

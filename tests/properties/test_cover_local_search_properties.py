@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from planner.cover import local_search_kernels as kernels
 from planner.cover.local_search import _state
-from planner.cover.problem import candidates
+from planner.cover.canonical import candidates
 
 
 @st.composite

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from planner.cover import solve
 from planner.cover.bound import evaluate
 from planner.cover.greedy import by_marginal_area, prune
-from planner.cover.problem import candidates, gather, set_hash
+from planner.cover.canonical import candidates, gather, set_hash
 from planner.cover.reductions import reduce
 
 matrices = hnp.arrays(bool, st.tuples(st.integers(0, 12), st.integers(0, 9)))

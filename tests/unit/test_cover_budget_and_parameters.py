@@ -11,7 +11,7 @@ from planner.cover.greedy import greedy
 from planner.cover.interrupts import interruptible
 from planner.cover.local_search import CHUNK_WORK, local_search
 from planner.cover.meta_raps import meta_raps
-from planner.cover.problem import candidates
+from planner.cover.canonical import candidates
 from planner.errors import PlannerError
 
 
