@@ -5,12 +5,25 @@
     answer = cover.solve(cover.Problem(matrix, areas, coverage=0.99), rng=np.random.default_rng(0))
     answer.views, answer.lower_bound, answer.sentence
 
-`Problem` says what is asked for, `solve` answers it with a `Cover`, whose `status` and bounds say what is proven.
+`Problem` says what is asked for, `solve` answers it with a `Cover`, whose status and bounds say what is proven.
+
+problem, answer            what goes in and comes out
+canonical, told            whole numbers and sorted columns, and the way back
+sets                       the problem that is searched
+reductions, greedy         exact simplifications; the first choice
+bound, linear              the certified bound; HiGHS, which proposes its multipliers and closes the gap
+search, search_kernels     local search and its compiled loops
+meta_raps                  the paper's own solver
+solvers, selection         `SOLVERS` by name; `solve`
+graph, overlap             views whose scans hang together
+curve, robust              coverage over the number of views; promises although poses are off
+budget                     work, clock, Ctrl-C, best so far
 """
 
 from planner.cover.answer import Cover, CoverStatus
 from planner.cover.budget import DEFAULT_WORK, WORK_PER_SECOND
 from planner.cover.problem import Overlap, Problem
-from planner.cover.solve import solve
+from planner.cover.selection import solve
+from planner.cover.solvers import SOLVERS
 
-__all__ = ["DEFAULT_WORK", "WORK_PER_SECOND", "Cover", "CoverStatus", "Overlap", "Problem", "solve"]
+__all__ = ["DEFAULT_WORK", "SOLVERS", "WORK_PER_SECOND", "Cover", "CoverStatus", "Overlap", "Problem", "solve"]

@@ -1,9 +1,4 @@
-"""The cover problem: which columns (viewpoints) cover which rows (surface samples), and how much must be covered.
-
-Weighted partial multiple set cover: choose the cheapest columns (at unit cost: the fewest) so that the covered rows
-weigh at least the target; at coverage 1 every row that some usable column covers must be covered (set cover). A row
-counts as covered when as many of the chosen columns cover it as its demand says: once, or `multiplicity` times; of a
-row that fewer columns can cover all of them are demanded.
+"""A cover problem in canonical form: checked, in whole numbers, its columns sorted by what they hold.
 
 Three decisions make every later step exact and reproducible:
 
@@ -13,7 +8,7 @@ Three decisions make every later step exact and reproducible:
   though the float 0.55 is a hair above 55/100. Coverage 1 never looks at areas: it asks for every coverable row.
 * **Costs become integers**: whole numbers are divided by their greatest common divisor; any others are rounded to
   multiples of 2^-17 of the largest.
-* **Columns are sorted by content**: larger covered area first, then a hash of the set of rows, then the lower cost,
+* **Columns are sorted by content**: larger covered area first, then a hash of the rows and loads, then the lower cost,
   then the index. Everything after this works on the sorted columns, so permuting the candidates changes nothing but
   indices.
 """
@@ -26,8 +21,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planner.cover.graph import NO_GRAPH, joined_columns
+from planner.cover.problem import Problem
+from planner.cover.sets import Sets, set_hash
 from planner.errors import PlannerError
 from planner.values import Bools, Floats, Ints, Value, freeze
 
@@ -45,276 +43,146 @@ TARGET_SLACK = Fraction(1, 10**12)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoverProblem(Value):
-    """A set-cover problem in canonical column order; every row can be covered as often as it demands.
+class Canonical(Value):
+    """A problem in canonical form, with the pinned columns taken out, and the way back to the caller's numbers.
 
     Attributes:
-        row_start: (S + 1,) where the columns of each row begin in `row_columns`.
-        row_columns: (nnz,) columns that cover each row, ascending within a row.
-        column_start: (V + 1,) where the rows of each column begin in `column_rows`.
-        column_rows: (nnz,) rows that each column covers, ascending within a column.
-        units: (S,) weight of each row, whole numbers as float64 (all sums stay below 2^53).
-        required: how many units must be covered; ignored where `full`.
-        full: whether every row must be covered.
-        demand: (S,) how many columns must cover a row for it to count as covered; at least 1.
-        costs: (V,) cost of each column in whole units, at least 1.
-    """
-
-    row_start: Annotated[Ints, "S+1"]
-    row_columns: Annotated[Ints, "nnz"]
-    column_start: Annotated[Ints, "V+1"]
-    column_rows: Annotated[Ints, "nnz"]
-    units: Annotated[Floats, "S"]
-    required: int
-    full: bool
-    demand: Annotated[Ints, "S"]
-    costs: Annotated[Ints, "V"]
-
-    @property
-    def n_rows(self) -> int:
-        """Rows to be covered."""
-        return len(self.row_start) - 1
-
-    @property
-    def n_columns(self) -> int:
-        """Columns to choose from."""
-        return len(self.column_start) - 1
-
-    @property
-    def n_entries(self) -> int:
-        """Ones of the matrix."""
-        return len(self.row_columns)
-
-    @property
-    def slack(self) -> int:
-        """Units that may stay uncovered."""
-        return 0 if self.full else int(self.units.sum()) - self.required
-
-    @property
-    def trivial(self) -> bool:
-        """Whether nothing needs to be covered."""
-        return self.n_rows == 0 if self.full else self.required <= 0
-
-    @property
-    def unit_cost(self) -> bool:
-        """Whether every column costs 1, so that cost is the number of columns."""
-        return bool((self.costs == 1).all())
-
-    @property
-    def once(self) -> bool:
-        """Whether covering a row once is enough for every row."""
-        return bool((self.demand == 1).all())
-
-    def cost(self, columns: ArrayLike) -> int:
-        """What several columns cost together."""
-        return int(self.costs[np.asarray(columns, dtype=np.int64)].sum())
-
-    def rows_of(self, columns: ArrayLike) -> Ints:
-        """The rows of several columns, one column after the other (with repetitions)."""
-        return gather(self.column_start, self.column_rows, np.asarray(columns, dtype=np.int64))[0]
-
-    def columns_of(self, rows: ArrayLike) -> tuple[Ints, Ints]:
-        """The columns of several rows, one row after the other, and how many each row has."""
-        return gather(self.row_start, self.row_columns, np.asarray(rows, dtype=np.int64))
-
-    def counts(self, columns: ArrayLike) -> Ints:
-        """(S,) how many of the given columns cover each row."""
-        return np.bincount(self.rows_of(columns), minlength=self.n_rows)
-
-    def covered(self, columns: ArrayLike) -> Bools:
-        """(S,) which rows the given columns cover as often as demanded."""
-        satisfied: Bools = self.counts(columns) >= self.demand
-        return satisfied
-
-    def met(self, covered: Bools) -> bool:
-        """Whether covering these rows meets the target; exact.
-
-        Args:
-            covered: (S,) which rows are covered.
-        """
-        return bool(covered.all()) if self.full else int(self.units[covered].sum()) >= self.required
-
-    def matrix(self) -> Any:
-        """The (S, V) matrix as a scipy csr_array of float64."""
-        data = np.ones(self.n_entries)
-        return sp.csr_array((data, self.row_columns, self.row_start), shape=(self.n_rows, self.n_columns))
-
-    def restricted(
-        self,
-        rows: Bools,
-        columns: Bools,
-        units: Floats,
-        required: int,
-        demand: Ints | None = None,
-    ) -> "CoverProblem":
-        """The problem on some rows and columns, in the same order.
-
-        Args:
-            rows: (S,) which rows stay.
-            columns: (V,) which columns stay.
-            units: (S,) weights of the rows; those of the rows that stay are taken.
-            required: units that the smaller problem must cover.
-            demand: (S,) how often rows must be covered, in place of this problem's.
-        """
-        M = sp.csr_array((np.ones(self.n_entries, np.int8), self.row_columns, self.row_start), self.shape)
-        demand = self.demand if demand is None else demand
-        return _from_csr(M[rows][:, columns], units[rows], required, self.full, demand[rows], self.costs[columns])
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
-        return self.n_rows, self.n_columns
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates(Value):
-    """A cover problem together with what it was made from.
-
-    Attributes:
-        problem: the canonical problem.
-        rows: (S',) index of each of the problem's rows in the measurability matrix.
-        columns: (V',) index of each of the problem's columns in the measurability matrix.
+        whole: every usable column and coverable row.
+        rows: (s,) row of the matrix of each of its rows.
+        columns: (v,) column of the matrix of each of its columns.
         areas: (S,) area of every row of the matrix [m^2].
         uncoverable_rows: rows that no usable column covers.
-        short_rows: rows that some usable columns cover, but fewer than the multiplicity; all of them are demanded.
-        cost_unit: what a cost of 1 in the problem stands for in the caller's unit.
+        short_rows: rows whose columns together bring less than was demanded.
+        cost_unit: what a cost of 1 stands for in the caller's unit.
+        pinned: pinned columns of the matrix, ascending.
+        fixed: those of them that cover something, as columns of `whole`.
+        rest: what they leave to be searched; where a graph has to hold together they are part of it.
+        rest_columns: (r,) column of `whole` of each of its columns.
     """
 
-    problem: CoverProblem
+    whole: Sets
     rows: Annotated[Ints, "s"]
     columns: Annotated[Ints, "v"]
     areas: Annotated[Floats, "S"]
     uncoverable_rows: Annotated[Ints, "_"]
     short_rows: Annotated[Ints, "_"]
     cost_unit: float
+    pinned: Annotated[Ints, "_"]
+    fixed: Annotated[Ints, "_"]
+    rest: Sets
+    rest_columns: Annotated[Ints, "r"]
 
     def __post_init__(self) -> None:
-        freeze(self, s=self.problem.n_rows, v=self.problem.n_columns)
+        freeze(self, s=self.whole.n_rows, v=self.whole.n_columns, r=self.rest.n_columns)
+
+    @property
+    def idle(self) -> Ints:
+        """Pinned columns of the matrix that cover nothing; they stay in every answer."""
+        return np.setdiff1d(self.pinned, self.columns)
 
 
-def gather(start: Ints, items: Ints, which: Ints) -> tuple[Ints, Ints]:
-    """Concatenate several slices of a compressed index array.
-
-    Args:
-        start: (N + 1,) where each slice begins.
-        items: (nnz,) the slices, one after the other.
-        which: (n,) the slices wanted.
-
-    Returns:
-        The wanted slices one after the other, and the (n,) length of each.
-    """
-    begin = start[which]
-    lengths = start[which + 1] - begin
-    if len(which) <= 12:  # below this a plain concatenation is faster than the index arithmetic
-        parts = [items[a : a + n] for a, n in zip(begin.tolist(), lengths.tolist(), strict=True)]
-        return (np.concatenate(parts) if parts else items[:0]), lengths
-    ends = np.cumsum(lengths)
-    index = np.arange(ends[-1]) + np.repeat(begin - (ends - lengths), lengths)
-    return items[index], lengths
-
-
-def set_hash(start: Ints, items: Ints) -> NDArray[np.uint64]:
-    """A 64-bit hash of each slice as a set (order does not matter), the same on every machine.
-
-    The sum modulo 2^64 of SplitMix64 (Steele, Lea, Flood 2014, doi:10.1145/2660193.2660195) of the members.
-    """
-    z = (items.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z ^= z >> np.uint64(31)
-    total = np.concatenate(([np.uint64(0)], np.cumsum(z, dtype=np.uint64)))
-    hashes: NDArray[np.uint64] = total[start[1:]] - total[start[:-1]]
-    return hashes
-
-
-def candidates(
-    M: Any,
-    areas: ArrayLike,
-    allowed: ArrayLike | None = None,
-    *,
-    coverage: float = 1.0,
-    banned: Iterable[int] = (),
-    multiplicity: int = 1,
-    costs: ArrayLike | None = None,
-) -> Candidates:
-    """Check the input and bring it into canonical form.
-
-    Args:
-        M: (S, V) measurability matrix, scipy sparse or dense; an entry is True where it is not zero.
-        areas: (S,) area of each row [m^2], finite and not negative.
-        allowed: (V,) which columns may be used (the reachable ones); None: all.
-        coverage: share of the coverable area that must be covered, 0 to 1.
-        banned: columns that the user excludes; they do not count as coverable either.
-        multiplicity: how many columns must cover a row for it to count as covered; of a row that fewer can cover, all.
-        costs: (V,) cost of each column, finite and above zero (seconds, say); None: 1 each.
+def canonical(problem: Problem) -> Canonical:
+    """Check a problem and bring it into canonical form.
 
     Raises:
-        PlannerError: if shapes do not fit, an area is NaN, infinite or negative, the coverage is not in [0, 1], a
-            banned column does not exist, the multiplicity is below 1, or a cost is not above zero.
+        PlannerError: if shapes do not fit, an area is NaN, infinite or negative, the coverage is not in [0, 1], a cost
+            is not above zero, or wishes contradict each other.
     """
-    matrix = sp.csc_array(M, dtype=bool)  # refuses anything that is not two-dimensional
+    matrix, usable, pinned = _checked(problem)
+    n_columns = matrix.shape[1]
+    areas = np.array(problem.areas, dtype=np.float64)
+    group, group_costs = _groups(problem, n_columns)
+    costs, group_units, cost_unit = _costs(problem.costs, n_columns, group_costs)
+
+    chosen = np.flatnonzero(usable & (np.diff(matrix.indptr) > 0))
+    part = matrix[:, chosen]
+    available = np.asarray(part.sum(axis=1)).ravel()
+    rows = np.flatnonzero(available)
+    part = sp.csc_array(part[rows])
+    part.sort_indices()
+    units = _units(areas[rows])
+    demand = np.minimum(available[rows], min(problem.demand, 2**30))
+    part.data = np.minimum(part.data, demand[part.indices])
+    start = part.indptr.astype(np.int64)
+    covered = np.add.reduceat(units[part.indices], start[:-1]) if len(chosen) else units[:0]
+    given = costs if problem.costs is None else np.asarray(problem.costs, dtype=np.float64)  # unrounded: fewer ties
+    held = set_hash(start, part.indices.astype(np.int64) * (1 + int(part.data.max(initial=1))) + part.data)
+    order = np.lexsort((chosen, given[chosen], group[chosen], held, -covered))
+    columns = chosen[order]
+    group_units[group[np.setdiff1d(pinned, chosen)]] = 0  # pinned columns that cover nothing open theirs in any case
+    most = None if problem.max_views is None else min(problem.max_views - len(pinned), len(chosen))
+    full = problem.coverage == 1.0 and most is None
+    required = ceil(Fraction(problem.coverage) * int(units.sum()) * (1 - TARGET_SLACK))
+    in_order = part[:, order]
+    graph = NO_GRAPH
+    if problem.overlap is not None:
+        graph = joined_columns(in_order > 0, areas[rows], problem.overlap)
+    fixed = np.flatnonzero(np.isin(columns, pinned))
+    whole = Sets.of(
+        in_order, demand, units, required=required, full=full, most=most, costs=costs[columns],
+        group=group[columns], group_costs=group_units, adjacent=graph,
+        fixed=fixed if len(graph) else fixed[:0],
+    )  # fmt: skip
+    rest, left = (whole, np.arange(whole.n_columns)) if len(graph) else whole.without(fixed)
+    return Canonical(
+        whole, rows, columns, areas,
+        uncoverable_rows=np.flatnonzero(available == 0),
+        short_rows=np.flatnonzero((available > 0) & (available < problem.demand)),
+        cost_unit=cost_unit, pinned=pinned, fixed=fixed, rest=rest, rest_columns=left,
+    )  # fmt: skip
+
+
+def _checked(problem: Problem) -> tuple[Any, Bools, Ints]:
+    """The loads by column, which columns may be used, and the pinned ones."""
+    given: Any = problem.matrix if sp.issparse(problem.matrix) else np.asarray(problem.matrix)
+    matrix: Any = sp.csc_array(given)
     matrix.sum_duplicates()
     matrix.eliminate_zeros()
+    if matrix.dtype == np.int64:
+        if len(matrix.data) and matrix.data.min() < 0:
+            raise PlannerError(f"a load of the matrix is {matrix.data.min()}; loads must be zero or above")
+    else:
+        matrix = sp.csc_array((np.ones(matrix.nnz, np.int64), matrix.indices, matrix.indptr), shape=matrix.shape)
     n_rows, n_columns = matrix.shape
-    weights = np.array(areas, dtype=np.float64)
-    if weights.shape != (n_rows,):
-        raise PlannerError(f"areas has shape {weights.shape}; the matrix has {n_rows} rows, so it must be ({n_rows},)")
-    bad = np.flatnonzero(~(np.isfinite(weights) & (weights >= 0)))
+    areas = np.array(problem.areas, dtype=np.float64)
+    if areas.shape != (n_rows,):
+        raise PlannerError(f"areas has shape {areas.shape}; the matrix has {n_rows} rows, so it must be ({n_rows},)")
+    bad = np.flatnonzero(~(np.isfinite(areas) & (areas >= 0)))
     if len(bad):
-        raise PlannerError(f"areas[{bad[0]}] is {weights[bad[0]]}; an area must be a finite number, zero or above")
-    if not 0.0 <= coverage <= 1.0:  # also refuses NaN
-        raise PlannerError(f"coverage is {coverage!r}; it is a share of the coverable area and must be from 0 to 1")
-    usable = np.ones(n_columns, dtype=bool) if allowed is None else np.array(allowed)
+        raise PlannerError(f"areas[{bad[0]}] is {areas[bad[0]]}; an area must be a finite number, zero or above")
+    if not 0.0 <= problem.coverage <= 1.0:  # also refuses NaN
+        raise PlannerError(
+            f"coverage is {problem.coverage!r}; it is a share of the coverable area and must be from 0 to 1"
+        )
+    if problem.demand < 1:
+        raise PlannerError(f"demand is {problem.demand}; every row must be covered at least once")
+    usable = np.ones(n_columns, dtype=bool) if problem.allowed is None else np.array(problem.allowed)
     if usable.shape != (n_columns,) or usable.dtype != np.bool_:
         raise PlannerError(
             f"allowed has shape {usable.shape} and type {usable.dtype}; it must be ({n_columns},) of bool"
         )
     usable = usable.copy()
-    usable[column_indices("banned", banned, n_columns)] = False
-    if multiplicity < 1:
-        raise PlannerError(f"multiplicity is {multiplicity}; every row must be covered at least once")
-    multiplicity = min(multiplicity, n_columns + 1)  # more than all columns are all columns
-    column_costs, cost_unit = _costs(costs, n_columns)
-
-    usable &= np.diff(matrix.indptr) > 0
-    chosen = np.flatnonzero(usable)
-    part = matrix[:, chosen]
-    per_row = np.bincount(part.indices, minlength=n_rows)
-    rows = np.flatnonzero(per_row)
-    row_units = _units(weights[rows])
-    renumber = np.zeros(n_rows, dtype=np.int64)
-    renumber[rows] = np.arange(len(rows))
-    start, members = part.indptr.astype(np.int64), part.indices.astype(np.int64)
-    covered = np.add.reduceat(row_units[renumber[members]], start[:-1]) if len(chosen) else np.zeros(0)
-    given = column_costs if costs is None else np.asarray(costs, dtype=np.float64)  # not rounded: they order more ties
-    order = np.lexsort((chosen, given[chosen], set_hash(start, members), -covered))
-    canonical = sp.csr_array(part[:, order])[rows]
-    required = ceil(Fraction(coverage) * int(row_units.sum()) * (1 - TARGET_SLACK))
-    problem = _from_csr(
-        canonical,
-        row_units,
-        required,
-        coverage == 1.0,
-        np.minimum(per_row[rows], multiplicity),
-        column_costs[chosen[order]],
-    )
-    return Candidates(
-        problem,
-        rows,
-        chosen[order],
-        weights,
-        uncoverable_rows=np.flatnonzero(per_row == 0),
-        short_rows=np.flatnonzero((per_row > 0) & (per_row < multiplicity)),
-        cost_unit=cost_unit,
-    )
+    usable[_named("banned", problem.banned, n_columns)] = False
+    pinned = _named("pinned", problem.pinned, n_columns)
+    if len(refused := pinned[~usable[pinned]]):
+        raise PlannerError(f"pinned names column {refused[0]}, which is banned or not among the allowed columns")
+    if problem.max_views is not None:
+        _check_most(problem, len(pinned))
+    return matrix, usable, pinned
 
 
-def column_indices(name: str, values: Iterable[int], n_columns: int) -> Ints:
-    """Column indices that a user named, checked, ascending and without repetition.
+def _check_most(problem: Problem, pins: int) -> None:
+    if problem.max_views is not None and problem.max_views < pins:
+        raise PlannerError(
+            f"max_views is {problem.max_views}; it must be 0 or more"
+            + (f", and {pins} views are pinned" if pins else "")
+        )
+    if problem.costs is not None or problem.group is not None or problem.overlap is not None:
+        raise PlannerError("max_views counts views: it goes with neither costs nor groups nor overlap")
 
-    Raises:
-        PlannerError: if one is not a column of the matrix.
-    """
+
+def _named(name: str, values: Iterable[int], n_columns: int) -> Ints:
+    """Columns that a user named, checked, ascending and without repetition."""
     indices = np.unique(np.array(list(values), dtype=np.int64))
     outside = indices[(indices < 0) | (indices >= n_columns)]
     if len(outside):
@@ -322,23 +190,31 @@ def column_indices(name: str, values: Iterable[int], n_columns: int) -> Ints:
     return indices
 
 
-def _units(areas: Floats) -> Floats:
+def _groups(problem: Problem, n_columns: int) -> tuple[Ints, Floats]:
+    """(V,) group of each column and (G,) fixed cost of each group; one group without a cost where none are given."""
+    if problem.group is None:
+        return np.zeros(n_columns, dtype=np.int64), np.zeros(1)
+    group = np.array(problem.group, dtype=np.int64)
+    costs = np.array([] if problem.group_costs is None else problem.group_costs, dtype=np.float64)
+    if group.shape != (n_columns,) or (n_columns and not 0 <= group.min() <= group.max() < len(costs)):
+        raise PlannerError(f"group must give each of {n_columns} columns a group from 0 to {len(costs) - 1}")
+    if not (np.isfinite(costs) & (costs >= 0)).all():
+        raise PlannerError("group_costs must be finite numbers, zero or above")
+    return group, costs
+
+
+def _units(areas: Floats) -> Ints:
     """Areas as whole numbers that sum to about AREA_UNITS; no row weighs nothing, so that none is ever ignored."""
-    if not len(areas):
-        return areas
-    top = float(areas.max())
+    top = float(areas.max(initial=0.0))
     if top == 0.0:
-        return np.ones(len(areas))
+        return np.ones(len(areas), dtype=np.int64)
     relative = areas / top  # at most 1 each, so that neither the sum nor the product overflows
-    units: Floats = np.maximum(np.rint(relative * (AREA_UNITS / fsum(relative))), 1.0)
-    return units
+    return np.maximum(np.rint(relative * (AREA_UNITS / fsum(relative))), 1.0).astype(np.int64)
 
 
-def _costs(costs: ArrayLike | None, n_columns: int) -> tuple[Ints, float]:
-    """Costs as whole numbers, and what a unit of them stands for."""
-    if costs is None:
-        return np.ones(n_columns, dtype=np.int64), 1.0
-    given = np.array(costs, dtype=np.float64)
+def _costs(costs: ArrayLike | None, n_columns: int, group_costs: Floats) -> tuple[Ints, Ints, float]:
+    """Costs of columns and groups as whole numbers, and what a unit of them stands for."""
+    given = np.ones(n_columns) if costs is None else np.array(costs, dtype=np.float64)
     if given.shape != (n_columns,):
         raise PlannerError(
             f"costs has shape {given.shape}; the matrix has {n_columns} columns, so it must be ({n_columns},)"
@@ -346,23 +222,14 @@ def _costs(costs: ArrayLike | None, n_columns: int) -> tuple[Ints, float]:
     bad = np.flatnonzero(~(np.isfinite(given) & (given > 0)))
     if len(bad):
         raise PlannerError(f"costs[{bad[0]}] is {given[bad[0]]}; a cost must be a finite number above zero")
-    if not n_columns:
-        return np.zeros(0, dtype=np.int64), 1.0
-    top = float(given.max())
-    if top <= COST_UNITS and (given == np.rint(given)).all():
-        whole = given.astype(np.int64)
-        divisor = int(np.gcd.reduce(whole))
-        return whole // divisor, float(divisor)
+    both = np.concatenate((given, group_costs))
+    top = float(both.max(initial=0.0))
+    if top <= COST_UNITS and (both == np.rint(both)).all():
+        whole = both.astype(np.int64)
+        divisor = max(int(np.gcd.reduce(whole)), 1)
+        return whole[:n_columns] // divisor, whole[n_columns:] // divisor, float(divisor)
     units = np.maximum(np.rint(given / top * COST_UNITS), 1.0).astype(np.int64)
-    if (units == units[0]).all():
-        return np.ones(n_columns, dtype=np.int64), top
-    return units, top / COST_UNITS
-
-
-def _from_csr(M: Any, units: Floats, required: int, full: bool, demand: Ints, costs: Ints) -> CoverProblem:
-    by_row = sp.csr_array(M)
-    by_row.sort_indices()
-    by_column = sp.csc_array(by_row)
-    by_column.sort_indices()
-    sets = [array.astype(np.int64) for M in (by_row, by_column) for array in (M.indptr, M.indices)]
-    return CoverProblem(sets[0], sets[1], sets[2], sets[3], units, max(required, 0), full, demand, costs)
+    groups = np.rint(group_costs / top * COST_UNITS).astype(np.int64)
+    if (units == units[0]).all() and not groups.any():
+        return np.ones(n_columns, dtype=np.int64), groups, top
+    return units, groups, top / COST_UNITS
