@@ -84,15 +84,21 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
                 Problem(matrix, areas, overlap=Overlap(share=least), coverage=0.98), rng=np.random.default_rng(0)
             )
         )
-        yield _row(part, "overlap", size, least, found, f"{len(found.views) - found.unconnected_views} more; {found.sentence}", seconds)
+        yield _row(
+            part,
+            "overlap",
+            size,
+            least,
+            found,
+            f"{len(found.views) - found.unconnected_views} more; {found.sentence}",
+            seconds,
+        )
     for position, orientation in ERRORS:
         error = PoseError(position / 1000, float(np.deg2rad(orientation)))
         errors = error.draw(32, np.random.default_rng(1))
         layer, filled = _timed(lambda errors=errors: probability_layer(M, views, scanner, (caster,), errors))
         robust, seconds = _timed(
-            lambda layer=layer: robust_cover(
-                Problem(matrix, areas, coverage=0.98), layer, rng=np.random.default_rng(0)
-            )
+            lambda layer=layer: robust_cover(Problem(matrix, areas, coverage=0.98), layer, rng=np.random.default_rng(0))
         )
         chosen = views.T_object_scanner[robust.cover.views]
         drawn = error.draw(200 * len(chosen), np.random.default_rng(2)).reshape(200, len(chosen), 4, 4)

@@ -268,9 +268,7 @@ def multiplicity_of(selected: Selected) -> plan_json.Multiplicity | None:
     cover = selected.cover
     if cover.demand == 1:
         return None
-    return plan_json.Multiplicity(
-        views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows)
-    )
+    return plan_json.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
 
 
 def cost_of(selected: Selected) -> plan_json.Cost | None:

@@ -99,9 +99,9 @@ class Relaxation:
 
     def evaluate(self, u: Floats) -> float:
         """L(u); kept where it is the best."""
-        of_row = np.bincount(self.owner, u, self.sets.n_rows)
+        of_row: Floats = np.bincount(self.owner, u, self.sets.n_rows).astype(np.float64, copy=False)
         if self.sets.most >= 0:
-            over = np.minimum(1.0, self.units / np.maximum(of_row, 1e-300))
+            over = self.units / np.maximum(of_row, self.units)
             u, of_row = u * over[self.owner], of_row * over
             return self._evaluate_area(u, of_row)
         reduced = self.sets.costs - self.At @ u

@@ -1,9 +1,9 @@
 """Coverage over the number of views: for every number the best views found, and what no views of that number exceed.
 
 The selection grows by one view at a time and is searched, then shrinks again the same way; a better selection on the
-way replaces an earlier one. Multipliers found for one number of views bound all numbers at once (`planner.cover.bound`), so
-that the linear programme goes on from one number to the next. From the curve follow the fewest views for any coverage,
-from below and above.
+way replaces an earlier one. Multipliers found for one number of views bound all numbers at once
+(`planner.cover.bound`), so that the linear programme goes on from one number to the next. From the curve follow the
+fewest views for any coverage, from below and above.
 """
 
 import time

@@ -173,7 +173,7 @@ class Model:
         if budget.seconds_left is not None:
             highs.setOptionValue("time_limit", highs.getRunTime() + budget.seconds_left)
         interruptible(highs.run)
-        iterations = max(int(highs.getInfo().simplex_iteration_count), 0)
+        iterations: int = max(int(highs.getInfo().simplex_iteration_count), 0)
         budget.spend(iterations * per + 2 * self.A.nnz)
         return iterations
 
@@ -300,7 +300,7 @@ def _decisive(relaxation: Relaxation) -> Ints:
 
 def _highs(integer: bool) -> Any:
     """A silent solver of one thread."""
-    highs = highspy.Highs()
+    highs = highspy.Highs()  # type: ignore[no-untyped-call] # highspy types this call not
     highs.silent()
     options: dict[str, Any] = {"threads": 1, "random_seed": 0}
     if integer:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from planner.cover.budget import Budget
 from planner.cover.sets import Sets, gather, set_hash
-from planner.values import Bools, Ints
+from planner.values import Bools, Ints, Ints32
 
 MOST_WORK, SHARE = 300_000_000, 0.1
 """Work that one pass of subset tests may cost, and share of the budget (a quarter of the first in any case)."""
@@ -35,7 +35,7 @@ SET_WORK, WORD_WORK = 5000, 1.0
 LARGE, WORTHWHILE = 200_000, 0.02
 """A matrix with more ones than this gets another round only when the last one removed at least this share of them."""
 
-Admissible = Callable[[int, Ints], Bools]
+Admissible = Callable[[int, Ints32], Bools]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,10 +138,11 @@ def _dominated_columns(sets: Sets, budget: Budget) -> Bools:
     free = sets.group_costs == 0
     dominated: Bools = sizes == 0
 
-    def cheaper(j: int, others: Ints) -> Bools:
+    def cheaper(j: int, others: Ints32) -> Bools:
         first = (sizes[others] > sizes[j]) | (costs[others] < costs[j]) | (others < j)
-        same: Bools = (group[others] == group[j]) | free[group[others]]
-        return (costs[others] <= costs[j]) & first & same
+        same = (group[others] == group[j]) | free[group[others]]
+        fit: Bools = (costs[others] <= costs[j]) & first & same
+        return fit
 
     by_column = sets.column_start, sets.column_rows, sets.row_start, sets.row_columns
     for j, others in _supersets(*by_column, cheaper, budget):
@@ -154,12 +155,12 @@ def _dominated_rows(sets: Sets, budget: Budget) -> Bools:
     sizes, demand = np.diff(sets.row_start), sets.demand
     dominated = np.zeros(sets.n_rows, dtype=bool)
 
-    def weaker(i: int, others: Ints) -> Bools:
+    def weaker(i: int, others: Ints32) -> Bools:
         if dominated[i]:
             return np.zeros(len(others), dtype=bool)  # what it would remove is removed by the row that removed it
         later = (sizes[others] > sizes[i]) | (demand[others] < demand[i]) | (others > i)
-        open_still: Bools = ~dominated[others]
-        return (demand[others] <= demand[i]) & later & open_still
+        fit: Bools = (demand[others] <= demand[i]) & later & ~dominated[others]
+        return fit
 
     by_row = sets.row_start, sets.row_columns, sets.column_start, sets.column_rows
     for _, others in _supersets(*by_row, weaker, budget):
@@ -168,8 +169,8 @@ def _dominated_rows(sets: Sets, budget: Budget) -> Bools:
 
 
 def _supersets(
-    start: Ints, members: Ints, of_start: Ints, of_member: Ints, admissible: Admissible, budget: Budget
-) -> Iterator[tuple[int, Ints]]:
+    start: Ints, members: Ints32, of_start: Ints, of_member: Ints32, admissible: Admissible, budget: Budget
+) -> Iterator[tuple[int, Ints32]]:
     """Each set with the admissible others that contain it, where there are any.
 
     Args:
@@ -204,7 +205,7 @@ def _supersets(
             yield j, others
 
 
-def _packed(start: Ints, members: Ints, words: int) -> NDArray[np.uint64]:
+def _packed(start: Ints, members: Ints32, words: int) -> NDArray[np.uint64]:
     """The sets as (N, words) bit masks."""
     n_sets = len(start) - 1
     packed = np.zeros((n_sets, words * 8), dtype=np.uint8)

@@ -18,12 +18,17 @@ search that has found nothing for long starts again from its best choice with fr
 weights that it has learned.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from planner.cover.budget import Budget
 from planner.cover.greedy import prune
 from planner.cover.sets import Sets
 from planner.values import Ints
+
+if TYPE_CHECKING:
+    from planner.cover.search_kernels import State
 
 CHUNK_WORK = 20_000_000
 """Work between two looks at the clock: about 40 ms."""
@@ -102,26 +107,29 @@ class Search:
         if sets.most < 0:  # the kernel begins with a step; the choice has to be cheaper than the best one by then
             numbers[kernels.LIMIT] = sets.cost(columns) - 1
 
-    def _fresh(self) -> "object":
+    def _fresh(self) -> "State":
         """The arrays of a search that has no column yet."""
         kernels, sets = self._kernels, self.sets
-        S, V = sets.shape
+        n_rows, n_columns = sets.shape
         numbers = np.zeros(kernels.NUMBERS, dtype=np.int64)
-        numbers[kernels.OPEN], numbers[kernels.MISSING], numbers[kernels.TABU] = S, sets.total, -1
-        fixed = np.zeros(V, dtype=np.bool_)
+        numbers[kernels.PRICED] = not sets.unit_cost
+        numbers[kernels.OPEN], numbers[kernels.MISSING], numbers[kernels.TABU] = n_rows, sets.total, -1
+        fixed = np.zeros(n_columns, dtype=np.bool_)
         fixed[sets.fixed] = True
 
         def zeros(count: int) -> Ints:
             return np.zeros(count, dtype=np.int64)
 
-        return kernels.State(
+        state: State = kernels.State(
             row_start=sets.row_start, row_columns=sets.row_columns, row_load=sets.row_load,
             column_start=sets.column_start, column_rows=sets.column_rows, column_load=sets.column_load,
             demand=sets.demand, units=sets.units, costs=sets.costs, group=sets.group, group_costs=sets.group_costs,
             group_members=zeros(len(sets.group_costs)), adjacent=sets.adjacent, fixed=fixed, growth=self._growth,
-            weights=self._growth.copy(), load=zeros(S), owner=zeros(S), score=zeros(V),
-            chosen=np.zeros(V, dtype=np.bool_), free=np.ones(V, dtype=np.bool_), members=zeros(V), place=zeros(V),
-            open_rows=np.arange(S), open_place=np.arange(S), stamp=zeros(V), best=zeros(V),
-            labels=np.zeros((2, V + 1), dtype=np.int64), numbers=numbers,
+            weights=self._growth.copy(), load=zeros(n_rows), owner=zeros(n_rows), score=zeros(n_columns),
+            chosen=np.zeros(n_columns, dtype=np.bool_), free=np.ones(n_columns, dtype=np.bool_),
+            members=zeros(n_columns), place=zeros(n_columns),
+            open_rows=np.arange(n_rows), open_place=np.arange(n_rows), stamp=zeros(n_columns), best=zeros(n_columns),
+            labels=np.zeros((2, n_columns + 1), dtype=np.int64), numbers=numbers,
             random=self._rng.integers(0, 2**64, 1, dtype=np.uint64),
         )  # fmt: skip
+        return state

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from planner.values import Bools, Floats, Ints, Ints32, Value
+from planner.values import Bools, Ints, Ints32, Value
 
 Graph = NDArray[np.uint8]
 """(V, V) 1 where two columns are joined; (0, 0) where nothing has to hold together."""
@@ -172,11 +172,11 @@ class Sets(Value):
         """The columns of several rows, one row after the other, and how many each row has."""
         return gather(self.row_start, self.row_columns, np.asarray(rows, dtype=np.int64))
 
-    def rows_of(self, column: int) -> Ints:
-        """The rows of a column."""
+    def rows_of(self, column: int) -> Any:
+        """(n,) the rows of a column."""
         return self.column_rows[self.column_start[column] : self.column_start[column + 1]]
 
-    def load_of(self, column: int) -> Ints | int:
+    def load_of(self, column: int) -> Any:
         """What a column brings to each of its rows."""
         return 1 if self.plain else self.column_load[self.column_start[column] : self.column_start[column + 1]]
 
@@ -247,7 +247,7 @@ def gather(start: Ints, items: NDArray[Any], which: Ints) -> tuple[NDArray[Any],
     return items[index], lengths
 
 
-def set_hash(start: Ints, items: Ints) -> NDArray[np.uint64]:
+def set_hash(start: Ints, items: NDArray[np.integer]) -> NDArray[np.uint64]:
     """A 64-bit hash of each slice as a set (order does not matter), the same on every machine.
 
     The sum modulo 2^64 of SplitMix64 (Steele, Lea, Flood 2014, doi:10.1145/2660193.2660195) of the members.
@@ -259,10 +259,3 @@ def set_hash(start: Ints, items: Ints) -> NDArray[np.uint64]:
     total = np.concatenate(([np.uint64(0)], np.cumsum(z, dtype=np.uint64)))
     hashes: NDArray[np.uint64] = total[start[1:]] - total[start[:-1]]
     return hashes
-
-
-def column_sums(sets: Sets, rows: Ints, weights: Floats) -> Floats:
-    """(V,) sum over the given rows of weights that go with their columns, one row after the other."""
-    columns, lengths = sets.columns_of(rows)
-    # bincount of nothing is of integers
-    return np.bincount(columns, np.repeat(weights, lengths), sets.n_columns).astype(np.float64, copy=False)

@@ -26,9 +26,6 @@ HOPEFUL_EXCESS = 0.1
 SMALL = 30
 """With no more columns than this the integer programme is tried before the search, and whatever the gap."""
 
-CORE, CORE_ENTRIES = 12, 100_000
-"""Where the matrix has more ones than this, the search sees so many columns of each row, those of least reduced cost."""
-
 
 @dataclass(slots=True)
 class Job:
