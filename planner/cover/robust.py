@@ -138,7 +138,9 @@ def robust_cover(
     if layer.members == 0:
         cover = solve(problem, rng=rng, time_limit_s=time_limit_s, clock=clock)
     else:
-        asked = replace(problem, matrix=sp.csr_array(sp.diags_array(enough.astype(np.int64)) @ brought), demand=DEMAND)
+        kept = sp.csr_array(brought)
+        kept.data = kept.data * np.repeat(enough, np.diff(kept.indptr))
+        asked = replace(problem, matrix=kept, demand=DEMAND)
         promised = solve(asked, rng=rng, budget=budget, time_limit_s=time_limit_s, clock=clock)
         chosen = np.flatnonzero(np.isin(nominal.columns, promised.views))
         cover = told(nominal, chosen, 0, solver="robust", work=Budget(0), problem=problem)

@@ -63,6 +63,7 @@ class Search:
             self._growth = np.maximum(np.rint(shares * AREA_WEIGHTS), 1.0).astype(np.int64)
         self._state = self._fresh()
         self._place(columns)
+        self._tenures = 0 if sets.full else min(TENURES, max(sets.n_columns - len(columns), 1))
         self._patience = PATIENCE
         self._waited = 0
 
@@ -75,7 +76,7 @@ class Search:
         best, work = int(numbers[kernels.BEST]), sets.n_entries
         while budget.spend(work):
             limit = min(CHUNK_WORK, max(budget.left, 1))
-            work = kernels.steps(state, sets.full, sets.most >= 0, target, 0 if sets.full else TENURES, limit)
+            work = kernels.steps(state, sets.full, sets.most >= 0, target, self._tenures, limit)
             if work < 0:
                 break
             self._waited += 1

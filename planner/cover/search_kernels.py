@@ -229,13 +229,14 @@ def label(s: State, without: int, labels: Any) -> int:
 
 
 @compiled
-def leaving(s: State, tabu: int, parts: int) -> Any:
+def leaving(s: State, tabu: int, parts: int, tenure: int) -> Any:
     """Member with the smallest loss for its price, oldest first; the tabu one only where there is no other; -1: none.
 
     Args:
         s: the search.
         tabu: column that came last, or -1.
         parts: of the graph; 0 where there is none.
+        tenure: moves that a column that came stays for; 0: only the tabu one.
     """
     best, least, price, stamp = -1, 0.0, 1.0, 0
     priced = s.numbers[PRICED] > 0
@@ -245,6 +246,8 @@ def leaving(s: State, tabu: int, parts: int) -> Any:
         position = k if looked_at == size else draw(s, size)
         column = s.members[position]
         if s.fixed[column] or (column == tabu and size > 1):
+            continue
+        if tenure > 0 and s.stamp[column] > 0 and s.numbers[MOVES] - s.stamp[column] < tenure:
             continue
         loss, cost = float(s.score[column]), 1.0
         if parts > 0:
@@ -348,7 +351,7 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
                 return work // 2
             if most:
                 break
-            out = leaving(s, -1, parts)
+            out = leaving(s, -1, parts, 0)
             if out < 0:
                 return work // 2
             work += MEMBER_WORK * numbers[MEMBERS] + move(s, out, -1)
@@ -356,7 +359,7 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
         numbers[STEPS] += 1
         work += numbers[MEMBERS] ** 2 * (numbers[MEMBERS] + 1) if graph else 0
         tenure = draw(s, tenures) + 2 if tenures > 0 else 0
-        out = leaving(s, numbers[TABU], parts)
+        out = leaving(s, numbers[TABU], parts, min(tenure // 2, numbers[MEMBERS]))
         if out < 0:
             return -1
         work += MEMBER_WORK * min(numbers[MEMBERS], MEMBER_SAMPLE) + move(s, out, -1)
