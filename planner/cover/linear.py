@@ -23,8 +23,11 @@ from planner.cover.budget import Budget, interruptible
 from planner.cover.greedy import complete, prune
 from planner.values import Floats, Ints
 
-PIVOT_WORK, PIVOT_WORK_PER_ENTRY = 9_000, 0.25
+PIVOT_WORK, PIVOT_WORK_PER_ENTRY = 18_000, 0.5
 """Charge of a simplex iteration, and of each row, column and entry of the model that it touches on average."""
+
+WHOLE_NUMBERS = 1.2
+"""An iteration within the integer programme costs so many times that of the linear one: cuts and nodes come on top."""
 
 NODE_PIVOTS, ROOT_PIVOTS = 300, 3000
 """Iterations that a node, and the root with its cuts, take on average: what the limit of nodes is derived from."""
@@ -158,8 +161,9 @@ class Model:
     def work(self) -> int:
         """Charge of one simplex iteration."""
         highs = self.highs
-        size = highs.getNumCol() + highs.getNumRow()
-        return int(PIVOT_WORK + 4 * size + PIVOT_WORK_PER_ENTRY * min(highs.getNumNz(), 40 * size))
+        size: int = highs.getNumCol() + highs.getNumRow()
+        pivot = PIVOT_WORK + 8 * size + PIVOT_WORK_PER_ENTRY * min(highs.getNumNz(), 40 * size)
+        return int(WHOLE_NUMBERS * pivot if self.integer else pivot)
 
     def run(self, budget: Budget) -> int:
         """Solve within the budget; simplex iterations."""

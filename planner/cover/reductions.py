@@ -26,10 +26,10 @@ from planner.cover.budget import Budget
 from planner.cover.sets import Sets, gather, set_hash
 from planner.values import Bools, Ints, Ints32
 
-MOST_WORK, SHARE = 300_000_000, 0.1
+MOST_WORK, SHARE = 400_000_000, 0.15
 """Work that one pass of subset tests may cost, and share of the budget (a quarter of the first in any case)."""
 
-SET_WORK, WORD_WORK = 5000, 1.0
+SET_WORK, WORD_WORK = 9000, 2.0
 """Charge of the NumPy calls for one set, and of each 64-bit word that is compared."""
 
 LARGE, WORTHWHILE = 200_000, 0.02
@@ -76,7 +76,7 @@ def _round(found: Reduction, budget: Budget) -> tuple[Reduction, bool]:
     """Every reduction once, and whether another round is worth it."""
     sets, forced, columns = found.sets, found.forced, found.columns
     shape, entries = sets.shape, sets.n_entries
-    budget.spend(6 * entries)
+    budget.spend(20 * entries)
     must = _forced_columns(sets)
     if len(must):
         rest, left = sets.without(must)

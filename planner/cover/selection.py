@@ -14,7 +14,7 @@ from planner.cover.solvers import SOLVERS, answer
 from planner.cover.told import told
 from planner.errors import PlannerError
 
-CANONICAL_WORK = 20
+CANONICAL_WORK = 40
 """Charge of checking and sorting, for each entry of the matrix."""
 
 

@@ -147,7 +147,7 @@ def _run(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> tup
         work.spend(spent)
         relaxation = Relaxation(sets)
         work.prove(relaxation.value)
-        if work.spend(2 * sets.n_entries):
+        if work.spend(12 * sets.n_entries):
             from planner.cover.linear import raise_bound  # importing highspy costs start-up
 
             with work.portion(BOUND_SHARE):
