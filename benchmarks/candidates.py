@@ -150,7 +150,9 @@ class _Bench:
 
     def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
         areas = M.features.areas
-        return cover.solve(M.matrix(), areas, reached.reachable, rng=np.random.default_rng(0), coverage=share)
+        return cover.solve(
+            cover.Problem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)
+        )
 
 
 def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:

@@ -49,7 +49,7 @@ def claim(
         caster: casts on the part.
     """
     areas = M.features.areas
-    plan = cover.solve(M.matrix(), areas, rng=np.random.default_rng(0), solver="greedy", budget=0)
+    plan = cover.solve(cover.Problem(M.matrix(), areas), rng=np.random.default_rng(0), solver="greedy", budget=0)
     claimed = float(areas[M.matrix()[:, plan.views].sum(axis=1) > 0].sum() / areas.sum())
     poses = candidates.T_object_scanner[plan.views]
     return Claim(len(plan.views), claimed, coverage.visible(poses, held_out, scanner, [caster]).fraction)

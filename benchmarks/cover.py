@@ -189,8 +189,7 @@ def solve(instance: Instance, solver: str, budget_s: float | None, seconds: floa
     M = instance.M
     wall, started = time.perf_counter(), time.process_time()
     result = cover.solve(
-        M,
-        np.ones(M.shape[0]),
+        cover.Problem(M, np.ones(M.shape[0])),
         rng=np.random.default_rng(1),
         solver=solver,
         budget=UNLIMITED_WORK if budget_s is None else round(budget_s * WORK_PER_SECOND),

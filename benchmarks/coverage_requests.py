@@ -52,20 +52,19 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
 
 
 def _of_part(part: str) -> Iterator[dict[str, Any]]:
-    from planner.cover import solve
+    from planner.cover import Overlap, Problem, solve
     from planner.cover.curve import coverage_curve
-    from planner.cover.overlap import Overlap, overlap_cover
     from planner.cover.robust import robust_cover
     from planner.measurability.pose_ensemble import PoseError, probability_layer, times_measured
 
     M, views, scanner, caster, samples = _matrix(part)
     areas, size = M.features.areas, f"{M.shape[0]} x {M.shape[1]}"
     matrix = M.matrix()
-    plain, seconds = _timed(lambda: solve(matrix, areas, rng=np.random.default_rng(0)))
+    plain, seconds = _timed(lambda: solve(Problem(matrix, areas), rng=np.random.default_rng(0)))
     yield _row(part, "fewest", size, "", plain, plain.sentence, seconds)
     curve, seconds = _timed(
         lambda: coverage_curve(
-            matrix, areas, rng=np.random.default_rng(0), known=[plain.views], fewest_for_all=plain.lower_bound
+            Problem(matrix, areas), rng=np.random.default_rng(0), known=[plain.views], fewest_for_all=plain.lower_bound
         )
     )
     share = 100 / curve.coverable_area
@@ -81,17 +80,25 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
     }  # fmt: skip
     for least in SHARES:
         found, seconds = _timed(
-            lambda least=least: overlap_cover(
-                matrix, areas, overlap=Overlap(share=least), coverage=0.98, rng=np.random.default_rng(0)
+            lambda least=least: solve(
+                Problem(matrix, areas, overlap=Overlap(share=least), coverage=0.98), rng=np.random.default_rng(0)
             )
         )
-        yield _row(part, "overlap", size, least, found.cover, f"{found.extra_views} more; {found.sentence}", seconds)
+        yield _row(
+            part,
+            "overlap",
+            size,
+            least,
+            found,
+            f"{len(found.views) - found.unconnected_views} more; {found.sentence}",
+            seconds,
+        )
     for position, orientation in ERRORS:
         error = PoseError(position / 1000, float(np.deg2rad(orientation)))
         errors = error.draw(32, np.random.default_rng(1))
         layer, filled = _timed(lambda errors=errors: probability_layer(M, views, scanner, (caster,), errors))
         robust, seconds = _timed(
-            lambda layer=layer: robust_cover(matrix, layer, areas, coverage=0.98, rng=np.random.default_rng(0))
+            lambda layer=layer: robust_cover(Problem(matrix, areas, coverage=0.98), layer, rng=np.random.default_rng(0))
         )
         chosen = views.T_object_scanner[robust.cover.views]
         drawn = error.draw(200 * len(chosen), np.random.default_rng(2)).reshape(200, len(chosen), 4, 4)

@@ -133,7 +133,9 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
         M = bench.matrix("aimed", candidates)
         caster = caster_of(occluder_triangles(world))
         M = occlude(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
-        chosen = cover.solve(M.matrix(), M.features.areas, reached.reachable, rng=np.random.default_rng(number))
+        chosen = cover.solve(
+            cover.Problem(M.matrix(), M.features.areas, reached.reachable), rng=np.random.default_rng(number)
+        )
         if len(chosen.views) >= 2:
             return bench, reached, M, chosen
     raise RuntimeError(f"no draw of scene {number} can be used")

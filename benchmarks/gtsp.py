@@ -66,7 +66,7 @@ def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
     M = bench.matrix("aimed", candidates)
     M = occlude(M, candidates, bench.scanner, caster_of(occluder_triangles(world)), ray_caster=bench.caster)
     rng = np.random.default_rng(0)
-    chosen = cover.solve(M.matrix(), M.features.areas, reached.reachable, rng=rng)
+    chosen = cover.solve(cover.Problem(M.matrix(), M.features.areas, reached.reachable), rng=rng)
     matrix = equivalent_views.Matrix(M.matrix(), M.features.areas, np.asarray(reached.reachable))
     found = equivalent_views.exchange(matrix, chosen.views, reached.q_of, world.home, world.limits, rng)
     problems = []

@@ -118,7 +118,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
         features = sample(bench.part.reference, planning, count, rng)
         M = fill(candidates, features, bench.scanner, bench.caster)
         rng = np.random.default_rng([bench.scene.plan.seed, _SELECTION])
-        return candidates, cover.solve(M.matrix(), features.areas, rng=rng)
+        return candidates, cover.solve(cover.Problem(M.matrix(), features.areas), rng=rng)
 
     (candidates, plan), seconds = best_of(work, repeats)
     visible = bench.visible(candidates.T_object_scanner[plan.views])

@@ -113,15 +113,17 @@ def solve_file(
     start = time.perf_counter()
     try:
         result = cover.solve(
-            problem.matrix,
-            np.ones(problem.matrix.shape[0]),
+            cover.Problem(
+                problem.matrix,
+                np.ones(problem.matrix.shape[0]),
+                coverage=coverage,
+                demand=multiplicity,
+                costs=None if unicost else problem.costs,
+            ),
             rng=np.random.default_rng(seed),
             solver=solver,
-            coverage=coverage,
             budget=budget,
             time_limit_s=time_limit_s,
-            multiplicity=multiplicity,
-            costs=None if unicost else problem.costs,
         )
     except PlannerError as error:
         raise UsageError(str(error)) from error

@@ -6,6 +6,7 @@ from cell.plan.picture_process import Drawing
 from cell.plan.request import Request, Selected
 from cell.run.folder import RunFolder
 from cell.run.report_json import Curve, Fewest
+from planner.cover import Problem
 from planner.cover.curve import CoverageCurve, coverage_curve
 from planner.measurability.matrix import Measurability
 from planner.reach.reach import Reach
@@ -28,10 +29,10 @@ def curve_of(
     """
     chosen = selected.cover
     full = request.exchangeable and selected.target == 1.0 and request.costs is None
-    return coverage_curve(
-        M.matrix(), M.features.areas, reached.reachable, rng=rng, known=[chosen.views],
-        fewest_for_all=chosen.lower_bound if full else 0, pinned=request.plan.pinned, banned=request.plan.banned,
-    )  # fmt: skip
+    plan = request.plan
+    problem = Problem(M.matrix(), M.features.areas, reached.reachable, pinned=plan.pinned, banned=plan.banned)
+    fewest_for_all = chosen.lower_bound if full else 0
+    return coverage_curve(problem, rng=rng, known=[chosen.views], fewest_for_all=fewest_for_all)
 
 
 def fewest_of(curve: CoverageCurve) -> Curve:

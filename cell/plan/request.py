@@ -8,7 +8,7 @@
 `planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.plan_settings`).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,8 @@ from cell.rays.prediction import Prediction
 from cell.run import plan_json
 from cell.scene.plan_settings import PlanSettings
 from planner import cover
-from planner.cover import Cover
-from planner.cover.most_coverage import MostCoverage, most_coverage
-from planner.cover.overlap import Overlap, OverlapCover, OverlapStatus, overlap_cover
+from planner.cover import Cover, Overlap, Problem
+from planner.cover.overlap import Connection, connection
 from planner.cover.robust import RobustCover, robust_cover, views_for_promise
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
@@ -33,6 +32,8 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 _RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
+
+_MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
 
 _NEIGHBOURS, _LOOKED_AT = 8, 64  # reachable views whose moves make up the time to a view, and of how many
 
@@ -74,18 +75,18 @@ class Selected:
         cover: the views.
         target: share of the coverable samples of the matrix that was asked for.
         sentence: the status in words with its numbers.
-        answer: what is known beyond the cover; None for a plain request.
+        answer: what is known beyond the cover, which for most requests says all; else None.
     """
 
     cover: Cover
     target: float
     sentence: str
-    answer: MostCoverage | OverlapCover | RobustCover | None = None
+    answer: Connection | RobustCover | None = None
 
     @property
     def note(self) -> str:
         """What the user should be told although the work goes on; empty where all is well."""
-        if isinstance(self.answer, OverlapCover) and self.answer.status is OverlapStatus.CANNOT_CONNECT:
+        if isinstance(self.answer, Connection) and not self.answer.connected:
             return f"{self.answer.sentence}; ask for less overlap, or allow more candidates (standoffs, rolls)"
         return ""
 
@@ -116,29 +117,26 @@ def select(
         rng: randomness of the selection.
     """
     plan = request.plan
-    matrix, areas, allowed = M.matrix(), M.features.areas, reached.reachable
-    pinned, out = plan.pinned, (*banned, *plan.banned)
+    wish = Problem(
+        M.matrix(), M.features.areas, reached.reachable, coverage=plan.coverage, max_views=plan.max_views,
+        demand=plan.multiplicity, costs=request.costs, pinned=plan.pinned, banned=(*banned, *plan.banned),
+        overlap=request.overlap,
+    )  # fmt: skip
     if plan.max_views is not None:
-        most = most_coverage(matrix, areas, allowed, rng=rng, max_views=plan.max_views, pinned=pinned, banned=out)
-        return Selected(most.cover, 1.0, most.sentence, most)
+        most = cover.solve(wish, rng=rng, budget=_MOST_WORK)
+        return Selected(most, 1.0, most.sentence)
     if request.layer is not None:
-        layer = request.layer.within(M)
-        robust = robust_cover(
-            matrix, layer, areas, allowed, alpha=plan.alpha, rng=rng, coverage=plan.coverage, pinned=pinned, banned=out
-        )
+        robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, plan.coverage, robust.sentence, robust)
     target, raises = plan.coverage, 0
     while True:
+        asked = replace(wish, coverage=target)
         if request.overlap is not None:
-            joined = overlap_cover(
-                matrix, areas, allowed, overlap=request.overlap, rng=rng, coverage=target, pinned=pinned, banned=out
-            )
-            selected = Selected(joined.cover, target, joined.sentence, joined)
+            joined = cover.solve(asked, rng=rng, budget=_MOST_WORK)
+            how = connection(asked, joined)
+            selected = Selected(joined, target, joined.sentence if how.connected else how.sentence, how)
         else:
-            chosen = cover.solve(
-                matrix, areas, allowed, rng=rng, coverage=target, solver=plan.solver, pinned=pinned, banned=out,
-                multiplicity=plan.multiplicity, costs=request.costs,
-            )  # fmt: skip
+            chosen = cover.solve(asked, rng=rng, solver=plan.solver)
             selected = Selected(chosen, target, chosen.sentence)
         if target >= 1 or plan.multiplicity > 1:  # full coverage of the matrix' samples is all that it can be asked
             return selected
@@ -210,14 +208,14 @@ def most_coverage_of(selected: Selected, total_area: float) -> plan_json.MostCov
         selected: the answer.
         total_area: of the surface [m^2].
     """
-    answer = selected.answer
-    if not isinstance(answer, MostCoverage):
+    cover = selected.cover
+    if cover.max_views is None:
         return None
     return plan_json.MostCoverage(
-        max_views=answer.max_views,
-        covered=answer.cover.covered_area / total_area,
-        upper_bound=answer.upper_area / total_area,
-        gap_points=answer.gap_points,
+        max_views=cover.max_views,
+        covered=cover.covered_area / total_area,
+        upper_bound=cover.upper_area / total_area,
+        gap_points=cover.gap_points,
     )
 
 
@@ -230,12 +228,13 @@ def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) 
         total_area: of the surface [m^2].
     """
     answer = selected.answer
-    if not isinstance(answer, OverlapCover):
+    if not isinstance(answer, Connection):
         return None
+    without = selected.cover.unconnected_views or 0
     return plan_json.Overlap(
-        connected=answer.status is OverlapStatus.CONNECTED,
-        extra_views=answer.extra_views,
-        views_without=answer.unconnected_views,
+        connected=answer.connected,
+        extra_views=len(selected.cover.views) - without,
+        views_without=without,
         # The first of all overlaps none before it and does not count.
         without_earlier=sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order))),
         parts=[
@@ -267,11 +266,9 @@ def robust_of(selected: Selected, total_area: float) -> plan_json.RobustSelectio
 def multiplicity_of(selected: Selected) -> plan_json.Multiplicity | None:
     """What they say of samples measured several times; None where once is enough."""
     cover = selected.cover
-    if cover.multiplicity == 1:
+    if cover.demand == 1:
         return None
-    return plan_json.Multiplicity(
-        views_per_sample=cover.multiplicity, samples_with_fewer_candidates=len(cover.short_rows)
-    )
+    return plan_json.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
 
 
 def cost_of(selected: Selected) -> plan_json.Cost | None:

@@ -19,7 +19,7 @@ from cell.plan.sweeping_views import SweepingViews
 from cell.plan.views import Groups, Next, Views
 from cell.plan.views_at_rest import ViewsAtRest
 from planner.cover import Cover
-from planner.cover.overlap import OverlapCover
+from planner.cover.overlap import Connection
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import Measurability
 from planner.order import tour
@@ -277,6 +277,6 @@ _TOLD = 3  # candidates whose reasons are given when none is left
 
 def _ordering(request: Request, selected: Selected) -> str | Ordering:
     """How the views are ordered: by time alone, or so that each overlaps an earlier one as well."""
-    if request.plan.overlap_in_order and isinstance(selected.answer, OverlapCover):
+    if request.plan.overlap_in_order and isinstance(selected.answer, Connection):
         return overlapping(selected.answer.joined)
     return "joint-space"

@@ -26,8 +26,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.possible import require_possible
 from planner import cover
-from planner.cover import Cover
-from planner.cover.most_coverage import most_coverage
+from planner.cover import Cover, Problem
 from planner.measurability import coverage
 from planner.measurability.columns import pick_measurability
 from planner.measurability.matrix import Measurability
@@ -208,7 +207,7 @@ class Bench:
         """
         M = self.matrix(fill, candidates, density)
         rng = np.random.default_rng(self.scene.plan.seed)
-        found = cover.solve(M.matrix(), M.features.areas, allowed, rng=rng, coverage=share, solver=solver)
+        found = cover.solve(Problem(M.matrix(), M.features.areas, allowed, coverage=share), rng=rng, solver=solver)
         return replace(self.judged(found, candidates), density=density)
 
     def judged(self, found: Cover, candidates: Viewpoints) -> Judged:
@@ -284,8 +283,8 @@ def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views:
     enough = len(full.cover.views) <= views
     M = bench.matrix("aimed", candidates, DENSER if enough else 1)
     rng = np.random.default_rng(bench.scene.plan.seed)
-    most = most_coverage(M.matrix(), M.features.areas, allowed, rng=rng, max_views=views)
-    found = replace(bench.judged(most.cover, candidates), density=DENSER if enough else 1)
+    most = cover.solve(Problem(M.matrix(), M.features.areas, allowed, max_views=views), rng=rng)
+    found = replace(bench.judged(most, candidates), density=DENSER if enough else 1)
     return full if enough and full.visible >= found.visible else found
 
 

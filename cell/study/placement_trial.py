@@ -62,7 +62,7 @@ def placement(settings: Mapping[str, Any]) -> dict[str, object]:
         return values
     rng = np.random.default_rng(bench.scene.plan.seed)
     share, solver = bench.scene.plan.coverage, settings["solver"]
-    found = cover.solve(M.matrix(), M.features.areas, rng=rng, coverage=share, solver=solver)
+    found = cover.solve(cover.Problem(M.matrix(), M.features.areas, coverage=share), rng=rng, solver=solver)
     poses = candidates.T_object_scanner[which[found.views]]
     configurations = [reached.q_of(int(which[view])) for view in found.views]
     limits = scaled(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)

@@ -1,27 +1,29 @@
-"""Certified view selection: the fewest views that cover the part, and how far a plan is from them.
+"""Certified view selection: the fewest, cheapest or best views, and how far they are from what is possible.
 
-problem       check the input, canonical order, areas as whole numbers
-reductions    exact simplifications, and the way back
-greedy, meta_raps, local_search, exact    solvers; `solvers` names them and adds `auto`
-local_search_kernels    the compiled loops of the local search, imported when it runs
-bound         lower bound on the cost
-budget        work, clock guard, best cover so far
-interrupts    Ctrl-C: heard during HiGHS, and the end of a search
-selection     `solve`: all of it, with a status and a gap
+    from planner import cover
 
-Beside it stand requests that are no cover of this form; each has a module of its own and is imported by its name.
+    answer = cover.solve(cover.Problem(matrix, areas, coverage=0.99), rng=np.random.default_rng(0))
+    answer.views, answer.lower_bound, answer.sentence
 
-most_coverage    the most area with at most k views; area_bound, area_search, area_kernels
-curve            coverage over the number of views, bounded
-overlap          views whose scans hang together
-robust           views that keep a promise although poses are off
-demands          what the last two search: rows that ask for a sum; demand_search, demand_bound, demand_kernels
-prepared, answer    the way in and out that they share
+`Problem` says what is asked for, `solve` answers it with a `Cover`, whose status and bounds say what is proven.
+
+problem, answer            what goes in and comes out
+canonical, told            whole numbers and sorted columns, and the way back
+sets                       the problem that is searched
+reductions, greedy         exact simplifications; the first choice
+bound, linear              the certified bound; HiGHS, which proposes its multipliers and closes the gap
+search, search_kernels     local search and its compiled loops
+meta_raps                  the paper's own solver
+solvers, selection         `SOLVERS` by name; `solve`
+graph, overlap             views whose scans hang together
+curve, robust              coverage over the number of views; promises although poses are off
+budget                     work, clock, Ctrl-C, best so far
 """
 
-from planner.cover.budget import DEFAULT_WORK, Budget
-from planner.cover.meta_raps import MetaRapsParameters
-from planner.cover.selection import Cover, CoverStatus, solve
+from planner.cover.answer import Cover, CoverStatus
+from planner.cover.budget import DEFAULT_WORK, WORK_PER_SECOND
+from planner.cover.problem import Overlap, Problem
+from planner.cover.selection import solve
 from planner.cover.solvers import SOLVERS
 
-__all__ = ["DEFAULT_WORK", "SOLVERS", "Budget", "Cover", "CoverStatus", "MetaRapsParameters", "solve"]
+__all__ = ["DEFAULT_WORK", "SOLVERS", "WORK_PER_SECOND", "Cover", "CoverStatus", "Overlap", "Problem", "solve"]

@@ -1,54 +1,137 @@
-"""The answer to a request that `planner.cover.solve` does not serve: any choice of columns told as a `Cover`."""
+"""The answer to a cover problem: chosen views, what they cover and cost, and what is proven about both."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Annotated
 
 import numpy as np
 
-from planner.cover.budget import Budget
-from planner.cover.greedy import by_marginal_area
-from planner.cover.problem import Candidates
-from planner.cover.selection import Cover, CoverStatus
-from planner.values import Ints
+from planner.values import Floats, Ints, Value
 
 
-def told(
-    found: Candidates, fixed: Ints, columns: Ints, lower_bound: int, *, solver: str, work: Budget, idle_too: bool = True
-) -> Cover:
-    """A `Cover` of chosen columns: ordered by the area that each adds, with areas, bound and status.
+class CoverStatus(Enum):
+    """How a selection ended; the value is the sentence for reports, without numbers (`Cover.sentence` has them)."""
 
-    Args:
-        found: the canonical problem (covered once) and what it was made from.
-        fixed: pinned columns of the matrix.
-        columns: chosen columns of the problem, the useful ones of the pinned among them.
-        lower_bound: no choice that meets the request has fewer.
-        solver: what the report calls it.
-        work: what was spent.
-        idle_too: keep columns that add no area to those before them (they may serve another end).
+    PROVEN = "proven best for these candidates and samples"
+    BOUNDED = "within a known distance of the best for these candidates and samples"
+    TIME_LIMITED = "the time limit stopped the search; within a known distance of the best"
+    INTERRUPTED = "the search was interrupted; within a known distance of the best"
+    NOTHING_COVERABLE = "no allowed view measures any sample"
+
+    @property
+    def sentence(self) -> str:
+        """The status in words."""
+        return str(self.value)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cover(Value):
+    """A selection of views and what is proven about it.
+
+    Attributes:
+        views: (n,) chosen columns of the matrix, the one that adds the largest area first.
+        marginal_area: (n,) area of the rows whose demand each view is the first to satisfy [m^2].
+        covered_area: area of the rows that have what they demand [m^2].
+        coverable_area: area of the rows that some usable column covers [m^2].
+        total_area: area of all rows [m^2].
+        uncoverable_rows: rows that no usable column covers.
+        pinned: views that the user fixed, ascending; they count in `views` and in `lower_bound`.
+        status: how the selection ended.
+        lower_bound: no selection that meets the target (with `max_views`: that covers as much) has fewer views.
+        upper_area: no selection of as many views as were asked for covers more [m^2]; without `max_views` that is the
+            coverable area.
+        solver: name of the solver.
+        work: units of work spent (see `planner.cover.budget`).
+        demand: load that every row was asked to have.
+        short_rows: rows that some columns cover, but all of them together not as much as is demanded.
+        price: cost of the views together, and what no selection that meets the target undercuts; None without costs.
+        max_views: how many were allowed; None: as many as it takes.
+        unconnected_views: views of the selection that need not hang together; None where no overlap was asked for.
     """
-    problem = found.problem
-    order, added = by_marginal_area(problem, columns)
-    if not idle_too:
-        kept = [k for k, rows in enumerate(added) if len(rows) or found.columns[order[k]] in fixed]
-        order, added = order[kept], [added[k] for k in kept]
-    idle = np.setdiff1d(fixed, found.columns)  # pinned views that measure nothing stay in the plan, last
-    views = np.concatenate((found.columns[order], idle))
-    areas = found.areas[found.rows]
-    if not problem.n_rows:
-        status = CoverStatus.NOTHING_COVERABLE
-    elif lower_bound >= len(views):
-        status = CoverStatus.PROVEN
-    elif work.interrupted:
-        status = CoverStatus.INTERRUPTED
-    else:
-        status = CoverStatus.TIME_LIMITED if work.time_limited else CoverStatus.BOUNDED
-    return Cover(
-        views=views,
-        marginal_area=np.array([float(areas[rows].sum()) for rows in added] + [0.0] * len(idle)),
-        covered_area=float(areas[problem.counts(columns) > 0].sum()),
-        coverable_area=float(areas.sum()),
-        total_area=float(found.areas.sum()),
-        uncoverable_rows=found.uncoverable_rows,
-        pinned=fixed,
-        status=status,
-        lower_bound=min(lower_bound, len(views)),
-        solver=solver,
-        work=work.spent,
-    )
+
+    views: Annotated[Ints, "n"]
+    marginal_area: Annotated[Floats, "n"]
+    covered_area: float
+    coverable_area: float
+    total_area: float
+    uncoverable_rows: Annotated[Ints, "_"]
+    pinned: Annotated[Ints, "_"]
+    status: CoverStatus
+    lower_bound: int
+    upper_area: float
+    solver: str
+    work: int
+    demand: int = 1
+    short_rows: Annotated[Ints, "_"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    price: tuple[float, float] | None = None
+    max_views: int | None = None
+    unconnected_views: int | None = None
+
+    @property
+    def cost(self) -> float:
+        """What the views cost together; their number where no costs were given."""
+        return len(self.views) if self.price is None else self.price[0]
+
+    @property
+    def cost_bound(self) -> float:
+        """No selection that meets the target (and contains the pinned views) costs less."""
+        return self.lower_bound if self.price is None else self.price[1]
+
+    @property
+    def excess(self) -> int:
+        """The plan has at most this many views more than the fewest."""
+        return len(self.views) - self.lower_bound
+
+    @property
+    def gap(self) -> float:
+        """(cost - bound on it) / cost, which without costs is (views - lower bound) / views; 0 for an empty plan."""
+        return (self.cost - self.cost_bound) / self.cost if len(self.views) else 0.0
+
+    @property
+    def gap_points(self) -> float:
+        """With `max_views`: points of coverage (percent of the coverable area) that other views could add at most."""
+        coverable = self.coverable_area
+        return 100.0 * max(self.upper_area - self.covered_area, 0.0) / coverable if coverable > 0 else 0.0
+
+    @property
+    def curve(self) -> Floats:
+        """(n,) area covered by the first 1, 2, ... n views [m^2]."""
+        return np.cumsum(self.marginal_area)
+
+    @property
+    def uncoverable_area(self) -> float:
+        """Area of the rows that no usable column covers [m^2]."""
+        return max(self.total_area - self.coverable_area, 0.0)
+
+    @property
+    def sentence(self) -> str:
+        """The status in words with its numbers."""
+        if self.status is CoverStatus.NOTHING_COVERABLE:
+            return self.status.sentence
+        if self.max_views is not None:
+            return self._sentence_of_area()
+        best = "fewest" if self.price is None else "cheapest"
+        best += " that hang together" if self.unconnected_views is not None else ""
+        if self.status is CoverStatus.PROVEN:
+            return f"proven {best} for these candidates and samples"
+        if self.price is not None:
+            within = f"costs at most {100 * self.gap / (1 - self.gap):.3g} % more than the {best}"
+        else:
+            within = f"at most {self.excess} {'view' if self.excess == 1 else 'views'} more than the {best}"
+        return f"{self.beginning}{within} for these candidates and samples"
+
+    def _sentence_of_area(self) -> str:
+        if self.covered_area >= self.coverable_area:
+            return "these views measure everything that the candidates can"
+        if self.status is CoverStatus.PROVEN:
+            return "proven most that so many of these candidates measure of these samples"
+        views = "1 view" if self.max_views == 1 else f"{self.max_views} views"
+        points = max(self.gap_points, 0.01)
+        return f"{self.beginning}at most {points:.2f} points of coverage below the most that {views} can measure"
+
+    @property
+    def beginning(self) -> str:
+        """How a sentence begins on a search that was ended from outside; empty where it was not."""
+        if self.status is CoverStatus.TIME_LIMITED:
+            return "the time limit stopped the search; "
+        return "the search was interrupted; " if self.status is CoverStatus.INTERRUPTED else ""

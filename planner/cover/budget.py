@@ -1,27 +1,24 @@
-"""What a solver may spend, and what is known so far.
+"""What a search may spend, what is known so far, and Ctrl-C: the one place where a search is ended.
 
-Work is counted in *touched matrix entries* plus a fixed charge for each step, not in seconds: the same seed and
-budget then give the same plan on every machine. A current core does `WORK_PER_SECOND` units in about a second. The wall
-clock is only a guard; when it stops a search, `time_limited` says so and the promise of identical results is void.
+Work is counted in *touched matrix entries* plus a charge for each step and each simplex iteration, not in seconds: the
+same seed and budget then give the same plan on every machine. A current core does `WORK_PER_SECOND` units in about a
+second. The wall clock is only a guard; when it stops a search, `time_limited` says so and the promise of identical
+results is void.
 
 The incumbent is kept here and not in the solver, so that whoever holds the budget still has the best cover when a
 solver is interrupted.
 """
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from math import ceil
-from typing import Annotated, Any
+from typing import TypeVar
 
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.values import Floats, Ints, Value
-
-STEP_WORK = 12_000
-"""Charge of one step of a search beyond the entries it touches: what its NumPy calls cost anyway."""
+from planner.values import Ints
 
 WORK_PER_SECOND = 500_000_000
 """Units that one core does in about a second; a budget of so many seconds is this many times that."""
@@ -32,51 +29,21 @@ DEFAULT_WORK = 600_000_000
 UNLIMITED_WORK = 10**15
 """A budget that only a clock ends."""
 
-ROUNDING = 1e-6
-"""Taken off before rounding up (above a bound of 1000 in proportion): far above the float error of L(u)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Bound(Value):
-    """A proven lower bound.
-
-    Attributes:
-        dual: value L(u) of the multipliers.
-        multipliers: (S,) u.
-        reduced_costs: (V,) cost less the sum of the multipliers of the column's rows.
-    """
-
-    dual: float
-    multipliers: Annotated[Floats, "S"]
-    reduced_costs: Annotated[Floats, "V"]
-
-    @property
-    def value(self) -> int:
-        """No cover costs less than this."""
-        return max(ceil(self.dual - _rounding(self.dual)), 0)
-
-    def useful(self, less_than: int) -> Any:
-        """(V,) columns that some cover may contain which costs less than the given number (reduced-cost fixing)."""
-        return self.dual + np.maximum(self.reduced_costs, 0.0) <= less_than - 1 + _rounding(less_than)
-
-
-def _rounding(value: float) -> float:
-    """What float error may have added to a bound of this size, generously."""
-    return ROUNDING * max(1.0, value * 1e-3)
+Result = TypeVar("Result")
 
 
 class Budget:
-    """Work left, the clock, and the best cover and bound found so far (of the problem that the solver was given).
+    """Work left, the clock, and the best choice and bound found so far (of the problem that is searched).
 
     Attributes:
         limit: work that may be spent.
         spent: work spent.
         time_limited: whether the wall clock stopped a search.
         interrupted: whether the user did (Ctrl-C).
-        best: columns of the best cover so far; None before the first.
-        best_cost: its cost.
-        lower_bound: no cover costs less (at unit cost: has fewer columns).
-        dual: the Lagrangian bound, once computed; its reduced costs tell the exact solver which columns to leave out.
+        best: columns of the best choice so far; None before the first.
+        objective: its objective (`Sets.objective`), the smaller the better.
+        lower_bound: no choice has a smaller one.
+        tolerance: objectives that differ by no more count as equal.
     """
 
     def __init__(
@@ -94,9 +61,9 @@ class Budget:
         self.time_limited = False
         self.interrupted = False
         self.best: Ints | None = None
-        self.best_cost = 0
+        self.objective = 0
         self.lower_bound = 0
-        self.dual: Bound | None = None
+        self.tolerance = 0
         self._clock = clock
         self._deadline = None if time_limit_s is None else clock() + time_limit_s
 
@@ -112,33 +79,32 @@ class Budget:
 
     @property
     def proven(self) -> bool:
-        """Whether the best cover costs as little as the lower bound: nothing is left to search."""
-        return self.best is not None and self.best_cost <= self.lower_bound
+        """Whether the best choice is as good as the lower bound: nothing is left to search."""
+        return self.best is not None and self.objective - self.tolerance <= self.lower_bound
 
     def spend(self, work: int) -> bool:
-        """Book work and say whether the search may go on (work left, clock not run out, fewest not proven)."""
+        """Book work and say whether the search may go on (work left, clock not run out, best not proven)."""
         self.spent += int(work)
         if self._deadline is not None and self._clock() >= self._deadline:
             self.time_limited = True
             return False
         return self.left > 0 and not self.proven
 
-    def offer(self, columns: Ints, cost: int | None = None) -> bool:
-        """Keep a cover if it costs less than the best so far.
-
-        Args:
-            columns: the cover.
-            cost: what it costs; None: the number of columns.
-        """
-        cost = len(columns) if cost is None else cost
-        if self.best is not None and cost >= self.best_cost:
+    def offer(self, columns: Ints, objective: int) -> bool:
+        """Keep a choice if it is better than the best so far."""
+        if self.best is not None and objective >= self.objective:
             return False
-        self.best, self.best_cost = np.array(columns, dtype=np.int64), cost
+        self.best, self.objective = np.array(columns, dtype=np.int64), objective
         return True
 
     def prove(self, lower_bound: int) -> None:
-        """Note that no cover costs less."""
+        """Note that no choice has a smaller objective."""
         self.lower_bound = max(self.lower_bound, lower_bound)
+
+    def begin(self, tolerance: int = 0, lower_bound: int = 0) -> None:
+        """Forget choice and bound: another problem is searched from here on, with what is left of work and time."""
+        self.best, self.objective = None, 0
+        self.tolerance, self.lower_bound = tolerance, lower_bound
 
     @contextmanager
     def portion(self, share: float) -> Iterator[None]:
@@ -152,3 +118,40 @@ class Budget:
             yield
         finally:
             self.limit, self._deadline = limit, deadline
+
+    @contextmanager
+    def ended_by_ctrl_c(self) -> Iterator[None]:
+        """Ctrl-C inside the block leaves it and ends the search, which still has its best: no work is left then.
+
+        A subclass of `KeyboardInterrupt` is a kill, not a wish for a result, and goes on to the caller.
+        """
+        try:
+            yield
+        except KeyboardInterrupt as stop:
+            if type(stop) is not KeyboardInterrupt:
+                raise
+            self.interrupted = True
+
+
+def interruptible(call: Callable[[], Result]) -> Result:
+    """The result of a call into a compiled solver, or the `KeyboardInterrupt` that came while it ran.
+
+    Python's handler of a signal runs when the main thread is back in Python. HiGHS lets go of the interpreter while it
+    works, so it is run in a thread of its own and the main thread waits in Python, where the signal reaches it at once.
+    The thread is abandoned then: it ends at the solver's own limits, or with the process.
+    """
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            results.append(call())
+        except BaseException as error:  # handed to the caller, whatever it is
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="solver", daemon=True)
+    thread.start()
+    thread.join()
+    if errors:
+        raise errors[0]
+    return results[0]

@@ -1,23 +1,26 @@
 """Coverage over the number of views: for every number the best views found, and what no views of that number exceed.
 
-The selection grows by one view at a time and is improved by tabu search, then shrinks again the same way; a better
-selection on the way replaces an earlier one. One Lagrangian dual bounds all numbers at once
-(`planner.cover.area_bound`), so the curve costs little more than one plan. From it follow the fewest views for any
-coverage, from below and above.
+The selection grows by one view at a time and is searched, then shrinks again the same way; a better selection on the
+way replaces an earlier one. Multipliers found for one number of views bound all numbers at once
+(`planner.cover.bound`), so that the linear programme goes on from one number to the next. From the curve follow the
+fewest views for any coverage, from below and above.
 """
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.cover.area_bound import area_bounds
-from planner.cover.area_search import AreaSearch
+from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
-from planner.cover.prepared import Prepared, prepare
+from planner.cover.canonical import canonical
+from planner.cover.greedy import Open
+from planner.cover.problem import Problem
+from planner.cover.search import Search
+from planner.cover.sets import Sets
 from planner.errors import PlannerError
 from planner.values import Floats, Ints, Value, freeze, readonly
 
@@ -27,7 +30,7 @@ CURVE_WORK = 2_500_000_000
 SEARCH_SHARE = 0.4
 """Of the budget, for the search; the bound gets the rest, and what the search leaves."""
 
-_STEPS, _PASSES = 100, 3  # swaps for each number of views, growing and shrinking, and how often
+_PASSES = 3  # growing and shrinking, each with its share of the work
 _MET = 1e-12  # share of the coverable area: a coverage counts as reached when no more is missing (rounding)
 
 
@@ -87,16 +90,11 @@ class CoverageCurve(Value):
 
 
 def coverage_curve(
-    M: Any,
-    areas: ArrayLike,
-    allowed: ArrayLike | None = None,
+    problem: Problem,
     *,
     rng: np.random.Generator,
-    most_views: int | None = None,
     known: Sequence[ArrayLike] = (),
     fewest_for_all: int = 0,
-    pinned: Iterable[int] = (),
-    banned: Iterable[int] = (),
     budget: int = CURVE_WORK,
     time_limit_s: float | None = None,
     clock: Callable[[], float] = time.perf_counter,
@@ -104,98 +102,109 @@ def coverage_curve(
     """The curve from the pinned views on to everything, or to a number of views.
 
     Args:
-        M: (S, V) measurability matrix, scipy sparse or dense.
-        areas: (S,) area of each row [m^2].
-        allowed: (V,) bool, which columns may be used; None: all.
+        problem: matrix, areas, allowed, pinned and banned columns; where it has `max_views` the curve ends there at the
+            latest. Its coverage is not looked at.
         rng: random choices of the search.
-        most_views: where the curve ends at the latest; None: where everything is covered.
         known: selections that are known (columns of the matrix), for instance the plan: the curve is nowhere below.
         fewest_for_all: no fewer views cover everything (`Cover.lower_bound` of a full cover).
-        pinned: columns that are part of every selection; the curve begins with them.
-        banned: columns that are part of none.
         budget: units of work for search and bound together.
         time_limit_s: wall-clock guard [s].
         clock: seconds, for the guard.
 
     Raises:
-        PlannerError: for input that `prepare` refuses, fewer views than are pinned, or a known selection that leaves
-            out a pinned view. Columns of it that are not allowed are left out.
+        PlannerError: for a problem that `planner.cover.solve` refuses, or a known selection that leaves out a pinned
+            view. Columns of it that are not allowed are left out.
     """
-    ready = prepare(M, areas, allowed, pinned, banned)
-    if most_views is not None and most_views < len(ready.fixed):
-        raise PlannerError(f"most_views is {most_views}; it must be at least the {len(ready.fixed)} pinned views")
+    most = np.shape(problem.matrix)[1] if problem.max_views is None else problem.max_views
+    found = canonical(replace(problem, max_views=most, coverage=1.0))
     work = Budget(budget, time_limit_s, clock)
-    selections = [np.unique(np.asarray(views, dtype=np.int64)) for views in known]
-    for views in selections:
-        if len(missing := np.setdiff1d(ready.fixed, views)):
+    whole, sets, pins = found.whole, found.rest, len(found.pinned)
+    selections = [np.zeros(0, dtype=np.int64)]
+    for views in known:
+        if len(missing := np.setdiff1d(found.pinned, views)):
             raise PlannerError(f"a known selection leaves out column {missing[0]}, which is pinned")
-    limit = None if most_views is None else most_views - len(ready.fixed)
-    chosen = _selections(ready, rng, work, limit, [ready.inner(views) for views in selections])
-    covered = np.array([ready.units(columns) for columns in chosen], dtype=np.int64)
-    bounds = area_bounds(ready.problem, covered, work) if len(chosen) > 1 else None
-    upper = covered if bounds is None else np.maximum(bounds.units, covered)
-    if ready.problem.n_rows:  # what is not everything lacks a row at least
-        most = int(ready.problem.units.sum() - ready.problem.units.min())
-        upper[: max(fewest_for_all - len(ready.fixed), 0)] = np.minimum(
-            upper[: max(fewest_for_all - len(ready.fixed), 0)], most
-        )
-    problem, row_areas = ready.found.problem, ready.found.areas[ready.found.rows]
-    canonical = [ready.canonical(columns) for columns in chosen]
-    covered_area = np.array([float(row_areas[problem.counts(c) > 0].sum()) for c in canonical])
-    coverable = float(row_areas.sum())
-    share = (upper + ready.base) / max(int(problem.units.sum()), 1)
-    idle = np.setdiff1d(ready.fixed, ready.found.columns)
+        columns = np.flatnonzero(np.isin(found.columns[found.rest_columns], views))
+        if not len(selections) > len(columns):
+            selections += [columns[: k + 1] for k in range(len(selections) - 1, len(columns))]
+    with work.ended_by_ctrl_c(), work.portion(SEARCH_SHARE):
+        _search(sets, selections, rng, work)
+    open_units = np.array([sets.objective(columns) for columns in selections])
+    ends = int(np.argmin(open_units)) if sets.n_rows else 0  # the first that leaves as little as possible
+    selections, open_units = selections[: ends + 1], np.minimum.accumulate(open_units[: ends + 1])
+    bounds = np.zeros(ends + 1)
+    if ends:
+        bounds = _bounds(sets, open_units, work)
+        some = int(sets.units.min())  # what is not everything lacks a row at least
+        bounds[: max(fewest_for_all - pins, 0)] = np.maximum(bounds[: max(fewest_for_all - pins, 0)], some)
+    elif sets.n_rows:
+        bounds[0] = sets.total
+    chosen = [np.concatenate((found.fixed, found.rest_columns[columns])) for columns in selections]
+    areas = found.areas[found.rows]
+    covered = np.maximum.accumulate([float(areas[whole.covered(columns)].sum()) for columns in chosen])
+    coverable = float(areas.sum())
+    upper = np.minimum(1.0 - bounds / max(whole.total, 1), 1.0) * coverable
     return CoverageCurve(
-        first=len(ready.fixed),
-        covered_area=covered_area,
-        upper_area=np.maximum(np.minimum(share, 1.0) * coverable, covered_area),
-        views=tuple(np.sort(np.concatenate((ready.found.columns[c], idle))) for c in canonical),
+        first=pins,
+        covered_area=covered,
+        upper_area=np.maximum(upper, covered),
+        views=tuple(np.sort(np.concatenate((found.columns[columns], found.idle))) for columns in chosen),
         coverable_area=coverable,
-        total_area=float(ready.found.areas.sum()),
+        total_area=float(found.areas.sum()),
         time_limited=work.time_limited or work.interrupted,
     )
 
 
-def _selections(
-    ready: Prepared, rng: np.random.Generator, work: Budget, limit: int | None, known: list[Ints]
-) -> list[Ints]:
-    """The best columns found for 0, 1, 2, ... of them."""
-    problem = ready.problem
-    most = problem.n_columns if limit is None else min(limit, problem.n_columns)
-    total = int(problem.units.sum())
-    best, areas = [np.zeros(0, dtype=np.int64)], [0]
-    if most == 0 or total == 0:
-        return best
-    for columns in known:
-        for size in range(1, len(columns) + 1):  # each beginning of a known selection is one too
-            _keep(best, areas, columns[:size], ready.units(columns[:size]), most)
-    search = AreaSearch(problem, rng)
-    with work.portion(SEARCH_SHARE):
-        for _ in range(_PASSES):
-            for size in range(1, most + 1):
-                if areas[size - 1] >= total:
+def _search(sets: Sets, best: list[Ints], rng: np.random.Generator, work: Budget) -> None:
+    """The best columns found for 1, 2, ... of them, growing and shrinking."""
+    for turn in range(_PASSES):
+        sizes = range(1, sets.most + 1) if turn % 2 == 0 else range(len(best) - 2, 0, -1)
+        for size in sizes:
+            here = replace(sets, most=size)
+            if turn % 2 == 0:
+                if (len(best) == size + 1 and sets.objective(best[-1]) == 0) or sets.objective(best[size - 1]) == 0:
                     break
-                search.set(best[size - 1])
-                if not search.grow():
-                    break
-                search.improve(work, _STEPS, total)
-                _keep(best, areas, search.chosen, search.area, most)
-            for size in range(len(best) - 1, 1, -1):
-                search.set(best[size])
-                search.shrink()
-                search.improve(work, _STEPS, total)
-                _keep(best, areas, search.chosen, search.area, most)
-    end = next((size for size, area in enumerate(areas) if area >= total), len(best) - 1)
-    return best[: end + 1]
+                start = _grown(here, best[size - 1])
+            else:
+                start = _shrunk(here, best[size + 1])
+            if size < len(best) and here.objective(best[size]) <= here.objective(start):
+                start = best[size]
+            work.begin(here.tolerance)
+            work.offer(start, here.objective(start))
+            if len(start) == size < sets.n_columns and work.spend(0):
+                with work.portion(1 / (2 + sets.most // 4)):
+                    Search(here, start, rng).run(work)
+            found = start if work.best is None or len(work.best) < size else work.best
+            if size == len(best):
+                best.append(found)
+            elif here.objective(found) < here.objective(best[size]):
+                best[size] = found
+            if len(start) < size:
+                break
 
 
-def _keep(best: list[Ints], areas: list[int], columns: Ints, area: int, most: int) -> None:
-    """Note a selection where it beats what is known of its size; it comes with sizes up to one more than known."""
-    size = len(columns)
-    if size > most:
-        return
-    if size == len(best):
-        best.append(columns.copy())
-        areas.append(area)
-    elif area > areas[size]:
-        best[size], areas[size] = columns.copy(), area
+def _grown(sets: Sets, columns: Ints) -> Ints:
+    """One more column, the one that adds most."""
+    still = Open(sets, columns)
+    if still.gains.max(initial=0.0) > 0:
+        still.take(int(np.argmax(still.gains)))
+    return np.array(still.chosen, dtype=np.int64)
+
+
+def _shrunk(sets: Sets, columns: Ints) -> Ints:
+    """One column less, the one that loses least."""
+    losses = [sets.objective(np.delete(columns, k)) for k in range(len(columns))]
+    return np.delete(columns, int(np.argmin(losses)))
+
+
+def _bounds(sets: Sets, open_units: Ints, work: Budget) -> Floats:
+    """Units that 0, 1, 2, ... columns leave open at least."""
+    from planner.cover.linear import raise_bound  # importing highspy costs start-up
+
+    relaxation, model = Relaxation(sets), None
+    with work.ended_by_ctrl_c():
+        for size in range(1, len(open_units)):
+            work.begin(sets.tolerance)
+            relaxation.aim_at(size)
+            with work.portion(0.3):
+                model = raise_bound(relaxation, int(open_units[size]), work, model)
+    return np.array([min(relaxation.certified_units(k), int(units)) for k, units in enumerate(open_units)], float)

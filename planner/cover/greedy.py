@@ -1,111 +1,140 @@
 """Greedy cover: always the column that covers most uncovered area for its cost; and the removal of redundant ones.
 
-Chvatal 1979 (doi:10.1287/moor.4.3.233). A row counts as open until as many columns as it demands cover it. Ties go to
-the first column in canonical order, so the result does not depend on how the candidates were numbered.
+Chvatal 1979 (doi:10.1287/moor.4.3.233); with a number of columns allowed it covers at least 1 - 1/e of the most that is
+possible (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). A row counts as open until it has what it demands.
+Ties go to the first column in canonical order, so the result does not depend on how the candidates were numbered.
 """
 
 import heapq
 
 import numpy as np
 
-from planner.cover.budget import Budget
-from planner.cover.problem import CoverProblem
-from planner.values import Bools, Floats, Ints
+from planner.cover.graph import connected, join
+from planner.cover.sets import Sets, gather
+from planner.values import Floats, Ints
 
 
-def greedy(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Ints:
-    """Cover greedily; the baseline that every other solver starts from.
+class Open:
+    """What some columns leave open, and what each other column would still bring.
 
-    Args:
-        problem: what to cover.
-        rng: not used (one signature for all solvers).
-        budget: booked but never a reason to stop: without a cover there is no plan.
-
-    Returns:
-        Columns in the order in which they were chosen, redundant ones removed.
+    Attributes:
+        chosen: the columns, in the order in which they came.
+        deficit: (S,) load that each row lacks.
+        gains: (V,) units of open rows that each column helps (where loads differ, in shares of their demand); -inf for
+            the chosen ones.
+        missing: units that must still be covered; zero or less means that the target is met.
+        work: entries touched.
     """
-    chosen = prune(problem, complete(problem, np.zeros(0, dtype=np.int64)))
-    budget.spend(problem.n_entries)
-    budget.offer(chosen, problem.cost(chosen))
-    return chosen
+
+    def __init__(self, sets: Sets, columns: Ints) -> None:
+        self.sets, self.chosen = sets, [int(j) for j in columns]
+        self.deficit = np.maximum(sets.demand - sets.loads(columns), 0)
+        self.gains: Floats = np.zeros(sets.n_columns)
+        rows = np.flatnonzero(self.deficit)
+        self._change(rows, np.zeros(len(rows), dtype=np.int64), self.deficit[rows])
+        self.gains[columns] = -np.inf
+        self.missing = int(sets.units[rows].sum()) - (0 if sets.most >= 0 else sets.slack)
+        self.work = 8 * sets.n_entries
+
+    def _change(self, rows: Ints, before: Ints, after: Ints) -> None:
+        """Gains follow deficits that changed."""
+        sets = self.sets
+        columns, lengths = sets.columns_of(rows)
+        if sets.plain:
+            change = np.repeat(((after > 0).astype(np.int64) - (before > 0)) * sets.units[rows], lengths)
+        else:
+            load = gather(sets.row_start, sets.row_load, rows)[0]
+            change = np.minimum(load, np.repeat(after, lengths)) - np.minimum(load, np.repeat(before, lengths))
+            change = change * np.repeat(sets.units[rows] / sets.demand[rows], lengths)
+        # bincount of nothing is of integers
+        self.gains += np.bincount(columns, change, sets.n_columns).astype(np.float64, copy=False)
+
+    def take(self, column: int) -> None:
+        """Choose a column."""
+        sets, rows = self.sets, self.sets.rows_of(column)
+        before = self.deficit[rows]
+        after = np.maximum(before - sets.load_of(column), 0)
+        self.deficit[rows] = after
+        moved = (before > 0) & ((after == 0) | (not sets.plain))
+        self._change(rows[moved], before[moved], after[moved])
+        self.missing -= int(sets.units[rows[(before > 0) & (after == 0)]].sum())
+        self.gains[column] = -np.inf
+        self.chosen.append(column)
+        self.work += int(moved.sum()) * (sets.n_entries // max(sets.n_rows, 1)) * 8 + 2 * sets.n_columns + 25_000
 
 
-def complete(problem: CoverProblem, columns: Ints) -> Ints:
-    """Add columns greedily until the target is met.
+def complete(sets: Sets, columns: Ints) -> Ints:
+    """Add columns greedily until the target is met, or as many are chosen as are allowed; in a graph, join them.
 
     Args:
-        problem: what to cover.
+        sets: the problem.
         columns: a partial cover; kept, in front.
     """
-    counts = problem.counts(columns)
-    uncovered = counts < problem.demand
-    gains = uncovered_area(problem, np.flatnonzero(uncovered))
-    gains[columns] = -np.inf  # where rows are covered more than once, a chosen column would still seem to gain
-    unit_cost = problem.unit_cost
-    chosen = columns.tolist()
-    missing = missing_units(problem, uncovered)
-    while missing > 0:
-        best = int(np.argmax(gains if unit_cost else gains / problem.costs))
-        rows = problem.column_rows[problem.column_start[best] : problem.column_start[best + 1]]
-        counts[rows] += 1
-        done = rows[counts[rows] == problem.demand[rows]]
-        uncovered[done] = False
-        missing -= int(problem.units[done].sum())
-        gains -= uncovered_area(problem, done)
-        gains[best] = -np.inf
-        chosen.append(best)
-    return np.array(chosen, dtype=np.int64)
+    return _completed(sets, columns)[0]
 
 
-def missing_units(problem: CoverProblem, uncovered: Bools) -> int:
-    """Units that must still be covered: zero or less means that the target is met."""
-    return int(problem.units[uncovered].sum()) - problem.slack
+def _completed(sets: Sets, columns: Ints) -> tuple[Ints, int]:
+    still = Open(sets, columns)
+    unit_cost = sets.unit_cost
+    price = sets.costs.astype(np.float64)
+    opening = sets.group_costs.astype(np.float64)
+    opening[sets.group[still.chosen]] = 0.0
+    while still.missing > 0 and (sets.most < 0 or len(still.chosen) < sets.most):
+        best = int(np.argmax(still.gains if unit_cost else still.gains / (price + opening[sets.group])))
+        if still.gains[best] <= 0:
+            break
+        still.take(best)
+        opening[sets.group[best]] = 0.0
+    chosen = np.array(still.chosen, dtype=np.int64)
+    return (join(sets.adjacent, chosen) if len(sets.adjacent) else chosen), still.work
 
 
-def uncovered_area(problem: CoverProblem, rows: Ints) -> Floats:
-    """(V,) units of the given rows that each column covers."""
-    columns, lengths = problem.columns_of(rows)
-    return column_sums(problem, columns, np.repeat(problem.units[rows], lengths))
+def greedy(sets: Sets) -> tuple[Ints, int]:
+    """The greedy cover without redundant columns, and the work that it took."""
+    chosen, work = _completed(sets, sets.fixed)
+    return prune(sets, chosen), work
 
 
-def column_sums(problem: CoverProblem, columns: Ints, weights: Floats) -> Floats:
-    """(V,) sum of the weights by column."""
-    # bincount of nothing is of integers
-    return np.bincount(columns, weights=weights, minlength=problem.n_columns).astype(np.float64, copy=False)
+def prune(sets: Sets, columns: Ints) -> Ints:
+    """Remove columns that neither target nor graph needs, the dearest first, of equal cost the last first."""
+    columns = np.asarray(columns, dtype=np.int64)
+    loads = sets.loads(columns)
+    allowed = 0 if sets.most >= 0 else sets.slack - int(sets.units[loads < sets.demand].sum())
+    kept = columns[np.lexsort((np.arange(len(columns)), sets.costs[columns]))].tolist()
+    again = True
+    while again:
+        again = False
+        for column in kept[::-1]:
+            rows = sets.rows_of(column)
+            less = loads[rows] - sets.load_of(column)
+            lost = int(sets.units[rows[(loads[rows] >= sets.demand[rows]) & (less < sets.demand[rows])]].sum())
+            if lost > allowed or column in sets.fixed:
+                continue
+            if len(sets.adjacent):
+                rest = np.array([j for j in kept if j != column], dtype=np.int64)
+                if not connected(sets.adjacent, rest):
+                    continue
+                again = True  # in a graph a column may be free to go once another has gone
+            kept.remove(column)
+            loads[rows] = less
+            allowed -= lost
+    stays = np.zeros(sets.n_columns, dtype=bool)
+    stays[kept] = True
+    return columns[stays[columns]]
 
 
-def prune(problem: CoverProblem, columns: Ints) -> Ints:
-    """Remove redundant columns, the dearest first, of equal cost the last first.
-
-    One pass is enough, because a column that is needed stays needed.
-    """
-    counts = problem.counts(columns)
-    spare = problem.slack - int(problem.units[counts < problem.demand].sum())
-    keep = np.ones(len(columns), dtype=bool)
-    for position in np.lexsort((np.arange(len(columns)), problem.costs[columns]))[::-1].tolist():
-        start = problem.column_start[columns[position] : columns[position] + 2]
-        rows = problem.column_rows[start[0] : start[1]]
-        needed = rows[counts[rows] == problem.demand[rows]]
-        loss = int(problem.units[needed].sum())
-        if loss <= spare:
-            keep[position] = False
-            counts[rows] -= 1
-            spare -= loss
-    return columns[keep]
-
-
-def by_marginal_area(problem: CoverProblem, columns: Ints) -> tuple[Ints, list[Ints]]:
+def by_marginal_area(sets: Sets, columns: Ints) -> tuple[Ints, list[Ints]]:
     """Order columns by what each adds, largest first, and list the rows whose demand each is the first to satisfy.
 
     Returns:
         The columns in that order, and for each the rows it completes.
     """
-    counts = np.zeros(problem.n_rows, dtype=np.int64)
-    rows = {j: problem.column_rows[problem.column_start[j] : problem.column_start[j + 1]] for j in columns.tolist()}
+    deficit = sets.demand.copy()
+    rows = {j: sets.rows_of(j) for j in columns.tolist()}
 
     def gain(column: int) -> int:
         own = rows[column]
-        return int(problem.units[own[counts[own] < problem.demand[own]]].sum())
+        return int(sets.units[own[deficit[own] > 0]].sum())
 
     # Gains only fall, so a gain that is on top and still true is the largest; canonical order decides ties.
     waiting = [(-gain(column), column) for column in rows]
@@ -118,7 +147,9 @@ def by_marginal_area(problem: CoverProblem, columns: Ints) -> tuple[Ints, list[I
             heapq.heapreplace(waiting, (now, best))
             continue
         heapq.heappop(waiting)
-        counts[rows[best]] += 1
+        own = rows[best]
+        waited = deficit[own] > 0
+        deficit[own] -= sets.load_of(best)
         order.append(best)
-        added.append(rows[best][counts[rows[best]] == problem.demand[rows[best]]])
+        added.append(own[waited & (deficit[own] <= 0)])
     return np.array(order, dtype=np.int64), added

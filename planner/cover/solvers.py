@@ -1,86 +1,157 @@
-"""The solvers by name, all with one signature: `(problem, rng, budget) -> columns`."""
+"""The solvers by name, and what is done before and around each: reductions, greedy, bound."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from planner.cover.area_search import search_most
-from planner.cover.bound import bound
+from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
-from planner.cover.exact import exact, improve_or_prove
-from planner.cover.greedy import greedy, prune
-from planner.cover.local_search import local_search
+from planner.cover.greedy import greedy
 from planner.cover.meta_raps import meta_raps
-from planner.cover.problem import CoverProblem
+from planner.cover.reductions import reduce
+from planner.cover.search import Search
+from planner.cover.sets import Sets
 from planner.values import Ints
 
-Solver = Callable[[CoverProblem, np.random.Generator, Budget], Ints]
-"""Takes a reduced problem, gives a cover without redundant columns; best cover, bound and work stay in the budget."""
+BOUND_SHARE = 0.35
+"""Most of the budget that the linear programme may take."""
 
-BOUND_SHARE, SEARCH_SHARE = 0.35, 0.5
-"""`auto`: most of the budget that the bound may take, and share of what is left for the search before `exact`."""
-
-AREA_SHARE = 0.4
-"""`auto` below full coverage: share of what is left for each search with one column less."""
+SEARCH_SHARES = (0.1, 0.4)
+"""`auto`: share of what is left for the search before the integer programme is tried, and before it is tried again."""
 
 HOPEFUL_EXCESS = 0.1
-"""`auto` tries the exact solver on a cover that exceeds the bound by at most this share, or by 2 columns."""
+"""`auto` tries the integer programme on a choice that exceeds the bound by at most this share, or by 2 columns."""
 
-SMALL = 150
-"""With no more columns than this the exact solver is tried whatever the gap, and before the search where that is small.
-
-What the reductions leave of most parts is so small that the exact solver ends it in an instant.
-"""
+SMALL = 30
+"""With no more columns than this the integer programme is tried before the search, and whatever the gap."""
 
 
-def auto(problem: CoverProblem, rng: np.random.Generator, budget: Budget) -> Ints:
-    """Greedy, bound, local search, the exact solver where the budget pays for its root, local search with the rest."""
-    best = greedy(problem, rng, budget) if budget.best is None else budget.best
-    if problem.trivial or budget.proven:
-        return best
-    if budget.dual is None:
-        with budget.portion(BOUND_SHARE):
-            budget.dual = bound(problem, problem.cost(best), budget)
-    if _hopeful(problem, best, budget):
-        best = improve_or_prove(problem, best, budget.dual, budget, most_columns=SMALL)
-    if budget.spend(0):
-        with budget.portion(SEARCH_SHARE):
-            best = local_search(problem, rng, budget)
-        best = _fewer_by_area(problem, best, rng, budget)
-    if (_hopeful(problem, best, budget) or problem.n_columns <= SMALL) and budget.spend(0):
-        best = improve_or_prove(problem, best, budget.dual, budget)
-    if budget.spend(0):
-        best = local_search(problem, rng, budget)
-    return best
+@dataclass(slots=True)
+class Job:
+    """A reduced problem being solved; the best choice and bound are kept in the budget.
 
-
-def _fewer_by_area(problem: CoverProblem, best: Ints, rng: np.random.Generator, budget: Budget) -> Ints:
-    """Below full coverage: the most area with one column less, as long as it is enough.
-
-    Which rows are left out is what such covers differ in, and swaps judged by area find it where row weights do not.
+    Attributes:
+        sets: the problem.
+        rng: random choices.
+        budget: work, clock, best so far.
+        relaxation: the bound and its multipliers.
     """
-    if problem.full or not (problem.once and problem.unit_cost):
-        return best
-    while len(best) > 1 and budget.spend(0):
-        with budget.portion(AREA_SHARE):
-            columns, area = search_most(problem, len(best) - 1, rng, budget, problem.required)
-        if area < problem.required:
-            break
-        best = prune(problem, columns)
-        budget.offer(best, problem.cost(best))
-    return best
+
+    sets: Sets
+    rng: np.random.Generator
+    budget: Budget
+    relaxation: Relaxation
+
+    @property
+    def best(self) -> Ints:
+        """The best choice so far; there is one from the beginning."""
+        assert self.budget.best is not None, "the greedy choice comes first"
+        return self.budget.best
+
+    @property
+    def hopeful(self) -> bool:
+        """Whether the integer programme may close the gap."""
+        if self.sets.n_columns <= SMALL or self.sets.most >= 0:
+            return True
+        excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
+        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best))
+
+    def prove(self, *, at_least_root: bool = False) -> None:
+        """The integer programme, as far as the budget goes; it knows no graph."""
+        from planner.cover.linear import close_gap  # importing highspy costs start-up
+
+        if not len(self.sets.adjacent):
+            close_gap(self.relaxation, self.best, self.budget, at_least_root=at_least_root)
 
 
-def _hopeful(problem: CoverProblem, best: Ints, budget: Budget) -> bool:
-    """Whether a cover is so near to the bound that the exact solver may close the gap."""
-    excess = (problem.cost(best) - budget.lower_bound) / float(problem.costs.mean())
-    return excess <= max(2.0, HOPEFUL_EXCESS * len(best))
+Solver = Callable[[Job], None]
+"""Improves what the job's budget holds."""
+
+
+def auto(job: Job) -> None:
+    """The integer programme first where little is left; else local search, the integer programme, local search."""
+    if job.sets.n_columns <= SMALL:
+        job.prove()
+    search = None
+    for share in SEARCH_SHARES:
+        if job.budget.spend(0):
+            search = search or Search(job.sets, job.best, job.rng)
+            with job.budget.portion(share):
+                search.run(job.budget)
+        if job.hopeful and job.budget.spend(0):
+            with job.budget.portion(0.7):
+                job.prove()
+    if search and job.budget.spend(0):
+        search.run(job.budget)
+
+
+def exact(job: Job) -> None:
+    """The integer programme on what reduced costs leave; its root whatever the budget."""
+    if not job.budget.proven:
+        job.prove(at_least_root=True)
+
+
+def local_search(job: Job) -> None:
+    """Local search with the whole budget."""
+    if job.budget.spend(0):
+        Search(job.sets, job.best, job.rng).run(job.budget)
 
 
 SOLVERS: dict[str, Solver] = {
     "auto": auto,
-    "greedy": greedy,
-    "meta-raps": meta_raps,
+    "greedy": lambda job: None,
+    "meta-raps": lambda job: meta_raps(job.sets, job.rng, job.budget),
     "local-search": local_search,
     "exact": exact,
 }
+"""`greedy` has nothing to add: its choice and the bound come first for every solver."""
+
+
+def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> tuple[Ints, int, int]:
+    """Reduce a problem, run a solver, and lift what it found.
+
+    Args:
+        sets: the problem; a graph is not looked at.
+        solver: a name in `SOLVERS`.
+        rng: random choices.
+        work: budget; at its end it still has what is best of the reduced problem.
+
+    Returns:
+        The best choice, a bound on the objective, and, with a number of columns allowed, how many fewer ones need at
+        least to leave as little open.
+    """
+    reduction = reduce(sets, work)
+    inner, relaxation = _run(reduction.sets, solver, rng, work)
+    chosen, found = reduction.lift(inner), reduction.sets.objective(inner)
+    fewest = 0
+    if relaxation and sets.most >= 0:
+        fewest = next(k for k in range(sets.most + 1) if k == sets.most or relaxation.certified_units(k) <= found)
+    paid = sets.objective(chosen) - found  # what the forced columns cost
+    return chosen, paid + min(work.lower_bound, found), fewest
+
+
+def _run(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> tuple[Ints, Relaxation | None]:
+    """Greedy, bound and the chosen solver; the best so far when Ctrl-C ends it."""
+    work.begin(sets.tolerance)
+    if sets.trivial:
+        nothing = np.zeros(0, dtype=np.int64)
+        work.prove(sets.objective(nothing))
+        return nothing, None
+    if sets.most < 0:
+        work.prove(int(sets.costs.min()))  # one column at least, should Ctrl-C come before the bound
+    chosen, spent = greedy(sets)
+    work.offer(chosen, sets.objective(chosen))
+    relaxation = None
+    with work.ended_by_ctrl_c():
+        work.spend(spent)
+        relaxation = Relaxation(sets)
+        work.prove(relaxation.value)
+        if work.spend(12 * sets.n_entries):
+            from planner.cover.linear import raise_bound  # importing highspy costs start-up
+
+            with work.portion(BOUND_SHARE):
+                raise_bound(relaxation, work.objective, work)
+        SOLVERS[solver](Job(sets, rng, work, relaxation))
+    assert work.best is not None, "the greedy choice is there"
+    return work.best, relaxation

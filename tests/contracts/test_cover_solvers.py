@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from planner.cover import SOLVERS, Budget, CoverStatus, solve
-from planner.cover.problem import candidates
-from planner.cover.selection import PRICE_ROUNDING
+from planner.cover import SOLVERS, CoverStatus, Problem, solve
+from planner.cover.budget import Budget
+from planner.cover.told import PRICE_ROUNDING
 
 WORK = 20_000_000
 COVERAGES = (0.0, 0.3, 0.8, 0.95, 1.0)
@@ -19,10 +19,10 @@ def instance(seed, n_rows=60, n_columns=40, density=0.1):
 
 
 def run(M, areas, solver, coverage=1.0, seed=5, **options):
-    """Solve with a fresh generator and the tests' budget."""
-    return solve(
-        M, areas, rng=np.random.default_rng(seed), solver=solver, coverage=coverage, **{"budget": WORK} | options
-    )
+    """Solve with a fresh generator and the tests' budget; options go to the problem or to `solve`."""
+    told = {name: options.pop(name) for name in ("budget", "time_limit_s", "clock") if name in options}
+    problem = Problem(M, areas, coverage=coverage, **options)
+    return solve(problem, rng=np.random.default_rng(seed), solver=solver, **{"budget": WORK} | told)
 
 
 def covered_share(M, areas, views, multiplicity=1):
@@ -60,14 +60,14 @@ def test_covers_the_target_and_needs_every_view(solver, coverage, seed):
 def test_covers_several_times_and_needs_every_view(solver, coverage, multiplicity):
     """The rows that count are covered k times, or by all their columns; without any one view the target is missed."""
     M, areas = instance(1)
-    result = run(M, areas, solver, coverage, multiplicity=multiplicity)
+    result = run(M, areas, solver, coverage, demand=multiplicity)
     assert covered_share(M, areas, result.views, multiplicity) >= coverage - 1e-12
     for view in result.views:
         rest = np.setdiff1d(result.views, view)
         assert covered_share(M, areas, rest, multiplicity) < coverage - (1e-12 if coverage == 1.0 else 0.0)
     per_row = M.sum(axis=1)
     np.testing.assert_array_equal(result.short_rows, np.flatnonzero((per_row > 0) & (per_row < multiplicity)))
-    assert result.multiplicity == multiplicity
+    assert result.demand == multiplicity
     assert result.lower_bound <= len(result.views)
 
 
@@ -77,7 +77,7 @@ def test_costs_add_up_and_bound_the_cheapest(solver, coverage, multiplicity):
     """Cost is that of the views, the bound is not above it, and proven means that they are equal but for rounding."""
     M, areas = instance(6)
     costs = np.random.default_rng(3).uniform(2.0, 9.0, M.shape[1])
-    result = run(M, areas, solver, coverage, costs=costs, multiplicity=multiplicity)
+    result = run(M, areas, solver, coverage, costs=costs, demand=multiplicity)
     assert covered_share(M, areas, result.views, multiplicity) >= coverage - 1e-12
     assert result.cost == pytest.approx(costs[result.views].sum(), rel=1e-12)
     assert 0 < result.cost_bound <= result.cost
@@ -209,7 +209,7 @@ def test_ctrl_c_returns_the_best_cover_so_far(solver, monkeypatch):
         return spend(self, work)
 
     monkeypatch.setattr(Budget, "spend", interrupted)
-    monkeypatch.setattr("planner.cover.local_search.CHUNK_WORK", 10_000)
+    monkeypatch.setattr("planner.cover.search.CHUNK_WORK", 10_000)
     result = run(M, areas, solver, budget=10**12)
     assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
     assert result.status is CoverStatus.INTERRUPTED
@@ -223,32 +223,10 @@ def test_a_kill_is_not_taken_for_a_wish_for_the_best_so_far(monkeypatch):
     class Killed(KeyboardInterrupt):
         pass
 
-    def killed(problem, rng, budget):
+    def killed(job):
         raise Killed
 
     monkeypatch.setitem(SOLVERS, "local-search", killed)
     M, areas = instance(4, 150, 100, 0.05)
     with pytest.raises(Killed):
         run(M, areas, "local-search")
-
-
-@pytest.mark.parametrize("solver", ["meta-raps", "local-search", "exact", "auto"])
-def test_an_interrupted_search_leaves_its_best_cover(solver):
-    """Ctrl-C in a solver reaches the caller, and the budget still holds a cover."""
-    M, areas = instance(4, 150, 100, 0.05)
-    problem = candidates(M, areas).problem
-
-    class Interrupting(Budget):
-        calls = 0
-
-        def spend(self, work):
-            self.calls += 1
-            if self.calls > 2:
-                raise KeyboardInterrupt
-            return super().spend(work)
-
-    budget = Interrupting(10**9)
-    with pytest.raises(KeyboardInterrupt):
-        SOLVERS[solver](problem, np.random.default_rng(0), budget)
-    assert budget.best is not None
-    assert problem.met(problem.counts(budget.best) > 0)

@@ -1,4 +1,4 @@
-"""The cover solvers and bounds against independent exact methods."""
+"""Covers and their bounds against trying all selections, and against one integer programme over the whole matrix."""
 
 from itertools import combinations
 
@@ -6,182 +6,135 @@ import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, linprog, milp
 
-from planner.cover import SOLVERS, Budget, CoverStatus, solve
-from planner.cover.bound import bound
-from planner.cover.problem import candidates
+from planner.cover import SOLVERS, CoverStatus, Problem, solve
+from planner.cover.bound import Relaxation
+from planner.cover.budget import Budget
+from planner.cover.canonical import canonical
+from planner.cover.greedy import greedy
+from planner.cover.linear import raise_bound
 from planner.cover.reductions import reduce
+from planner.cover.solvers import answer
 
 
-def brute_force(M, areas, coverage, pinned=()):
-    """Fewest columns by trying all subsets, smallest first."""
-    coverable = M.any(axis=1)
-    target = coverage * areas[coverable].sum() - 1e-9
-    for size in range(M.shape[1] + 1):
-        for subset in combinations(range(M.shape[1]), size):
-            if not set(pinned) <= set(subset):
-                continue
-            covered = M[:, list(subset)].any(axis=1)
-            if (covered == coverable).all() if coverage == 1.0 else areas[covered].sum() >= target:
-                return size
-    raise AssertionError("all columns together cover everything")
-
-
-def small(seed):
-    """A random instance small enough to try all subsets."""
-    rng = np.random.default_rng(seed)
-    n_rows, n_columns = int(rng.integers(1, 14)), int(rng.integers(1, 11))
-    M = rng.random((n_rows, n_columns)) < rng.uniform(0.1, 0.6)
-    areas = rng.integers(1, 6, n_rows).astype(float) if seed % 2 else rng.lognormal(0, 2, n_rows)
-    return M, areas
-
-
-@pytest.mark.parametrize("coverage", [0.5, 0.9, 1.0])
-def test_auto_and_exact_find_and_prove_the_fewest(coverage):
-    """On 60 small random instances the optimum is found, proven and equal to trying all subsets."""
-    for seed in range(60):
-        M, areas = small(seed)
-        fewest = brute_force(M, areas, coverage)
-        for solver in ("auto", "exact"):
-            result = solve(M, areas, rng=np.random.default_rng(0), solver=solver, coverage=coverage, budget=20_000_000)
-            assert (len(result.views), result.lower_bound) == (fewest, fewest), (seed, solver)
-            assert result.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE)
-
-
-@pytest.mark.parametrize("coverage", [0.5, 0.9, 1.0])
-def test_no_bound_exceeds_the_optimum_and_no_heuristic_undercuts_it(coverage):
-    """For every solver and budget 0 or small: lower bound <= fewest <= views."""
-    for seed in range(60):
-        M, areas = small(seed)
-        fewest = brute_force(M, areas, coverage)
-        for solver in SOLVERS:
-            for budget in (0, 200_000):
-                result = solve(M, areas, rng=np.random.default_rng(1), solver=solver, coverage=coverage, budget=budget)
-                assert result.lower_bound <= fewest <= len(result.views), (seed, solver, budget)
-
-
-def test_pinned_views_enter_the_optimum_and_the_bound():
-    """With pinned columns the proven fewest is the fewest among the selections that contain them."""
-    for seed in range(40):
-        M, areas = small(seed)
-        pinned = np.random.default_rng(seed).choice(M.shape[1], size=min(2, M.shape[1]), replace=False).tolist()
-        result = solve(M, areas, rng=np.random.default_rng(0), pinned=pinned, budget=20_000_000)
-        assert len(result.views) == result.lower_bound == brute_force(M, areas, 1.0, pinned), seed
-
-
-def cheapest(M, areas, coverage, multiplicity, costs):
-    """Least cost by trying all subsets; rows count when covered k times, or by all their columns."""
-    demand = np.minimum(M.sum(axis=1), multiplicity)
+def cheapest(problem):
+    """Least cost by trying all subsets; rows count when covered as often as is demanded, or by all their columns."""
+    M, areas = problem.matrix, problem.areas
+    n_columns = M.shape[1]
+    costs = np.ones(n_columns) if problem.costs is None else problem.costs
+    demand = np.minimum(M.sum(axis=1), problem.demand)
     coverable = demand > 0
-    target = coverage * areas[coverable].sum() - 1e-9
+    target = problem.coverage * areas[coverable].sum() - 1e-9
     best = np.inf
-    for size in range(M.shape[1] + 1):
-        for subset in combinations(range(M.shape[1]), size):
+    for size in range(n_columns + 1):
+        for subset in combinations(range(n_columns), size):
             columns = list(subset)
+            price = costs[columns].sum()
+            if problem.group is not None:
+                price += problem.group_costs[sorted({int(problem.group[j]) for j in columns})].sum()
+            if price >= best or not set(problem.pinned) <= set(columns):
+                continue
             satisfied = (M[:, columns].sum(axis=1) >= demand) & coverable
-            if costs[columns].sum() < best and areas[satisfied].sum() >= target:
-                best = costs[columns].sum()
+            met = satisfied.sum() == coverable.sum() if problem.coverage == 1 else areas[satisfied].sum() >= target
+            best = price if met else best
     return best
 
 
-@pytest.mark.parametrize("coverage", [0.5, 0.9, 1.0])
-@pytest.mark.parametrize("priced", ["ones", "whole", "real"])
-def test_demands_and_costs_against_all_subsets(coverage, priced):
-    """For every solver bound <= cheapest <= cost, k from 1 to 3; `auto` and `exact` reach and prove it."""
-    for seed in range(16):
-        rng = np.random.default_rng(seed)
-        M = rng.random((int(rng.integers(1, 13)), int(rng.integers(1, 9)))) < rng.uniform(0.15, 0.6)
-        n_columns = M.shape[1]
-        costs = {
-            "ones": np.ones(n_columns),
-            "whole": rng.integers(1, 9, n_columns).astype(float),
-            "real": rng.uniform(1, 9, n_columns),
-        }[priced]
-        areas, multiplicity = rng.integers(1, 6, len(M)).astype(float), seed % 3 + 1
-        least = cheapest(M, areas, coverage, multiplicity, costs)
-        for solver in SOLVERS:
-            result = solve(
-                M,
-                areas,
-                rng=np.random.default_rng(0),
-                solver=solver,
-                coverage=coverage,
-                multiplicity=multiplicity,
-                costs=costs,
-                budget=20_000_000 if solver in ("meta-raps", "local-search") else 400_000_000,
-            )
-            assert result.cost == pytest.approx(costs[result.views].sum(), rel=1e-12)
-            assert result.cost_bound <= least * (1 + 1e-12), (seed, solver)
-            assert least <= result.cost * (1 + 1e-12), (seed, solver)
-            if solver in ("auto", "exact"):
-                assert result.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE), (seed, solver)
-                assert result.cost_bound == pytest.approx(result.cost, rel=1e-4), (seed, solver)
-                assert result.cost == pytest.approx(least, rel=1e-4), (seed, solver)
+def small(seed):
+    """A random problem small enough to try all subsets: shares, demands, costs, pins and groups in all combinations."""
+    rng = np.random.default_rng(seed)
+    M = rng.random((int(rng.integers(1, 13)), int(rng.integers(1, 9)))) < rng.uniform(0.15, 0.6)
+    n_columns = M.shape[1]
+    costs = [None, rng.integers(1, 9, n_columns).astype(float), rng.uniform(1, 9, n_columns)][seed // 9 % 3]
+    groups = {"group": rng.integers(0, 3, n_columns), "group_costs": rng.integers(0, 4, 3).astype(float)}
+    return Problem(
+        M,
+        rng.integers(1, 6, len(M)).astype(float) if seed % 4 else rng.lognormal(0, 2, len(M)),
+        coverage=[0.5, 0.9, 1.0][seed % 3],
+        demand=seed // 3 % 3 + 1,
+        costs=costs,
+        pinned=rng.choice(n_columns, min(n_columns, seed // 27 % 3), replace=False).tolist(),
+        **(groups if seed % 2 else {}),
+    )
 
 
-@pytest.mark.parametrize("coverage", [0.7, 1.0])
-def test_reductions_keep_the_optimum(coverage):
-    """Forced plus fewest(reduced) is fewest(original), and the lifted cover of the reduced problem is a cover."""
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_every_wish_against_all_subsets(solver):
+    """For every solver bound <= cheapest <= cost; `auto` and `exact` reach and prove it."""
+    for seed in range(108):
+        problem = small(seed)
+        least = cheapest(problem)
+        result = solve(problem, rng=np.random.default_rng(0), solver=solver, budget=5_000_000)
+        assert result.cost_bound <= least * (1 + 1e-12) + 1e-12, seed
+        assert least <= result.cost * (1 + 1e-12), seed
+        if solver in ("auto", "exact"):
+            assert result.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE), seed
+            assert result.cost == pytest.approx(least, rel=1e-4), seed
+            assert result.cost_bound == pytest.approx(result.cost, rel=1e-4), seed
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("budget", [0, 200_000])
+def test_no_budget_makes_a_bound_wrong(solver, budget):
+    """However little work is allowed: bound <= cheapest <= cost."""
+    for seed in range(108):
+        problem = small(seed)
+        result = solve(problem, rng=np.random.default_rng(1), solver=solver, budget=budget)
+        assert result.cost_bound <= cheapest(problem) * (1 + 1e-12) + 1e-12, seed
+        assert cheapest(problem) <= result.cost * (1 + 1e-12), seed
+
+
+def test_reductions_keep_the_optimum():
+    """Forced plus cheapest(reduced) is the cheapest, and what is lifted is a cover."""
     shrunk = 0
-    for seed in range(60):
-        M, areas = small(seed)
-        problem = candidates(M, areas, coverage=coverage).problem
-        reduction = reduce(problem)
-        small_problem = reduction.problem
-        shrunk += small_problem.n_entries < problem.n_entries
-        chosen = np.zeros(0, dtype=np.int64)
-        if not small_problem.trivial:
-            chosen = SOLVERS["exact"](small_problem, np.random.default_rng(0), Budget(10**9))
-        lifted = reduction.lift(chosen)
-        assert problem.met(problem.counts(lifted) > 0)
-        assert len(lifted) == brute_force(M, areas, coverage), seed
-    assert shrunk > 20  # the reductions did something
+    for seed in range(108):
+        problem = small(seed)
+        found = canonical(problem)
+        reduction = reduce(found.rest, Budget(10**8))
+        shrunk += reduction.sets.n_entries < found.rest.n_entries
+        inner, bound, _ = answer(found.rest, "exact", np.random.default_rng(0), Budget(10**8))
+        assert found.rest.met(inner), seed
+        assert bound == found.rest.cost(inner), seed
+    assert shrunk > 40  # the reductions did something
 
 
 def medium(seed, n_rows=120, n_columns=90, density=0.08):
-    """A random instance that is easy for an integer programme."""
+    """A random instance that is easy for an integer programme; everything is coverable."""
     rng = np.random.default_rng(seed)
-    return rng.random((n_rows, n_columns)) < density, rng.uniform(0.5, 2.0, n_rows)
+    M = rng.random((n_rows, n_columns)) < density
+    M[:, 0] |= ~M.any(axis=1)
+    return M, rng.uniform(0.5, 2.0, n_rows)
 
 
 def relaxation(M, areas, coverage):
-    """Optimum of the linear relaxation, modelled here independently."""
-    M = M[M.any(axis=1)]
+    """Optimum of the linear relaxation, modelled here independently; rows too large to stay open must be covered."""
     n_rows, n_columns = M.shape
-    if coverage == 1.0:
-        return linprog(np.ones(n_columns), A_ub=-M.astype(float), b_ub=-np.ones(n_rows)).fun
-    a = areas[:n_rows]
-    A = np.block([[-M.astype(float), np.eye(n_rows)], [np.zeros(n_columns), -a]])
+    A = np.block([[-M.astype(float), -np.eye(n_rows)], [np.zeros(n_columns), areas]])
     costs = np.r_[np.ones(n_columns), np.zeros(n_rows)]
-    return linprog(costs, A_ub=A, b_ub=np.r_[np.zeros(n_rows), -coverage * a.sum()], bounds=(0, 1)).fun
+    slack = (1 - coverage) * areas.sum()
+    bounds = [(0, 1)] * n_columns + [(0, float(area <= slack)) for area in areas]
+    return linprog(costs, A_ub=A, b_ub=np.r_[-np.ones(n_rows), slack], bounds=bounds).fun
 
 
-@pytest.mark.parametrize("lp_entries", [0, 10**9], ids=["subgradient", "lp"])
-@pytest.mark.parametrize("coverage", [0.8, 1.0])
-def test_bound_approaches_the_linear_relaxation_from_below(coverage, lp_entries, monkeypatch):
-    """The Lagrangian value is at most the LP optimum, and within 1 % of it (1e-6 where the LP solver proposes u)."""
-    monkeypatch.setattr("planner.cover.bound.LP_ENTRIES", lp_entries)
-    monkeypatch.setattr("planner.cover.bound.LP_ENTRIES_WIDE", lp_entries)
+@pytest.mark.parametrize("coverage", [0.8, 0.99, 1.0])
+def test_bound_is_the_linear_relaxation(coverage):
+    """Row by row it comes within 1e-5 of the whole programme, and never above it."""
     for seed in range(3):
         M, areas = medium(seed)
-        M[:, 0] |= ~M.any(axis=1)  # everything coverable
-        problem = candidates(M, areas, coverage=coverage).problem
-        optimum = relaxation(M, areas, coverage)
-        upper = len(SOLVERS["greedy"](problem, np.random.default_rng(0), Budget(0)))
-        value = bound(problem, upper, Budget(10**9)).dual
-        assert value <= optimum + 1e-7
-        assert value >= optimum * (1 - 1e-6 if lp_entries else 0.99)
+        sets = canonical(Problem(M, areas, coverage=coverage)).whole
+        bound = Relaxation(sets)
+        raise_bound(bound, len(greedy(sets)[0]), Budget(10**9))
+        assert relaxation(M, areas, coverage) * (1 - 1e-5) <= bound.dual <= relaxation(M, areas, coverage) + 1e-7
 
 
 def test_fewest_equals_an_independent_integer_programme():
     """`exact` and `auto` agree with a plain model of the whole matrix; bound <= its optimum <= heuristics."""
     for seed in range(3):
-        M, _ = medium(seed, 80, 60, 0.1)
-        M = M[M.any(axis=1)]
+        M, areas = medium(seed, 80, 60, 0.1)
         ones = np.ones(M.shape[1])
         fewest = round(milp(ones, integrality=ones, constraints=LinearConstraint(M.astype(float), lb=1)).fun)
         for solver in SOLVERS:
             budget = 10**9 if solver in ("auto", "exact") else 10**7
-            result = solve(M, np.ones(len(M)), rng=np.random.default_rng(2), solver=solver, budget=budget)
+            result = solve(Problem(M, areas), rng=np.random.default_rng(2), solver=solver, budget=budget)
             assert result.lower_bound <= fewest <= len(result.views)
             if solver in ("auto", "exact"):
                 assert len(result.views) == result.lower_bound == fewest
@@ -197,7 +150,7 @@ def test_local_search_beats_greedy_where_greedy_is_known_to_fail():
     for column, size in enumerate(blocks, start=2):
         M[at : at + size, column] = M[n + at : n + at + size, column] = True
         at += size
-    areas = np.ones(2 * n)
-    problem = candidates(M, areas).problem
-    assert len(SOLVERS["greedy"](problem, np.random.default_rng(0), Budget(0))) == 6
-    assert len(SOLVERS["local-search"](problem, np.random.default_rng(0), Budget(10**8))) == 2
+    sets = canonical(Problem(M, np.ones(2 * n))).whole
+    assert len(greedy(sets)[0]) == 6
+    found = solve(Problem(M, np.ones(2 * n)), rng=np.random.default_rng(0), solver="local-search", budget=10**8)
+    assert len(found.views) == 2

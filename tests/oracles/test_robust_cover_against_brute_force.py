@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from planner.cover import solve
+from planner.cover import Problem, solve
+from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
-from planner.cover.demand_bound import lower_bound
-from planner.cover.demands import DemandProblem
+from planner.cover.canonical import canonical
+from planner.cover.linear import raise_bound
 from planner.cover.robust import DEMAND, loads, robust_cover, views_for_promise
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited
 
@@ -52,7 +53,7 @@ def test_the_fewest_that_keep_the_promise_are_found(alpha, coverage):
         M, layer, areas = small(seed)
         best = fewest(M, layer, areas, alpha, coverage)
         found = robust_cover(
-            M, layer, areas, alpha=alpha, rng=np.random.default_rng(0), coverage=coverage, budget=6_000_000
+            Problem(M, areas, coverage=coverage), layer, alpha=alpha, rng=np.random.default_rng(0), budget=20_000_000
         )
         kept = missed(M, layer, found.cover.views) <= alpha * (1 + 1e-9)
         possible = missed(M, layer, list(range(M.shape[1]))) <= alpha * (1 + 1e-9)
@@ -70,7 +71,9 @@ def test_pinned_views_enter_the_optimum():
     for seed in range(30):
         M, layer, areas = small(seed)
         pinned = [seed % M.shape[1]]
-        found = robust_cover(M, layer, areas, alpha=0.05, rng=np.random.default_rng(0), pinned=pinned, budget=6_000_000)
+        found = robust_cover(
+            Problem(M, areas, pinned=pinned), layer, alpha=0.05, rng=np.random.default_rng(0), budget=20_000_000
+        )
         best = fewest(M, layer, areas, 0.05, 1.0, pinned)
         assert set(pinned) <= set(found.cover.views.tolist())
         assert found.cover.lower_bound <= best == len(found.cover.views), seed
@@ -82,7 +85,7 @@ def test_two_views_together_promise_what_the_closed_form_says():
     layer = ProbabilityLayer(M.indptr, M.indices, np.array([8, 16]), 32)
     together = 1 - (24.5 / 33) * (16.5 / 33)
     for alpha, possible in ((1 - together + 1e-4, True), (1 - together - 1e-4, False)):
-        found = robust_cover(M, layer, [1.0], alpha=alpha, rng=np.random.default_rng(0))
+        found = robust_cover(Problem(M, [1.0]), layer, alpha=alpha, rng=np.random.default_rng(0))
         assert (found.robust_coverable_area > 0) == possible
         assert len(found.cover.views) == (2 if possible else 0)
         if possible:
@@ -103,8 +106,8 @@ def test_exact_poses_give_the_nominal_plan_to_the_bit():
     areas = rng.uniform(1, 2, 60)
     certain = ProbabilityLayer(M.indptr, M.indices, np.zeros(M.nnz, dtype=int), 0)
     for coverage in (0.9, 1.0):
-        robust = robust_cover(M, certain, areas, alpha=0.01, rng=np.random.default_rng(7), coverage=coverage)
-        plain = solve(M, areas, rng=np.random.default_rng(7), coverage=coverage)
+        robust = robust_cover(Problem(M, areas, coverage=coverage), certain, alpha=0.01, rng=np.random.default_rng(7))
+        plain = solve(Problem(M, areas, coverage=coverage), rng=np.random.default_rng(7))
         for name in ("views", "marginal_area"):
             np.testing.assert_array_equal(getattr(robust.cover, name), getattr(plain, name))
         assert (robust.cover.lower_bound, robust.cover.status) == (plain.lower_bound, plain.status)
@@ -116,7 +119,7 @@ def test_the_promise_holds_when_the_layer_is_the_truth():
     """Entries drawn with the credited probabilities 4,000 times: misses are at most alpha, within 4 sigma."""
     M, layer, areas = small(11)
     alpha = 0.1
-    found = robust_cover(M, layer, areas, alpha=alpha, rng=np.random.default_rng(0))
+    found = robust_cover(Problem(M, areas), layer, alpha=alpha, rng=np.random.default_rng(0))
     p = np.zeros(M.shape)
     p[np.repeat(np.arange(M.shape[0]), np.diff(M.indptr)), M.indices] = layer.probability
     p = p[:, found.cover.views]
@@ -129,11 +132,11 @@ def test_the_promise_holds_when_the_layer_is_the_truth():
 
 def test_the_second_rows_of_the_bound_pay():
     """Ten rows, disjoint pairs of columns of 0.9 each: sums of shares ask for 12 columns, all 20 are needed."""
-    M = np.kron(np.eye(10), np.ones((1, 2)))
-    problem = DemandProblem.of(
-        csr_array((0.9 * DEMAND * M).astype(np.int64)), np.full(10, DEMAND), np.ones(10), 10, full=True
-    )
-    assert lower_bound(problem, 20, Budget(10**8)).value == 20
+    M = csr_array((0.9 * DEMAND * np.kron(np.eye(10), np.ones((1, 3)))).astype(np.int64))
+    found = canonical(Problem(M, np.ones(10), demand=DEMAND))
+    bound = Relaxation(found.whole)
+    raise_bound(bound, 20, Budget(10**8))
+    assert bound.value == 20
 
 
 def test_parts_are_rounded_down_and_cut_at_the_whole():

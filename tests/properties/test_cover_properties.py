@@ -7,11 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from planner.cover import solve
-from planner.cover.bound import evaluate
+from planner.cover import Problem, solve
+from planner.cover.bound import Relaxation
+from planner.cover.budget import Budget
+from planner.cover.canonical import canonical
 from planner.cover.greedy import by_marginal_area, prune
-from planner.cover.problem import candidates, gather, set_hash
 from planner.cover.reductions import reduce
+from planner.cover.sets import gather, set_hash
 
 matrices = hnp.arrays(bool, st.tuples(st.integers(0, 12), st.integers(0, 9)))
 
@@ -28,7 +30,8 @@ def problems(draw):
 def test_every_claimed_cover_covers(problem, solver, seed):
     """Whatever the matrix, areas and target: the target is met and the bound is not above the plan."""
     M, areas, coverage = problem
-    result = solve(M, areas, rng=np.random.default_rng(seed), solver=solver, coverage=coverage, budget=300_000)
+    asked = Problem(M, areas, coverage=coverage)
+    result = solve(asked, rng=np.random.default_rng(seed), solver=solver, budget=300_000)
     covered, coverable = M[:, result.views].any(axis=1), M.any(axis=1)
     if coverage == 1.0:
         assert (covered == coverable).all()
@@ -41,47 +44,47 @@ def test_every_claimed_cover_covers(problem, solver, seed):
 def test_any_multipliers_give_a_bound_below_any_cover(problem, data):
     """L(u) <= columns of every cover, for arbitrary u >= 0, full and partial."""
     M, areas, coverage = problem
-    canonical = candidates(M, areas, coverage=coverage).problem
-    if canonical.trivial:
+    sets = canonical(Problem(M, areas, coverage=coverage)).whole
+    if sets.trivial:
         return
-    u = data.draw(hnp.arrays(float, canonical.n_rows, elements=st.floats(0, 3)))
-    cover = prune(canonical, np.arange(canonical.n_columns))
-    assert evaluate(canonical, u, canonical.matrix().T.tocsr())[0].value <= len(cover)
+    bound = Relaxation(sets)
+    bound.evaluate(data.draw(hnp.arrays(float, sets.n_rows, elements=st.floats(0, 3))))
+    assert bound.value <= len(prune(sets, np.arange(sets.n_columns)))
 
 
 @given(problems())
 def test_pruned_covers_are_covers_without_a_redundant_column(problem):
     """Pruning all columns leaves a cover of which no column can go."""
     M, areas, coverage = problem
-    canonical = candidates(M, areas, coverage=coverage).problem
-    cover = prune(canonical, np.arange(canonical.n_columns))
-    assert canonical.met(canonical.counts(cover) > 0)
+    sets = canonical(Problem(M, areas, coverage=coverage)).whole
+    cover = prune(sets, np.arange(sets.n_columns))
+    assert sets.met(cover)
     for column in cover:
-        assert not canonical.met(canonical.counts(np.setdiff1d(cover, column)) > 0)
+        assert not sets.met(np.setdiff1d(cover, column))
 
 
 @given(problems())
 def test_the_canonical_problem_is_the_matrix(problem):
     """Rows and columns of the canonical problem, mapped back, are the matrix without its empty rows and columns."""
     M, areas, coverage = problem
-    found = candidates(M, areas, coverage=coverage)
+    found = canonical(Problem(M, areas, coverage=coverage))
     again = np.zeros(M.shape, dtype=bool)
-    again[np.ix_(found.rows, found.columns)] = found.problem.matrix().toarray() > 0
+    again[np.ix_(found.rows, found.columns)] = found.whole.matrix().toarray() > 0
     np.testing.assert_array_equal(again, M)
     np.testing.assert_array_equal(found.uncoverable_rows, np.flatnonzero(~M.any(axis=1)))
-    assert (found.problem.units >= 1).all()
-    assert found.problem.units.sum() < 2**53
+    assert (found.whole.units >= 1).all()
+    assert found.whole.units.sum() < 2**53
 
 
 @given(problems())
 def test_reduced_problems_cannot_be_reduced_and_lift_to_covers(problem):
     """No dominated column is left, no dominated row at full cover, and all reduced columns together lift to a cover."""
     M, areas, coverage = problem
-    canonical = candidates(M, areas, coverage=coverage).problem
-    reduction = reduce(canonical)
-    rest = reduction.problem
+    sets = canonical(Problem(M, areas, coverage=coverage)).whole
+    reduction = reduce(sets, Budget(10**9))
+    rest = reduction.sets
     lifted = reduction.lift(np.arange(rest.n_columns) if not rest.trivial else np.zeros(0, dtype=np.int64))
-    assert canonical.met(canonical.counts(lifted) > 0)
+    assert sets.met(lifted)
     if rest.trivial:
         return
     dense = rest.matrix().toarray() > 0
@@ -121,10 +124,10 @@ def test_set_hash_ignores_order_and_sees_members(members, random):
 def test_marginal_order_keeps_the_columns_and_their_rows(problem):
     """Ordering by marginal area is a permutation whose marginal rows partition what the columns cover."""
     M, areas, _ = problem
-    canonical = candidates(M, areas).problem
-    order, added = by_marginal_area(canonical, np.arange(canonical.n_columns))
-    assert sorted(order.tolist()) == list(range(canonical.n_columns))
+    sets = canonical(Problem(M, areas)).whole
+    order, added = by_marginal_area(sets, np.arange(sets.n_columns))
+    assert sorted(order.tolist()) == list(range(sets.n_columns))
     together = np.concatenate(added) if added else np.zeros(0, dtype=np.int64)
-    assert sorted(together.tolist()) == list(range(canonical.n_rows))
-    gains = [canonical.units[rows].sum() for rows in added]
+    assert sorted(together.tolist()) == list(range(sets.n_rows))
+    gains = [sets.units[rows].sum() for rows in added]
     assert all(first >= second for first, second in pairwise(gains))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from planner.cover import SOLVERS, CoverStatus, solve
+from planner.cover import SOLVERS, CoverStatus, Problem, solve
 from planner.errors import PlannerError
 
 
@@ -18,8 +18,10 @@ def solver(request):
 
 
 def run(M, areas, solver="auto", **options):
-    """Solve with a fresh generator and the tests' budget."""
-    return solve(M, areas, rng=np.random.default_rng(0), solver=solver, **{"budget": 30_000_000} | options)
+    """Solve with a fresh generator and the tests' budget; options go to the problem or to `solve`."""
+    told = {name: options.pop(name) for name in ("budget", "time_limit_s", "clock") if name in options}
+    problem = Problem(M, areas, **options)
+    return solve(problem, rng=np.random.default_rng(0), solver=solver, **{"budget": 30_000_000} | told)
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (5, 0), (5, 5)])
@@ -152,7 +154,7 @@ def test_bad_areas_are_refused_with_their_row(bad):
         ({"solver": "gready"}, "choose one of"),
         ({"budget": -1}, "budget is -1"),
         ({"time_limit_s": float("nan")}, "time limit"),
-        ({"multiplicity": 0}, "at least once"),
+        ({"demand": 0}, "at least once"),
         ({"costs": [1.0]}, r"must be \(2,\)"),
         ({"costs": [1.0, float("nan")]}, r"costs\[1\] is nan"),
         ({"costs": [0.0, 1.0]}, r"costs\[0\] is 0.0"),
@@ -283,7 +285,7 @@ def test_ctrl_c_before_the_bound_still_tells_the_costs(solver, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("planner.cover.selection.bound", interrupted)
+    monkeypatch.setattr("planner.cover.solvers.Relaxation", interrupted)
     M = np.random.default_rng(3).random((60, 80)) < 0.1
     result = run(M, np.ones(60), solver, costs=np.random.default_rng(4).uniform(1.0, 2.0, 80))
     assert result.status is CoverStatus.INTERRUPTED
@@ -295,14 +297,14 @@ def test_a_multiplicity_beyond_all_columns_takes_every_column_that_covers(solver
     """Demanding more than there is means all there is: reported, not refused."""
     M = np.random.default_rng(2).random((20, 8)) < 0.4
     M[:, 7] = False
-    result = run(M, np.ones(20), solver, multiplicity=2**70)
+    result = run(M, np.ones(20), solver, demand=2**70)
     assert sorted(result.views.tolist()) == [j for j in range(8) if M[:, j].any()]
     np.testing.assert_array_equal(result.short_rows, np.flatnonzero(M.any(axis=1)))
     assert result.status is CoverStatus.PROVEN
 
 
-@pytest.mark.parametrize("multiplicity", [1, 2])
-def test_permuting_rows_and_columns_of_ties(solver, multiplicity):
+@pytest.mark.parametrize("demand", [1, 2])
+def test_permuting_rows_and_columns_of_ties(solver, demand):
     """A ring in which every column looks like every other: any numbering gives as many views."""
     n = 12
     ring = sum(np.roll(np.eye(n, dtype=int), k, axis=1) for k in range(3)).astype(bool)
@@ -310,10 +312,10 @@ def test_permuting_rows_and_columns_of_ties(solver, multiplicity):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         M = ring[rng.permutation(n)][:, rng.permutation(n)]
-        sizes.add(len(run(M, np.ones(n), solver, multiplicity=multiplicity).views))
+        sizes.add(len(run(M, np.ones(n), solver, demand=demand).views))
     assert len(sizes) == 1 or solver in ("greedy", "meta-raps")
     if solver in ("auto", "exact", "local-search"):
-        assert sizes == {4 * multiplicity}
+        assert sizes == {4 * demand}
 
 
 def test_target_one_ulp_above_what_a_subset_reaches(solver):
