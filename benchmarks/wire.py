@@ -97,6 +97,7 @@ def run() -> list[dict[str, Any]]:
                 driver = open_driver(process.stdout.readline().strip())
                 assert isinstance(driver, ControllerClient)
                 with driver:
+                    driver.take()
                     state, state_p99, busy = _timed(driver.state, rounds)
                     link, sequence = driver._link, [driver.state().ack_sequence]
 
