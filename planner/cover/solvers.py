@@ -59,7 +59,7 @@ class Job:
 
     def prove(self, *, at_least_root: bool = False) -> None:
         """The integer programme, as far as the budget goes; it knows no graph."""
-        from planner.cover.linear import close_gap  # importing highspy costs start-up
+        from planner.cover.exact import close_gap  # importing highspy costs start-up
 
         if not len(self.sets.adjacent):
             close_gap(self.relaxation, self.best, self.budget, at_least_root=at_least_root)
