@@ -5,10 +5,6 @@ its solution is held against all rows, those that it violates most are added, an
 stood, until no row is violated. The multipliers of every stage bound the whole problem (`planner.cover.bound`). Where
 rows may stay open, each row of the model has a variable for the share that does.
 
-The same model with whole numbers, on the columns that reduced costs leave and with the rows that have a multiplier,
-asks for a choice better than the best one known; that there is none proves the best. Rows that a solution violates are
-added as before.
-
 HiGHS runs on one thread and stops by iterations and nodes, so that runs repeat; Ctrl-C is heard.
 """
 
@@ -16,21 +12,22 @@ from typing import Any
 
 import highspy
 import numpy as np
-from highspy import HighsModelStatus, HighsVarType, SolutionStatus, kHighsInf
+from highspy import HighsModelStatus, HighsVarType, kHighsInf
 
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget, interruptible
-from planner.cover.greedy import complete, prune
 from planner.values import Floats, Ints
 
-PIVOT_WORK, PIVOT_WORK_PER_ENTRY = 18_000, 0.5
-"""Charge of a simplex iteration, and of each row, column and entry of the model that it touches on average."""
+PIVOT_WORK, PIVOT_WORK_PER_ENTRY, PIVOT_WORK_PER_ENTRY_WIDE, WIDE = 18_000, 0.5, 2.3, 4
+"""Charge of a simplex iteration, and of each row, column and entry of the model that it touches on average;
+of matrices with more columns than so many times their rows it touches more. Fitted to processor time."""
 
 WHOLE_NUMBERS = 1.2
 """An iteration within the integer programme costs so many times that of the linear one: cuts and nodes come on top."""
 
-NODE_PIVOTS, ROOT_PIVOTS = 300, 3000
-"""Iterations that a node, and the root with its cuts, take on average: what the limit of nodes is derived from."""
+NODE_PIVOTS, ROOT_PIVOTS, ROOT_PIVOTS_OF_AREA = 150, 3000, 30_000
+"""Iterations that a node, and the root with its cuts and first branchings, take: what the limit of nodes is derived
+from. Where rows may stay open the root takes most of all."""
 
 ROOT_PIVOTS_OF_SMALL = 8
 """Of a small model the root takes so many iterations for each row and column."""
@@ -74,6 +71,8 @@ class Model:
         self._scale = float(sets.costs.mean())
         self._heads = 0
         self.highs = _highs(self.integer)
+        if not sets.full:  # many rows with open shares: trying each branch at the root would take minutes
+            self.highs.setOptionValue("mip_pscost_minreliable", 0)
         once = sets.full and sets.plain and sets.once and not self.integer
         self._variables(len(columns), np.inf if once else 1.0, sets.costs[columns] / self._scale, self.integer)
         if sets.most >= 0:
@@ -155,14 +154,22 @@ class Model:
     @property
     def root_pivots(self) -> int:
         """Iterations that the root may take."""
-        return min(ROOT_PIVOTS, ROOT_PIVOTS_OF_SMALL * (self.highs.getNumCol() + self.highs.getNumRow()))
+        size: int = self.highs.getNumCol() + self.highs.getNumRow()
+        most = ROOT_PIVOTS if self.sets.full else ROOT_PIVOTS_OF_AREA
+        return min(most, ROOT_PIVOTS_OF_SMALL * size)
 
     @property
     def work(self) -> int:
         """Charge of one simplex iteration."""
         highs = self.highs
         size: int = highs.getNumCol() + highs.getNumRow()
-        pivot = PIVOT_WORK + 8 * size + PIVOT_WORK_PER_ENTRY * min(highs.getNumNz(), 40 * size)
+        wide = self.sets.n_columns > WIDE * self.sets.n_rows
+        entries = (
+            PIVOT_WORK_PER_ENTRY_WIDE * highs.getNumNz()
+            if wide
+            else PIVOT_WORK_PER_ENTRY * min(highs.getNumNz(), 40 * size)
+        )
+        pivot = PIVOT_WORK + 8 * size + entries
         return int(WHOLE_NUMBERS * pivot if self.integer else pivot)
 
     def run(self, budget: Budget) -> int:
@@ -250,65 +257,13 @@ def raise_bound(relaxation: Relaxation, upper: int, budget: Budget, model: Model
     return model
 
 
-def close_gap(relaxation: Relaxation, best: Ints, budget: Budget, *, at_least_root: bool = False) -> Ints:
-    """Look for a better choice, or prove that there is none, as far as the budget goes.
-
-    Args:
-        relaxation: bound whose penalties rule columns out, and whose multipliers name the rows that matter.
-        best: the best choice known.
-        budget: charged; receives what is proven or found.
-        at_least_root: solve the root even where the budget does not pay for it; otherwise do nothing then.
-
-    Returns:
-        The best choice.
-    """
-    sets, model = relaxation.sets, None
-    while not budget.proven:
-        aim = sets.objective(best) - 1 - sets.tolerance
-        if model is None:
-            core = np.flatnonzero(relaxation.useful(aim))
-            if aim < 0 or not len(core) or not (sets.most >= 0 or sets.met(core)):
-                budget.prove(aim + 1)
-                break
-            model = Model(relaxation, core, at_most=aim)
-            model.add(_decisive(relaxation))
-        if not at_least_root and budget.left < model.root_pivots * model.work:
-            break
-        model.run(budget)
-        at_least_root = False
-        if model.status == HighsModelStatus.kInfeasible:
-            budget.prove(aim + 1)  # what the core leaves out is no better
-            break
-        info = model.highs.getInfo()
-        budget.prove(min(model.certified(info.mip_dual_bound), aim + 1))
-        if info.primal_solution_status != SolutionStatus.kSolutionStatusFeasible:
-            break
-        x, slack = model.solution()
-        chosen = prune(sets, complete(sets, core[x > 0.5]))
-        rows = model.violated(x, slack)
-        if budget.offer(chosen, sets.objective(chosen)):
-            best, model = chosen, None
-        elif model.status != HighsModelStatus.kOptimal or not len(rows):
-            break
-        else:
-            model.add(rows[: max(LEAST_ROWS, int(MORE_ROWS * model.inside.sum()))])
-    return best
-
-
-def _decisive(relaxation: Relaxation) -> Ints:
-    """Rows with a multiplier, and the rows of fewest columns where these are few."""
-    rows = np.flatnonzero(relaxation.multipliers > 1e-9 * relaxation.multipliers.max())
-    few = np.argsort(np.diff(relaxation.A.indptr), kind="stable")[:LEAST_ROWS]
-    return np.union1d(rows, few)
-
-
 def _highs(integer: bool) -> Any:
     """A silent solver of one thread."""
     highs = highspy.Highs()  # type: ignore[no-untyped-call] # highspy types this call not
     highs.silent()
     options: dict[str, Any] = {"threads": 1, "random_seed": 0}
     if integer:
-        options |= {"mip_rel_gap": 0.0, "mip_abs_gap": 1e-9, "mip_heuristic_effort": 0.0}
+        options |= {"mip_rel_gap": 0.0, "mip_abs_gap": 1e-9, "mip_heuristic_effort": 0.0, "mip_pscost_minreliable": 1}
     else:
         options |= {"presolve": "off", "solver": "simplex", "simplex_strategy": 1}
     for name, value in options.items():

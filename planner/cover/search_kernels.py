@@ -31,71 +31,38 @@ NUMBERS = 13
 
 
 class State(NamedTuple):
-    """Everything that a search carries from one chunk of steps to the next.
+    """Everything that a search carries from one chunk of steps to the next."""
 
-    Attributes:
-        row_start: (S + 1,) the problem's rows.
-        row_columns: (nnz,) columns of each row.
-        row_load: (nnz,) or (0,) their loads.
-        column_start: (V + 1,) the problem's columns.
-        column_rows: (nnz,) rows of each column.
-        column_load: (nnz,) or (0,) their loads.
-        demand: (S,) load that each row demands.
-        units: (S,) area of each row, of which `MISSING` units are still missing.
-        costs: (V,) cost of each column.
-        group: (V,) group of each column.
-        group_costs: (G,) what its first column costs on top.
-        group_members: (G,) columns of the choice in each group.
-        adjacent: (V, V) joined columns; (0, 0) where nothing must hold together.
-        fixed: (V,) columns that may not leave.
-        growth: (S,) what a row's weight gains while it stays open; the weights at the start.
-        weights: (S,) weights now.
-        load: (S,) what the choice brings to each row.
-        owner: (S,) sum of its columns' indices: where there is one, it is this one.
-        score: (V,) see the module.
-        chosen: (V,) whether a column is in the choice.
-        free: (V,) whether a column may enter.
-        members: (V,) the choice, in no particular order.
-        place: (V,) where each column stands in `members`.
-        open_rows: (S,) rows that lack something.
-        open_place: (S,) where each row stands in `open_rows`.
-        stamp: (V,) move in which each column last moved; 0: never.
-        best: (V,) the best choice found.
-        labels: (2, V + 1) scratch for the parts of the graph.
-        numbers: counters, see above.
-        random: (1,) state of the random numbers.
-    """
-
-    row_start: Any
-    row_columns: Any
-    row_load: Any
-    column_start: Any
-    column_rows: Any
-    column_load: Any
-    demand: Any
-    units: Any
-    costs: Any
-    group: Any
-    group_costs: Any
-    group_members: Any
-    adjacent: Any
-    fixed: Any
-    growth: Any
-    weights: Any
-    load: Any
-    owner: Any
-    score: Any
-    chosen: Any
-    free: Any
-    members: Any
-    place: Any
-    open_rows: Any
-    open_place: Any
-    stamp: Any
-    best: Any
-    labels: Any
-    numbers: Any
-    random: Any
+    row_start: Any  # (S + 1,) the problem's rows
+    row_columns: Any  # (nnz,) columns of each row
+    row_load: Any  # (nnz,) or (0,) their loads
+    column_start: Any  # (V + 1,) the problem's columns
+    column_rows: Any  # (nnz,) rows of each column
+    column_load: Any  # (nnz,) or (0,) their loads
+    demand: Any  # (S,) load that each row demands
+    units: Any  # (S,) area of each row, of which `MISSING` units are still missing
+    costs: Any  # (V,) cost of each column
+    group: Any  # (V,) group of each column
+    group_costs: Any  # (G,) what its first column costs on top
+    group_members: Any  # (G,) columns of the choice in each group
+    adjacent: Any  # (V, V) joined columns; (0, 0) where nothing must hold together
+    fixed: Any  # (V,) columns that may not leave
+    growth: Any  # (S,) what a row's weight gains while it stays open; the weights at the start
+    weights: Any  # (S,) weights now
+    load: Any  # (S,) what the choice brings to each row
+    owner: Any  # (S,) sum of its columns' indices: where there is one, it is this one
+    score: Any  # (V,) see the module
+    chosen: Any  # (V,) whether a column is in the choice
+    free: Any  # (V,) whether a column may enter
+    members: Any  # (V,) the choice, in no particular order
+    place: Any  # (V,) where each column stands in `members`
+    open_rows: Any  # (S,) rows that lack something
+    open_place: Any  # (S,) where each row stands in `open_rows`
+    stamp: Any  # (V,) move in which each column last moved; 0: never
+    best: Any  # (V,) the best choice found
+    labels: Any  # (2, V + 1) scratch for the parts of the graph
+    numbers: Any  # counters, see above
+    random: Any  # (1,) state of the random numbers
 
 
 @compiled

@@ -17,7 +17,7 @@ from planner.values import Ints
 BOUND_SHARE = 0.35
 """Most of the budget that the linear programme may take."""
 
-SEARCH_SHARES = (0.1, 0.4)
+SEARCH_SHARES = (0.3, 0.4)
 """`auto`: share of what is left for the search before the integer programme is tried, and before it is tried again."""
 
 HOPEFUL_EXCESS = 0.1
@@ -59,7 +59,7 @@ class Job:
 
     def prove(self, *, at_least_root: bool = False) -> None:
         """The integer programme, as far as the budget goes; it knows no graph."""
-        from planner.cover.linear import close_gap  # importing highspy costs start-up
+        from planner.cover.exact import close_gap  # importing highspy costs start-up
 
         if not len(self.sets.adjacent):
             close_gap(self.relaxation, self.best, self.budget, at_least_root=at_least_root)
