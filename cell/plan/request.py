@@ -81,12 +81,14 @@ class Selected:
         target: share of the coverable samples of the matrix that was asked for.
         sentence: the status in words with its numbers.
         answer: what is known beyond the cover, which for most requests says all; else None.
+        cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
     """
 
     cover: Cover
     target: float
     sentence: str
     answer: Connection | RobustCover | None = None
+    cost_bound: float = 0.0
 
     @property
     def note(self) -> str:
@@ -133,7 +135,7 @@ def select(
     if request.layer is not None:
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, plan.coverage, robust.sentence, robust)
-    target, raises = plan.coverage, 0
+    target, raises, least = plan.coverage, 0, 0.0
     while True:
         asked = replace(wish, coverage=target)
         if request.overlap is not None:
@@ -142,7 +144,8 @@ def select(
             selected = Selected(joined, target, joined.sentence if how.connected else how.sentence, how)
         else:
             chosen = cover.solve(asked, rng=rng, solver=plan.solver)
-            selected = Selected(chosen, target, chosen.sentence)
+            least = least if raises else chosen.cost_bound
+            selected = Selected(chosen, target, chosen.sentence, cost_bound=least)
         if target >= 1 or plan.multiplicity > 1:  # full coverage of the matrix' samples is all that it can be asked
             return selected
         short = plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])

@@ -257,7 +257,7 @@ def _priced(problem: Problem, selected: Selected, cover: Cover, motion: Tour) ->
     """The cover at the seconds of its views and their motion, with the bound on both."""
     seconds = motion.duration + problem.request.standing * len(cover.views)
     share = home_share(problem.reached.q, problem.world.home, problem.limits) if problem.at_rest else 0.0
-    bound = min(selected.cover.cost_bound + share, seconds)
+    bound = min(selected.cost_bound + share, seconds)
     status = CoverStatus.BOUNDED if cover.status is CoverStatus.PROVEN else cover.status
     return replace(
         cover, price=(seconds, bound), status=CoverStatus.PROVEN if seconds <= bound * (1.0 + 1e-9) else status

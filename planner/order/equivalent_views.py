@@ -29,7 +29,7 @@ from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 STAND_INS = 16
 """Candidates that are tried for one view at most, itself included: those that lie best on the tour so far."""
 
-_STEPS = 1500  # of the search of one ordering: the last exchange is ordered again in full, on real paths
+_STEPS = 500  # of the search of one ordering: the last exchange is ordered again in full, on real paths
 _ORDERINGS = 20  # at most; four to seven are usual
 
 
@@ -171,7 +171,7 @@ class _Tours:
             first.append(first[-1] + sum(len(s) for s in solutions))
         nodes, owners = np.concatenate(q), np.concatenate(owner)
         problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), np.array(first))
-        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, 0)
+        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, None)
         self.count += 1
         visited = problem.clusters_of(found.tour)[1:] - 1
         picks = np.empty(len(groups), dtype=np.int64)
