@@ -24,18 +24,19 @@ from planner.cover.overlap import Connection, connection
 from planner.cover.robust import RobustCover, robust_cover, views_for_promise
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
+from planner.order.seconds_of_views import least_moves
 from planner.ports import JointLimits
 from planner.reach.reach import Reach, Verdict
-from planner.timing.motion import move_time
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
 _RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
+LEAST_COST = 1e-6
+"""Seconds that a view is taken to cost at least, as a cover's costs are above 0."""
+
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
 
 _MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
-
-_NEIGHBOURS, _LOOKED_AT = 8, 64  # reachable views whose moves make up the time to a view, and of how many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +45,7 @@ class Request:
 
     Attributes:
         plan: the scene's table, which names and explains them.
-        costs: (V,) seconds that each view is expected to take; None where the number of views counts.
+        costs: (V,) seconds that each view is priced at; None where the number of views counts.
         layer: probabilities of the matrix' entries; None where poses count as exact.
     """
 
@@ -62,9 +63,13 @@ class Request:
     @property
     def exchangeable(self) -> bool:
         """Whether a view may be exchanged for others that measure the same: no wish hangs on it itself."""
-        plan = self.plan
-        plain = plan.max_views is None and plan.multiplicity == 1 and plan.cost == "views"
+        plain = self.plan.max_views is None and self.plan.multiplicity == 1
         return plain and self.overlap is None and self.layer is None
+
+    @property
+    def standing(self) -> float:
+        """Seconds at each view, where time counts; 0 where the number of views does."""
+        return 0.0 if self.costs is None else self.plan.scan_s + self.plan.settle_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +81,14 @@ class Selected:
         target: share of the coverable samples of the matrix that was asked for.
         sentence: the status in words with its numbers.
         answer: what is known beyond the cover, which for most requests says all; else None.
+        cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
     """
 
     cover: Cover
     target: float
     sentence: str
     answer: Connection | RobustCover | None = None
+    cost_bound: float = 0.0
 
     @property
     def note(self) -> str:
@@ -128,7 +135,7 @@ def select(
     if request.layer is not None:
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, plan.coverage, robust.sentence, robust)
-    target, raises = plan.coverage, 0
+    target, raises, least = plan.coverage, 0, 0.0
     while True:
         asked = replace(wish, coverage=target)
         if request.overlap is not None:
@@ -137,7 +144,8 @@ def select(
             selected = Selected(joined, target, joined.sentence if how.connected else how.sentence, how)
         else:
             chosen = cover.solve(asked, rng=rng, solver=plan.solver)
-            selected = Selected(chosen, target, chosen.sentence)
+            least = least if raises else chosen.cost_bound
+            selected = Selected(chosen, target, chosen.sentence, cost_bound=least)
         if target >= 1 or plan.multiplicity > 1:  # full coverage of the matrix' samples is all that it can be asked
             return selected
         short = plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
@@ -167,27 +175,17 @@ def check_named(plan: PlanSettings, reached: Reach) -> None:
             )
 
 
-def seconds_of_views(plan: PlanSettings, reached: Reach, limits: JointLimits) -> Floats:
-    """(V,) seconds that each candidate is expected to take: a scan, settling, and the move to it.
-
-    The move is estimated before any order is known: the mean time of the straight moves from the few nearest of a
-    spread of reachable candidates. So views that stand apart in joint space cost more.
+def seconds_of_views(plan: PlanSettings, reached: Reach, home: Floats | None, limits: JointLimits) -> Floats:
+    """(V,) seconds that each candidate takes at least in any plan: a scan, settling, and half of two moves.
 
     Args:
         plan: `scan_s` and `settle_s`.
         reached: joint solutions.
+        home: (6,) joint angles [rad]; None where views sweep: the moves then count nothing.
         limits: of the axes, scaled to the speed that is wanted.
     """
-    reachable = np.flatnonzero(reached.reachable)
-    spread = reachable[np.unique(np.linspace(0, len(reachable) - 1, _LOOKED_AT).round().astype(np.int64))]
-    others = np.stack([reached.q_of(int(view))[0] for view in spread])
-    costs = np.full(len(reached), plan.scan_s + plan.settle_s)
-    for view in reachable.tolist():
-        times = move_time(reached.q_of(view)[:, None], others, limits).min(axis=0)
-        times[spread == view] = np.inf
-        nearest = np.sort(times[np.isfinite(times)])[:_NEIGHBOURS]
-        costs[view] += float(nearest.mean()) if len(nearest) else 0.0
-    return costs
+    moves = np.zeros(len(reached)) if home is None else least_moves(reached.q, reached.offsets, home, limits)
+    return np.maximum(plan.scan_s + plan.settle_s + moves, LEAST_COST)
 
 
 def settings(plan: PlanSettings) -> dict[str, JsonValue]:
@@ -271,9 +269,6 @@ def multiplicity_of(selected: Selected) -> plan_json.Multiplicity | None:
     return plan_json.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
 
 
-def cost_of(selected: Selected) -> plan_json.Cost | None:
+def cost_of(cover: Cover) -> plan_json.Cost | None:
     """What they say of seconds; None where the number of views counts."""
-    cover = selected.cover
-    if cover.price is None:
-        return None
-    return plan_json.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)
+    return None if cover.price is None else plan_json.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)

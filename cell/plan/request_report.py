@@ -27,8 +27,8 @@ def rows(report: Report) -> list[tuple[str, str]]:
     if cost := report.cost:
         found.append(
             (
-                "estimated time of the views",
-                f"{cost.seconds:.1f} s (scan, settling and an estimate of the move each), not below "
+                "time of views and motion",
+                f"{cost.seconds:.1f} s (scan and settling at each view, and the motion); no selection takes less than "
                 f"{cost.bound_seconds:.1f} s",
             )
         )

@@ -211,7 +211,8 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
                 run.rng(_ENSEMBLE), progress,
             )  # fmt: skip
     limits = timing.scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
-    costs = seconds_of_views(plan, measured.reached, limits) if plan.cost == "time" else None
+    home = cell.world.home if measured.candidates.T_object_scanner.shape[1] == 1 else None
+    costs = seconds_of_views(plan, measured.reached, home, limits) if plan.cost == "time" else None
     return Problem(
         Request(plan, costs, layer), measured.candidates, measured.reached, measured.M, prediction,
         cell.world, limits, cell.kinematics, cell.checker,

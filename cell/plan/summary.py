@@ -60,7 +60,7 @@ def plan_report(
         overlap=requests.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
         promise=promise,
         multiplicity=requests.multiplicity_of(chosen.selected),
-        cost=requests.cost_of(chosen.selected),
+        cost=requests.cost_of(cover),
         curve=curve,
         clearance=clearance_of(clearance, motion, problem.world.collision),
     )

@@ -6,7 +6,7 @@ in what is looked at (`cell.plan.views_at_rest`, `cell.plan.sweeping_views`), no
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -18,13 +18,14 @@ from cell.plan.request import Request, Selected, select
 from cell.plan.sweeping_views import SweepingViews
 from cell.plan.views import Groups, Next, Views
 from cell.plan.views_at_rest import ViewsAtRest
-from planner.cover import Cover
+from planner.cover import Cover, CoverStatus
 from planner.cover.overlap import Connection
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import Measurability
 from planner.order import tour
 from planner.order.order_overlap import overlapping
 from planner.order.orderings import Ordering
+from planner.order.seconds_of_views import home_share
 from planner.order.tour import Tour, TourStatus
 from planner.order.visits import Visits
 from planner.path.sweeps.path import SweepPath
@@ -179,10 +180,12 @@ def _connect(
     groups = views.groups(selected, problem.usable(refused), rng)
     motion = _motion(problem, views, selected, groups, rng, progress)
     # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
-    if groups.exchanged and (motion.dropped or motion.duration > groups.straight_before):
+    standing = problem.request.standing
+    seconds = motion.duration + standing * len(groups.members)
+    if groups.exchanged and (motion.dropped or seconds > groups.straight_before):
         own = views.alone(chosen)
         other = _motion(problem, views, selected, own, rng, progress)
-        groups, motion = view_exchange.shorter((groups, motion), (own, other))
+        groups, motion = view_exchange.shorter((groups, motion), (own, other), standing)
     if motion.status is TourStatus.HOME_IN_COLLISION:
         raise SceneError(
             f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "
@@ -223,6 +226,8 @@ def _plan(
 ) -> ConnectedPlan:
     """The plan of connected views."""
     cover, motion = view_exchange.settled(selected.cover, views.M, found.motion, found.groups.picked(found.motion))
+    if problem.request.costs is not None:
+        cover = _priced(problem, selected, cover, motion)
     driven = views.driven(cover.views, motion)
     T_base_flange = problem.kinematics.forward(motion.q)
     T_base_scanner = T_base_flange @ problem.world.T_flange_scanner
@@ -245,6 +250,17 @@ def _plan(
         ),
         visible=driven.visible,
         visible_with_arm=driven.visible_with_arm,
+    )
+
+
+def _priced(problem: Problem, selected: Selected, cover: Cover, motion: Tour) -> Cover:
+    """The cover at the seconds of its views and their motion, with the bound on both."""
+    seconds = motion.duration + problem.request.standing * len(cover.views)
+    share = home_share(problem.reached.q, problem.world.home, problem.limits) if problem.at_rest else 0.0
+    bound = min(selected.cost_bound + share, seconds)
+    status = CoverStatus.BOUNDED if cover.status is CoverStatus.PROVEN else cover.status
+    return replace(
+        cover, price=(seconds, bound), status=CoverStatus.PROVEN if seconds <= bound * (1.0 + 1e-9) else status
     )
 
 

@@ -34,8 +34,8 @@ class Groups:
         members: for each view of the plan the candidates, the one that is expected first.
         owner: for each view the candidate of each row of its configurations.
         configurations: for each view (m, 6) joint solutions of its members, one after the other [rad].
-        straight_before: time of straight moves over the views that were exchanged [s]: a motion that takes no longer
-            needs no comparison with theirs. inf where nothing was exchanged.
+        straight_before: time of straight moves over the views that were exchanged, and of standing at them where time
+            counts [s]: a plan that takes no longer needs no comparison with theirs. inf where nothing was exchanged.
     """
 
     members: tuple[Ints, ...]

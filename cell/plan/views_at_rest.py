@@ -79,5 +79,5 @@ class ViewsAtRest:
         visible = prediction.visible(poses)
         arms = [arm_caster(world, q, T, prediction.scanner) for q, T in zip(motion.q, T_object_scanner, strict=True)]
         near = any(caster is not None for caster in arms)
-        with_arm = visible_with_arm(prediction, poses, arms) if near else visible.fraction
+        with_arm = visible_with_arm(prediction, poses, arms, visible.covered) if near else visible.fraction
         return Driven(poses, (), {}, visible, with_arm)

@@ -117,6 +117,9 @@ def caster_of(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = 
     return EmbreeRayCaster(vertices, faces.astype(np.int32))
 
 
+_NEAR = 1e-4  # around a piece [m]; what is farther away is not on it
+
+
 def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
     """The enclosing shapes of base, arm and bracket at one configuration, base frame; of the housing where it can hide.
 
@@ -142,15 +145,19 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     R = flange.xmat.reshape(3, 3) @ world.T_flange_scanner[:3, :3]
     origin = flange.xpos + flange.xmat.reshape(3, 3) @ world.T_flange_scanner[:3, 3]
     in_base = readonly("ends", ends, (None, 3)) @ R.T + origin
-    return [piece for piece in pieces if not any(_holds(piece, end) for end in in_base)]
+    return [piece for piece in pieces if not _holds_any(piece, in_base)]
 
 
-def _holds(piece: Occluder, point: Floats) -> bool:
-    """Whether a point (3,) [m] is inside a convex piece, or on it within a micrometre."""
+def _holds_any(piece: Occluder, points: Floats) -> bool:
+    """Whether one of (n, 3) points [m] is inside a convex piece, or on it within a micrometre."""
+    low, high = piece.vertices.min(axis=0) - _NEAR, piece.vertices.max(axis=0) + _NEAR
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    if not len(points):
+        return False
     a, b, c = (piece.vertices[piece.faces[:, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return bool((np.einsum("ij,ij->i", normals, point - a) <= 1e-6).all())
+    return bool((np.einsum("ij,nij->ni", normals, points[:, None] - a) <= 1e-6).all(axis=1).any())
 
 
 def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, NDArray[np.int32]]:

@@ -23,7 +23,7 @@ from cell.world.model import World
 from planner.measurability.matrix import Measurability, measured
 from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach
-from planner.values import Floats, Ints
+from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -166,9 +166,16 @@ def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scann
     return caster_of(near, np.linalg.inv(world.T_base_object)) if near else None
 
 
-def visible_with_arm(prediction: Prediction, T_object_scanner: Floats, arms: Sequence[RayCaster | None]) -> float:
-    """Visible coverage of views (n, K, 4, 4) [m], each with its own arm as one more occluder; a fraction."""
-    covered = measured(T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own=arms)
+def visible_with_arm(
+    prediction: Prediction, T_object_scanner: Floats, arms: Sequence[RayCaster | None], visible: Bools
+) -> float:
+    """Visible coverage of views (n, K, 4, 4) [m], each with its own arm as one more occluder; a fraction.
+
+    `visible` (S,) says which samples they measure where no arm hides: no others are asked about.
+    """
+    covered = measured(
+        T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own=arms, among=visible
+    )
     areas = prediction.samples.areas
     return float(areas[covered].sum() / areas.sum())
 

@@ -140,8 +140,8 @@ class Multiplicity(JsonTable):
 class Cost(JsonTable):
     """With `--cost time`: seconds in place of the number of views."""
 
-    seconds: float = Field(description="estimate for scan, settling and move of all views")
-    bound_seconds: float = Field(description="no selection needs less")
+    seconds: float = Field(description="scan and settling at all views, and the motion over them")
+    bound_seconds: float = Field(description="no selection and no motion over it need less")
 
 
 class Sweep(JsonTable):

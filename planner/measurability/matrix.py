@@ -179,6 +179,7 @@ def measured(
     *,
     each: bool = False,
     own: Sequence[RayCaster | None] | None = None,
+    among: Bools | None = None,
     progress: Progress | None = None,
 ) -> Bools:
     """Which features a few given views measure: prediction on samples that the plan has not seen.
@@ -191,6 +192,7 @@ def measured(
         each: answer for each view; otherwise for all of them together, where a feature is asked about only until a view
             measures it.
         own: for each view what stands in the way of that view alone (the arm as it stands there), or None.
+        among: (S,) without `each`: features that are asked about; the others count as not measured. None: all.
         progress: called with (poses done, poses in all) after each bundle.
 
     Returns:
@@ -200,7 +202,7 @@ def measured(
     targets = Targets.of(features.points, features.normals)
     K = np.shape(T_object_scanner)[1]
     result = np.zeros((len(features), len(T_object_scanner) if each else 1), dtype=np.bool_)
-    asked = np.arange(len(features))
+    asked = np.arange(len(features)) if among is None else np.flatnonzero(among)
 
     def rows_of(pose: int) -> Ints:
         return in_view(targets, poses[pose], scanner, None if each else asked)

@@ -29,7 +29,7 @@ from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 STAND_INS = 16
 """Candidates that are tried for one view at most, itself included: those that lie best on the tour so far."""
 
-_STEPS = 1500  # of the search of one ordering: the last exchange is ordered again in full, on real paths
+_STEPS = 500  # of the search of one ordering: the last exchange is ordered again in full, on real paths
 _ORDERINGS = 20  # at most; four to seven are usual
 
 
@@ -43,6 +43,8 @@ class Exchange(Value):
             samples that `views` measure (up to the demand), and no candidate stands in two groups.
         duration_before: time of straight moves over the views given [s].
         duration: time of straight moves over `views` [s]; not longer.
+        visited: (n,) `views` in visiting order.
+        stops: (n + 2, 6) joint angles of that tour, home at both ends [rad].
         orderings: orderings computed.
     """
 
@@ -50,6 +52,8 @@ class Exchange(Value):
     groups: Annotated[tuple[Ints, ...], "n"]
     duration_before: float
     duration: float
+    visited: Annotated[Ints, "n"]
+    stops: Annotated[Floats, "n+2 6"]
     orderings: int
 
     def __post_init__(self) -> None:
@@ -128,7 +132,9 @@ def exchange(
         spare = max(spare + _area(matrix, measured > required) - _area(matrix, measured < required), 0.0)
         required = measured
     groups = _any_combination(matrix, best.picks, required, kept)
-    return Exchange(best.picks, tuple(tours.nearest(best, groups)), before, best.cost, tours.count)
+    stops = np.concatenate([home[None], best.q, home[None]])
+    members = tuple(tours.nearest(best, groups))
+    return Exchange(best.picks, members, before, best.cost, best.picks[best.order], stops, tours.count)
 
 
 def needed(matrix: Matrix, views: Ints, required: Ints) -> list[Ints]:
@@ -165,7 +171,7 @@ class _Tours:
             first.append(first[-1] + sum(len(s) for s in solutions))
         nodes, owners = np.concatenate(q), np.concatenate(owner)
         problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), np.array(first))
-        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, 0)
+        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, None)
         self.count += 1
         visited = problem.clusters_of(found.tour)[1:] - 1
         picks = np.empty(len(groups), dtype=np.int64)

@@ -1,15 +1,17 @@
-"""Search for a generalised travelling salesman's tour: ruin a part of it, rebuild it, choose all nodes anew.
+"""Search for a generalised travelling salesman's tour: ruin a part of it, rebuild it, choose nodes anew.
 
 A step takes stretches of neighbouring clusters out of the tour and puts each cluster back where, and through which of
-its nodes, it costs least (slack induction by string removals: Christiaens and Vanden Berghe 2020,
-doi:10.1287/trsc.2019.0914; with a choice of nodes: Smith and Imeson 2017, doi:10.1016/j.cor.2017.05.010). Where the
-result may be worth it, an exact dynamic programme over layers chooses the best node of every cluster for its order.
-Worse tours are accepted by simulated annealing.
+its nodes, it costs least among the places beside its nearest clusters (slack induction by string removals: Christiaens
+and Vanden Berghe 2020, doi:10.1287/trsc.2019.0914; with a choice of nodes: Smith and Imeson 2017,
+doi:10.1016/j.cor.2017.05.010). So a step costs the same in long tours as in short ones. Worse tours are accepted by
+simulated annealing; where a tour may be worth it, an exact dynamic programme over layers chooses the best node of every
+cluster for its order.
 
-These are compiled kernels: import this module only where it is used (`planner.compiled`). A tour is cyclic: an array of
-one node per cluster. Random numbers are SplitMix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195), so that
-equal seeds give equal tours on every machine. Arrays are copied number by number: a slice assignment brings its error
-message along, which costs seconds to compile.
+These are compiled kernels: import this module only where it is used (`planner.compiled`). A tour is cyclic: for each
+cluster the node through which it is visited and the clusters before and after it, rows of one array. Random numbers are
+SplitMix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195), so that equal seeds give equal tours on every
+machine. Arrays are copied number by number: a slice assignment brings its error message along, which costs seconds to
+compile.
 """
 
 import numpy as np
@@ -18,10 +20,12 @@ from numpy.typing import NDArray
 from planner.compiled import compiled
 from planner.values import Floats, Ints
 
-_STRING = 10  # clusters in one removed stretch at most: the paper's
+_STRING = 5  # clusters in one removed stretch at most: the paper's
 _REMOVED = 10  # clusters removed in a step on average, in large tours: the paper's
 _BLINK = 0.01  # probability that an insertion place is overlooked: the paper's
-_WORTH = 1.02  # nodes are chosen anew where the rebuilt tour is at most this much above the current one
+_BESIDE = 8  # nearest clusters beside which a cluster is put back; all of them in small tours
+_WORTH = 0.2  # nodes are chosen anew where the rebuilt tour is longer than accepted by so many mean edges at most
+_NODE, _BEFORE, _AFTER = 0, 1, 2  # rows of a tour
 
 
 @compiled
@@ -47,65 +51,87 @@ def anneal(
     m = len(first) - 1
     state = np.empty(1, dtype=np.uint64)
     state[0] = seed
-    cluster_of = np.empty(len(cost), dtype=np.int64)
-    widest = 0
+    widest, root = 0, 0
     for k in range(m):
         widest = max(widest, first[k + 1] - first[k])
+        if first[k + 1] - first[k] < first[root + 1] - first[root]:
+            root = k  # the cycle is cut at its smallest cluster
+    value, onward = np.empty(widest), np.empty(widest)
+    parent, sequence = np.empty((m, widest), dtype=np.int64), np.empty(m, dtype=np.int64)
+    best, tour = np.empty((3, m), dtype=np.int64), np.empty((3, m), dtype=np.int64)
+    trial = np.empty((3, m), dtype=np.int64)
+    cluster_of = np.empty(len(cost), dtype=np.int64)
+    for k in range(m):
         for v in range(first[k], first[k + 1]):
             cluster_of[v] = k
-    value, onward = np.empty(widest), np.empty(widest)
-    parent = np.empty((m, widest), dtype=np.int64)
-    best, tour = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    _copy(start, best)
-    best_cost = _choose_nodes(cost, back, first, cluster_of, best, value, onward, parent)
-    _copy(best, tour)
-    tour_cost = best_cost
-    trial, removed, order = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    is_out = np.zeros(m, dtype=np.int64)
+    _link(cluster_of, start, tour)
+    tour_cost = _choose_nodes(cost, back, first, root, tour, sequence, value, onward, parent)
+    _copy(tour, best)
+    best_cost = tour_cost
+    removed, is_out = np.empty(m, dtype=np.int64), np.zeros(m, dtype=np.int64)
     longest = min(_STRING, max(1, m // 3))
     most_strings = max(1.0, 4.0 * _REMOVED / (1.0 + longest) - 1.0)
     temperature, cooling = hot, (cold / hot) ** (1.0 / max(1, steps - 1))
     for _ in range(steps):
         _copy(tour, trial)
-        left = _ruin(cluster_of, near, trial, removed, is_out, longest, most_strings, state)
-        trial_cost = _recreate(cost, back, first, trial, removed, order, is_out, left, state)
-        if trial_cost <= tour_cost * _WORTH:
-            trial_cost = _choose_nodes(cost, back, first, cluster_of, trial, value, onward, parent)
-        if trial_cost < tour_cost - temperature * np.log(1.0 - _uniform(state)):
+        gone, saved = _ruin(cost, near, trial, removed, is_out, longest, most_strings, state)
+        trial_cost = tour_cost + saved + _recreate(cost, back, first, near, trial, removed, gone, is_out, state)
+        accepted = tour_cost - temperature * np.log(1.0 - _uniform(state))
+        if trial_cost <= min(accepted, best_cost) + _WORTH * tour_cost / m:
+            trial_cost = _choose_nodes(cost, back, first, root, trial, sequence, value, onward, parent)
+        if trial_cost < accepted:
             _copy(trial, tour)
             tour_cost = trial_cost
             if tour_cost < best_cost * (1.0 - 1e-12):
                 _copy(tour, best)
                 best_cost = tour_cost
         temperature *= cooling
-    return best, best_cost
+    k = 0
+    for i in range(m):
+        sequence[i] = best[_NODE, k]
+        k = best[_AFTER, k]
+    return sequence, best_cost
+
+
+@compiled
+def _link(cluster_of: Ints, nodes: Ints, tour: Ints) -> None:
+    """Write a tour, given as (m,) nodes in visiting order."""
+    m = len(nodes)
+    for i in range(m):
+        k = cluster_of[nodes[i]]
+        tour[_NODE, k] = nodes[i]
+        tour[_BEFORE, k] = cluster_of[nodes[i - 1]]
+        tour[_AFTER, k] = cluster_of[nodes[(i + 1) % m]]
 
 
 @compiled
 def _choose_nodes(
-    cost: Floats, back: Floats, first: Ints, cluster_of: Ints, tour: Ints, value: Floats, onward: Floats, parent: Ints
+    cost: Floats,
+    back: Floats,
+    first: Ints,
+    root: int,
+    tour: Ints,
+    order: Ints,
+    value: Floats,
+    onward: Floats,
+    parent: Ints,
 ) -> float:
     """Replace the nodes of a tour by the best ones for its order of clusters, exactly; returns the tour's cost.
 
-    `value` and `onward` (widest cluster,) and `parent` (m, widest cluster) are scratch.
+    The cycle is cut at cluster `root`. `order` (m,), `value` and `onward` (widest cluster,) and `parent` (m, widest
+    cluster) are scratch.
     """
-    m = len(tour)
-    anchor = 0  # the cycle is cut at its smallest cluster
-    for i in range(m):
-        k, a = cluster_of[tour[i]], cluster_of[tour[anchor]]
-        if first[k + 1] - first[k] < first[a + 1] - first[a]:
-            anchor = i
-    root = cluster_of[tour[anchor]]
-    if m == 1:
-        return 0.0
+    m = len(order)
+    order[0] = root
+    for i in range(1, m):
+        order[i] = tour[_AFTER, order[i - 1]]
     best = np.inf
-    chosen = np.empty(m, dtype=np.int64)
     for s in range(first[root], first[root + 1]):
-        k = cluster_of[tour[(anchor + 1) % m]]
+        k = order[1]
         for j in range(first[k + 1] - first[k]):
             value[j] = cost[s, first[k] + j]
         for step in range(2, m):
-            before, k = k, cluster_of[tour[(anchor + step) % m]]
+            before, k = k, order[step]
             low, size = first[before], first[before + 1] - first[before]
             for j in range(first[k + 1] - first[k]):
                 row = back[first[k] + j]
@@ -125,24 +151,24 @@ def _choose_nodes(
                 least, at = through, j
         if least < best:
             best = least
-            chosen[anchor] = s
+            tour[_NODE, root] = s
             for step in range(m - 1, 0, -1):
-                place = (anchor + step) % m
-                chosen[place] = first[cluster_of[tour[place]]] + at
+                k = order[step]
+                tour[_NODE, k] = first[k] + at
                 at = parent[step, at]
-    _copy(chosen, tour)
     return best
 
 
 @compiled
 def _copy(source: Ints, target: Ints) -> None:
-    for i in range(len(source)):
-        target[i] = source[i]
+    for row in range(3):
+        for k in range(source.shape[1]):
+            target[row, k] = source[row, k]
 
 
 @compiled
 def _ruin(
-    cluster_of: Ints,
+    cost: Floats,
     near: Ints,
     tour: Ints,
     removed: Ints,
@@ -150,36 +176,33 @@ def _ruin(
     longest: int,
     most_strings: float,
     state: NDArray[np.uint64],
-) -> int:
-    """Take stretches near one cluster out of a tour; `removed` then holds their clusters.
+) -> tuple[int, float]:
+    """Take stretches near one cluster out of a tour; `removed` then begins with their clusters.
 
-    Returns how many nodes are left, at the front of the tour.
+    Returns how many were taken, and what that adds to the tour's cost.
     """
-    m = len(tour)
-    left, strings = m, int(_uniform(state) * most_strings) + 1
-    seed = int(_uniform(state) * m)
-    for k in near[seed]:
-        if strings == 0 or left <= 2:
+    m, gone, more = tour.shape[1], 0, 0.0
+    strings = int(_uniform(state) * most_strings) + 1
+    for k in near[int(_uniform(state) * m)]:
+        if strings == 0 or m - gone <= 2:
             break
         if is_out[k]:
             continue
-        length = min(int(_uniform(state) * longest) + 1, left - 2)
-        at = 0
-        while cluster_of[tour[at]] != k:
-            at += 1
-        begin = (at - int(_uniform(state) * length) + left) % left
-        for i in range(length):
-            gone = cluster_of[tour[(begin + i) % left]]
-            is_out[gone] = 1
-            removed[m - left + i] = gone
-        kept = 0
-        for i in range(left):
-            if not is_out[cluster_of[tour[i]]]:
-                tour[kept] = tour[i]
-                kept += 1
-        left = kept
+        length = min(int(_uniform(state) * longest) + 1, m - gone - 2)
+        at = k
+        for _ in range(int(_uniform(state) * length)):
+            at = tour[_BEFORE, at]
+        for _ in range(length):
+            before, after = tour[_BEFORE, at], tour[_AFTER, at]
+            a, v, b = tour[_NODE, before], tour[_NODE, at], tour[_NODE, after]
+            more += cost[a, b] - cost[a, v] - cost[v, b]
+            tour[_AFTER, before], tour[_BEFORE, after] = after, before
+            is_out[at] = 1
+            removed[gone] = at
+            gone += 1
+            at = after
         strings -= 1
-    return left
+    return gone, more
 
 
 @compiled
@@ -187,44 +210,58 @@ def _recreate(
     cost: Floats,
     back: Floats,
     first: Ints,
+    near: Ints,
     tour: Ints,
     removed: Ints,
-    order: Ints,
+    gone: int,
     is_out: Ints,
-    left: int,
     state: NDArray[np.uint64],
 ) -> float:
-    """Put the removed clusters back, in random order, each where it costs least; returns the tour's cost."""
-    m = len(tour)
+    """Put the removed clusters back, in random order, each where it costs least; returns what that adds to the cost."""
     total = 0.0
-    for i in range(left):
-        total += cost[tour[i], tour[(i + 1) % left]]
-    for i in range(m - left):
+    for i in range(gone - 1, 0, -1):
         j = int(_uniform(state) * (i + 1))
-        order[i] = order[j]
-        order[j] = removed[i]
-    for r in range(m - left):
-        k = order[r]
-        is_out[k] = 0
-        least, place, node = np.inf, 0, first[k]
-        for i in range(left):
-            if _uniform(state) < _BLINK:
+        removed[i], removed[j] = removed[j], removed[i]
+    for r in range(gone):
+        k = removed[r]
+        least, place, node, beside = np.inf, -1, first[k], 0
+        for c in near[k]:
+            if is_out[c]:
                 continue
-            a, b = tour[i], tour[(i + 1) % left]
-            from_a, to_b, now = cost[a], back[b], cost[a, b]
-            for v in range(first[k], first[k + 1]):
-                more = from_a[v] + to_b[v] - now
-                if more < least:
-                    least, place, node = more, i, v
-        if least == np.inf:
-            a, b = tour[0], tour[1 % left]
-            least = cost[a, node] + cost[node, b] - cost[a, b]
-        for i in range(left, place + 1, -1):
-            tour[i] = tour[i - 1]
-        tour[place + 1] = node
+            for before in (tour[_BEFORE, c], c):
+                if place >= 0 and _uniform(state) < _BLINK:
+                    continue
+                a, b = tour[_NODE, before], tour[_NODE, tour[_AFTER, before]]
+                from_a, to_b, now = cost[a], back[b], cost[a, b]
+                for v in range(first[k], first[k + 1]):
+                    more = from_a[v] + to_b[v] - now
+                    if more < least:
+                        least, place, node = more, before, v
+            beside += 1
+            if beside == _BESIDE:
+                break
+        after = tour[_AFTER, place]
+        tour[_NODE, k], tour[_BEFORE, k], tour[_AFTER, k] = node, place, after
+        tour[_AFTER, place], tour[_BEFORE, after] = k, k
+        is_out[k] = 0
         total += least
-        left += 1
+        for c in (place, after, k):
+            total += _settle(cost, back, first, tour, c)
     return total
+
+
+@compiled
+def _settle(cost: Floats, back: Floats, first: Ints, tour: Ints, k: int) -> float:
+    """Visit a cluster through the node that is best between its neighbours' nodes; returns what that adds."""
+    a, b = tour[_NODE, tour[_BEFORE, k]], tour[_NODE, tour[_AFTER, k]]
+    from_a, to_b = cost[a], back[b]
+    now = from_a[tour[_NODE, k]] + to_b[tour[_NODE, k]]
+    least = now
+    for v in range(first[k], first[k + 1]):
+        if from_a[v] + to_b[v] < least:
+            least = from_a[v] + to_b[v]
+            tour[_NODE, k] = v
+    return float(least - now)
 
 
 @compiled

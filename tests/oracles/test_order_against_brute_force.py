@@ -145,3 +145,23 @@ def test_what_is_too_dear_for_the_exact_search_is_found_and_bounded() -> None:
     idle = gtsp.solve(problem, np.arange(1, 18), np.random.default_rng(0), 0, 0)
     assert idle.cost == gtsp.best_nodes(problem, np.arange(1, 18))[0]
     assert idle.lower_bound < proven.lower_bound <= proven.cost < idle.cost
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bounds_of_whole_numbers_are_whole_and_never_above_the_optimum(seed: int) -> None:
+    """Places on a grid at whole distances: the bound of a search is a whole number, and at most the exact cost."""
+    rng = np.random.default_rng(seed)
+    places = rng.integers(0, 50, (28, 2)).astype(float)
+    first = np.arange(0, 29, 4)
+    problem = gtsp.instance(np.rint(np.linalg.norm(places[:, None] - places, axis=2)), first)
+    cost, tour = gtsp.best_nodes(problem, np.arange(1, 7))
+    found = gtsp._found(problem, tour, cost, tour_bound.one_tree(problem.cost, first), 1)
+    assert found.lower_bound == np.floor(found.lower_bound)
+    assert found.lower_bound <= gtsp.exact(problem).cost
+
+
+def test_the_steps_grow_with_the_square_of_the_clusters() -> None:
+    """Up to 22 clusters the steps are those that were asked for; with 88 there are sixteen times as many."""
+    few, many = (gtsp.instance(np.ones((m, m)), np.arange(m + 1)) for m in (22, 88))
+    assert gtsp.grown(few, 1000) == 1000
+    assert gtsp.grown(many, 1000) == 16_000

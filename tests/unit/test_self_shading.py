@@ -175,10 +175,12 @@ def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
     prediction = Prediction.of(M.features, SCANNER, [caster], views.T_object_scanner[:6])
     arms = [self_shading.arm_caster(world, reached.q_of(v)[0], views.T_object_scanner[v, 0], SCANNER) for v in range(6)]
     assert any(arm is not None for arm in arms)
-    with_arm = visible_with_arm(prediction, views.T_object_scanner[:6], arms)
+    visible = prediction.coverable.covered
+    with_arm = visible_with_arm(prediction, views.T_object_scanner[:6], arms, visible)
+    assert with_arm == visible_with_arm(prediction, views.T_object_scanner[:6], arms, np.ones_like(visible))
     assert with_arm < prediction.coverable.fraction
     far = EmbreeRayCaster(BALL.vertices + 50.0, BALL.faces)
-    assert visible_with_arm(prediction, views.T_object_scanner[:6], [far] * 6) == prediction.coverable.fraction
+    assert visible_with_arm(prediction, views.T_object_scanner[:6], [far] * 6, visible) == prediction.coverable.fraction
 
 
 def test_the_housing_hides_only_where_it_stands_apart_from_source_and_sensor():
