@@ -153,11 +153,15 @@ def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = (
     Raises:
         FileError: if the run's files are damaged.
     """
-    return compile_world(_scene(run, without), part.vertices, part_faces=part.faces)
+    return compile_world(scene_of_run(run, without), part.vertices, part_faces=part.faces)
 
 
-def _scene(run: RunRecord, without: Collection[str]) -> Scene:
-    """What stood in the cell, as a scene; scanner and plan keep their defaults (but for baseline and collision)."""
+def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
+    """What stood in the cell, as a scene; scanner and plan keep their defaults (but for baseline and collision).
+
+    Raises:
+        FileError: if the run's files are damaged.
+    """
     resolved = run_reader.scene(run)
     T_scanner_housing = np.linalg.inv(resolved.T_flange_scanner) @ resolved.housing.T_flange_housing
     left = [fixture for fixture in resolved.fixtures if fixture.name not in without]

@@ -67,6 +67,11 @@ class RunRecord:
         """sha256 of plan.json; "" where there is none."""
         return self.manifest.artefacts.get("plan.json", "")
 
+    @property
+    def digest(self) -> str:
+        """Digest of all that drives, as the manifest says it; "" where there is none."""
+        return self.manifest.digest or ""
+
     def has(self, name: str) -> bool:
         """Whether an artefact is there."""
         return (self.folder / name).is_file()

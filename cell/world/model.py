@@ -7,7 +7,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -142,7 +142,7 @@ class World(Value):
         import mujoco
 
         mesh, shape = (a, b) if a in self.trees else (b, a)
-        tree = self.trees.get(mesh)
+        tree = self.trees[mesh] if mesh in self.trees else None
         if tree is not None and any_nearer and reach > 0:  # yes or no asks for no depth
             return tree.from_geom(self.model, data, shape, mesh, reach, any_nearer=True)
         ends = None if points is None else np.empty(6)
@@ -240,13 +240,33 @@ def compile_world(
     )
 
 
-def trees_of(model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh]) -> dict[int, TriangleTree]:
-    """True triangles in the frame of their body, by the geom of that name that stands for them in a model."""
-    if not meshes:
-        return {}
-    from cell.world.triangles import TriangleTree  # its kernels load numba
+class _Trees(Mapping[int, "TriangleTree"]):
+    """Trees by geom, each built when it is first asked for: half a second where nothing comes near its hull."""
 
-    return {model.geom(name).id: TriangleTree(mesh) for name, mesh in meshes.items()}
+    def __init__(self, meshes: dict[int, TriangleMesh]) -> None:
+        self._meshes = meshes
+        self._built: dict[int, TriangleTree] = {}
+
+    def __getitem__(self, geom: int) -> TriangleTree:
+        if geom not in self._built:
+            from cell.world.triangles import TriangleTree  # its kernels load numba
+
+            self._built[geom] = TriangleTree(self._meshes[geom])
+        return self._built[geom]
+
+    def __contains__(self, geom: object) -> bool:
+        return geom in self._meshes
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._meshes)
+
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+
+def trees_of(model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh]) -> Mapping[int, TriangleTree]:
+    """True triangles in the frame of their body, by the geom of that name that stands for them in a model."""
+    return _Trees({model.geom(name).id: mesh for name, mesh in meshes.items()})
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
