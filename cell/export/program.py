@@ -8,7 +8,6 @@ E6POS wants status and turn beside a pose, so that one joint solution is meant: 
 elbow (A3 above the stretched arm, -2.990345 deg) and A5 < 0; bit i - 1 of T says A_i < 0.
 """
 
-import hashlib
 import re
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,10 +17,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError, UsageError
+from cell.errors import UsageError
+from cell.proof.proof import prove
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
-from cell.run.record import artefact, open_finished, understood
 from planner.path.sweeps.line import rotation_vectors
 from planner.ports import JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
@@ -58,7 +57,7 @@ class Told:
         name: of the program.
         part: name of the part.
         run: name of the run folder.
-        plan_sha256: of plan.json.
+        digest: of all that drives.
         speed: fraction of the axis speeds that the plan was timed with.
         acceleration: the same of the accelerations.
         clearance: smallest distance found along the motion [m]; NaN where none was measured.
@@ -68,7 +67,7 @@ class Told:
     name: str
     part: str
     run: str
-    plan_sha256: str
+    digest: str
     speed: float
     acceleration: float
     clearance: float
@@ -145,37 +144,30 @@ def load(run_folder: Path, name: str | None) -> Program:
 
     Args:
         run_folder: of a finished plan.
-        name: of the program; None takes the folder's where it is a name in KRL, else one made of the plan's sha256.
+        name: of the program; None takes the folder's where it is a name in KRL, else one made of the plan's digest.
 
     Raises:
         UsageError: if the name is none in KRL.
-        FileError: if the run is not finished, has no motion, or a file of it is missing, changed or damaged.
+        FileError: if the run is not finished, or its plan may not be driven (`cell.proof.proof`).
     """
-    run = open_finished(run_folder)
     if name is not None:
         check_name(name)
-    digest = hashlib.sha256(artefact(run, "plan.json")).hexdigest()
-    motion = run_reader.driven_motion(run)
-    if len(motion.via_q) < 2 or not (motion.view >= 0).any():
-        raise FileError(
-            f"{run_folder} holds no motion: its motion.npz visits no view, so there is nothing to export; plan again"
-        )
-    scene = run_reader.scene(run)
-    clearance, between = run_reader.nearest(run)
+    proven = prove(run_folder)
+    scene = proven.scene
+    clearance, between = run_reader.nearest(proven.run)
     folder = run_folder.resolve().name
     told = Told(
-        name=name if name is not None else _name_of(folder, digest),
+        name=name if name is not None else _name_of(folder, proven.digest),
         part=scene.part.name,
         run=folder,
-        plan_sha256=digest,
+        digest=proven.digest,
         speed=scene.speed_scaling,
         acceleration=scene.acceleration_scaling,
         clearance=clearance,
         between=between,
     )
-    with understood(run.folder / "cell.xml"):
-        kinematics = Kr16Kinematics.from_model(run_reader.cell_model(run))
-    return of_motion(motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
+    kinematics = Kr16Kinematics.from_model(proven.world.model)
+    return of_motion(proven.motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
 
 
 def of_motion(

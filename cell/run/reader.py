@@ -68,21 +68,6 @@ def motion(run: RunRecord) -> Motion:
     return motion_of(arrays(run, "motion.npz"), run.folder / "motion.npz")
 
 
-def driven_motion(run: RunRecord) -> Motion:
-    """The same, if it passes every pose of the plan's views: what can be executed.
-
-    Raises:
-        FileError: if motion.npz or plan.json is missing, changed or damaged, or the motion leaves out poses of sweeps.
-    """
-    found = motion(run)
-    if any(view.sweep is not None for view in plan(run).views) and not (found.pose > 0).any():
-        raise FileError(
-            f"the views of {run.folder} are sweeps, and its motion holds only their first poses, as earlier versions "
-            "planned them; plan again"
-        )
-    return found
-
-
 def nearest(run: RunRecord) -> tuple[float, str]:
     """Smallest clearance that was measured along the motion [m], and between what; (NaN, "") where none was.
 

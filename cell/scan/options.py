@@ -1,10 +1,12 @@
 """What `cell scan` can be asked for, checked."""
 
+import re
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import Field, JsonValue, ValidationError
+from pydantic import Field, JsonValue, ValidationError, field_validator
 
+from cell.run.digest import SHOWN
 from cell.scene.fields import NotNegative, Positive, Table
 from cell.scene.option import Option
 from cell.scene.problems import sentences
@@ -60,7 +62,15 @@ class ScanOptions(Table):
             STEEL,
         ),
     ] = None
-    confirm_motion: Annotated[bool, Option("Your word that a real arm may move. Else it is asked for.", STEEL)] = False
+    confirm_motion: Annotated[
+        str | None,
+        Option(
+            "Your word that a real arm may move: the digest of what is driven, or its first 8 characters. Else it is "
+            "asked for.",
+            STEEL,
+            metavar="DIGEST",
+        ),
+    ] = None
     reset: Annotated[bool, Option("Clear a latched fault of the controller first.", STEEL)] = False
     accept_time_scale: Annotated[
         Positive | None,
@@ -71,6 +81,13 @@ class ScanOptions(Table):
         ),
     ] = None
 
+    @field_validator("confirm_motion")
+    @classmethod
+    def _a_digest(cls, given: str | None) -> str | None:
+        if given is not None and not re.fullmatch(f"[0-9a-f]{{{SHOWN},64}}", given.lower()):
+            raise ValueError(f"is {given!r}; it must be a digest as cell plan prints it, {SHOWN} characters or more")
+        return None if given is None else given.lower()
+
     @property
     def registers(self) -> bool:
         """Whether poses are corrected by registration."""
@@ -79,7 +96,9 @@ class ScanOptions(Table):
 
     def kept(self) -> dict[str, JsonValue]:
         """For the manifest: all that a report made later needs, settled."""
-        return {**self.model_dump(mode="json", exclude={"registration"}), "register": self.registers}
+        return {
+            **self.model_dump(mode="json", exclude={"registration", "confirm_motion"}), "register": self.registers
+        }  # fmt: skip
 
     @classmethod
     def begun(cls, kept: Mapping[str, object]) -> "ScanOptions":
@@ -88,7 +107,7 @@ class ScanOptions(Table):
         Raises:
             ValueError: in one sentence, if one of them cannot be.
         """
-        own = {key: value for key, value in kept.items() if key in cls.model_fields}
+        own = {key: value for key, value in kept.items() if key in cls.model_fields and key != "confirm_motion"}
         try:
             return cls.model_validate({**own, "registration": kept.get("register")})
         except ValidationError as error:

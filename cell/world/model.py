@@ -142,7 +142,7 @@ class World(Value):
         import mujoco
 
         mesh, shape = (a, b) if a in self.trees else (b, a)
-        tree = self.trees[mesh] if mesh in self.trees else None
+        tree = self.trees[mesh] if mesh in self.trees else None  # noqa: SIM401  # `get` would raise inside, every time
         if tree is not None and any_nearer and reach > 0:  # yes or no asks for no depth
             return tree.from_geom(self.model, data, shape, mesh, reach, any_nearer=True)
         ends = None if points is None else np.empty(6)
