@@ -74,8 +74,8 @@ def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
     """
     loaded = program.load(run_folder, wanted.name)
     options = KrlOptions(
-        _percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
-        _percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
+        percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
+        percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
         wanted.signals,
     )
     contents = _contents(loaded, options, wanted.kind)
@@ -102,7 +102,7 @@ def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, b
     return {f"{name}.json": tables.as_json(loaded)}
 
 
-def _percent(given: int | None, default: int, planned: float) -> int:
+def percent(given: int | None, default: int, planned: float) -> int:
     """What was given, else the default, or the plan's fraction in whole percent, rounded down, where it is less."""
     return given if given is not None else min(default, max(1, int(planned * 100 + 1e-9)))
 

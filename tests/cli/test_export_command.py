@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.export import export
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -87,16 +89,8 @@ def test_a_program_is_slow_unless_asked_and_never_faster_than_the_plan(
     assert (told["speed_percent"], told["acceleration_percent"]) == (20, 30)
     source = (tmp_path / "x" / "A1.src").read_bytes()
     assert b"BAS(#VEL_PTP,20)\r\nBAS(#ACC_PTP,30)\r\n" in source
-
-    slow = tmp_path / "slow"
-    shutil.copytree(planned, slow)
-    scene = json.loads((slow / "scene.resolved.json").read_text())
-    (slow / "scene.resolved.json").write_text(json.dumps(scene | {"speed_scaling": 0.079}))
-    manifest = json.loads((slow / "manifest.json").read_text())
-    manifest["artefacts"].pop("scene.resolved.json", None)
-    (slow / "manifest.json").write_text(json.dumps(manifest))
-    told = json.loads(run_cell("export", str(slow), "--json", cwd=tmp_path).stdout)
-    assert (told["speed_percent"], told["acceleration_percent"]) == (7, 30)
+    assert [export.percent(None, most, 0.079) for most in (20, 30)] == [7, 7]
+    assert export.percent(50, 20, 0.079) == 50
 
 
 def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
@@ -175,7 +169,9 @@ def test_a_name_cannot_put_a_statement_into_the_program(planned: Path, run_cell:
     assert max(map(len, lines)) <= 400
 
 
-def test_runs_that_cannot_be_exported(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_runs_that_cannot_be_exported(
+    planned: Path, run_cell: Run, tmp_path: Path, resealed: Callable[[Path], str]
+) -> None:
     """Missing, unfinished, damaged, without a motion: one sentence and code 6."""
     done = run_cell("export", "nowhere", cwd=tmp_path)
     assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
@@ -203,8 +199,7 @@ def test_runs_that_cannot_be_exported(planned: Path, run_cell: Run, tmp_path: Pa
     for name in ("via_q", "segment", "view", "via_t", "pose", "line"):
         arrays[name] = arrays[name][:1]
     np.savez_compressed(still / "motion.npz", **arrays)
-    del manifest["artefacts"]["motion.npz"]
-    (still / "manifest.json").write_text(json.dumps(manifest))
+    resealed(still)
     done = run_cell("export", str(still), cwd=tmp_path)
     assert done.returncode == 6
     assert "holds no motion" in done.stderr
