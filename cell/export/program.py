@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import UsageError
+from cell.narrator import Narrator
+from cell.proof import scene_now
+from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
@@ -139,20 +142,25 @@ class Program(Value):
         return int(self.stop.max())
 
 
-def load(run_folder: Path, name: str | None) -> Program:
+def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator | None) -> Program:
     """Read the program of a finished run.
 
     Args:
         run_folder: of a finished plan.
         name: of the program; None takes the folder's where it is a name in KRL, else one made of the plan's digest.
 
+        now: where the cell is described now.
+        narrator: is told what of that is gone, or accepted; None: nobody.
+
     Raises:
         UsageError: if the name is none in KRL.
+        SceneError: if the cell is described otherwise now.
         FileError: if the run is not finished, or its plan may not be driven (`cell.proof.proof`).
     """
     if name is not None:
         check_name(name)
     proven = prove(run_folder)
+    scene_now.require_same(proven, now, narrator, wire=False)
     scene = proven.scene
     clearance, between = run_reader.nearest(proven.run)
     folder = run_folder.resolve().name

@@ -1,17 +1,19 @@
 """What `cell scan` can be asked for, checked."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue, ValidationError, field_validator
 
+from cell.proof.files_now import FilesNow
 from cell.run.digest import SHOWN
 from cell.scene.fields import NotNegative, Positive, Table
 from cell.scene.option import Option
 from cell.scene.problems import sentences
 
-_ERRORS, STEEL = "Errors of the execution", "Real controllers"
+_ERRORS, STEEL, _CELL = "Errors of the execution", "Real controllers", "The cell as it is now"
 _POSE_ERROR = Option(
     "Error of the executed pose, one sigma along and about each axis: the scanner stands off what the controller "
     "reports.",
@@ -21,7 +23,12 @@ _POSE_ERROR = Option(
     examples=("0.5,0.1",),
     counts=(2,),
 )
-OF_EACH_TIME = frozenset({"driver", "realtime", "confirm_motion", "speed_percent", "reset", "accept_time_scale"})
+OF_EACH_TIME = frozenset(
+    {
+        *("driver", "realtime", "confirm_motion", "speed_percent", "reset", "accept_time_scale"),
+        *("scene", "part", "accept_changed_scene"),
+    }
+)
 """What is said anew where an execution is resumed; all else stays as it was begun."""
 
 
@@ -80,6 +87,26 @@ class ScanOptions(Table):
             metavar="N",
         ),
     ] = None
+    scene: Annotated[
+        str | None,
+        Option(
+            "Scene file that describes the cell now. Default: the one that was planned with.", _CELL, metavar="FILE"
+        ),
+    ] = None
+    part: Annotated[
+        str | None,
+        Option("Mesh file of the part now. Default: the one that was planned with.", _CELL, metavar="FILE"),
+    ] = None
+    accept_changed_scene: Annotated[
+        tuple[str, ...],
+        Field(strict=False),
+        Option("Drive although this differs from the plan: names as the refusal gives them.", _CELL),
+    ] = ()
+
+    @field_validator("accept_changed_scene", mode="before")
+    @classmethod
+    def _one_by_one(cls, names: Sequence[str]) -> tuple[str, ...]:
+        return tuple(name.strip() for text in names for name in text.split(","))
 
     @field_validator("confirm_motion")
     @classmethod
@@ -87,6 +114,11 @@ class ScanOptions(Table):
         if given is not None and not re.fullmatch(f"[0-9a-f]{{{SHOWN},64}}", given.lower()):
             raise ValueError(f"is {given!r}; it must be a digest as cell plan prints it, {SHOWN} characters or more")
         return None if given is None else given.lower()
+
+    @property
+    def files_now(self) -> FilesNow:
+        """Where the cell is described now."""
+        return FilesNow(None if self.scene is None else Path(self.scene), self.part, self.accept_changed_scene)
 
     @property
     def registers(self) -> bool:

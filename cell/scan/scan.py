@@ -12,6 +12,7 @@ from cell import signals
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.plant import factory
+from cell.proof import scene_now
 from cell.proof.proof import prove
 from cell.run import process
 from cell.run.cell import RunCell, read_cell
@@ -58,6 +59,7 @@ def scan(
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
     """
     proven = prove(run_folder)
+    scene_now.require_same(proven, options.files_now, narrator, wire=scan_driver.on_a_wire(options.driver))
     run, motion = proven.run, proven.motion
     legs = legs_of(motion, options.view)
     released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
@@ -124,6 +126,7 @@ def _resumed(
     scans, left_out = usable(recorded, proven.plan.views)
     begun = resumable(run, recorded)
     settled = begun.resumed(options or ScanOptions())
+    scene_now.require_same(proven, settled.files_now, narrator, wire=scan_driver.on_a_wire(settled.driver))
     cell = read_cell(run, begun.resolution_deg)
     seed = recorded.manifest.require_seed(recorded.folder)
     legs, done = legs_of(motion, begun.view), {scan.stop for scan in scans}
