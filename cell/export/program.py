@@ -8,7 +8,6 @@ E6POS wants status and turn beside a pose, so that one joint solution is meant: 
 elbow (A3 above the stretched arm, -2.990345 deg) and A5 < 0; bit i - 1 of T says A_i < 0.
 """
 
-import re
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import UsageError
+from cell.export.krl_names import check_name
 from cell.narrator import Narrator
 from cell.proof import scene_now
 from cell.proof.files_now import FilesNow
@@ -29,19 +29,6 @@ from planner.ports import JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
-
-LONGEST_NAME = 24
-"""Characters of a name in KRL."""
-
-_RESERVED = """
-abs and as aux axis bas base bool brake case cell char circ circ_rel con const continue decl def default defdat deffct
-delay do e6axis e6pos else end enddat endfct endfor endif endloop endswitch endwhile enum exit ext extfct false for
-frame global goto halt home if import in int interrupt ir_stopm is lin lin_rel load loop not nul or out path pos prn
-pto ptp ptp_rel public real repeat resume return sc_at_stop sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan
-sc_scanned sc_settle sc_stand sc_stop sc_timeout sc_timer sc_tool sc_trigger sc_view seq signal slin spl
-spline sps sptp struc switch then to trigger true until wait when while xor
-"""
-"""Words of KRL, what a program of ours defines itself, KUKA's own programs, and names that Windows gives no file."""
 
 
 class Kind(StrEnum):
@@ -214,23 +201,6 @@ def of_motion(
         limits=motion.limits,
         sweeps=tuple(_sweep(motion, number, T_base_tcp) for number in range(int(motion.line.max()) + 1)),
     )
-
-
-def check_name(name: str) -> None:
-    """Refuse what is no name in KRL.
-
-    Raises:
-        UsageError: if it is too long, holds other characters, begins with a digit or is a word of the language.
-    """
-    if len(name) > LONGEST_NAME:
-        raise UsageError(f"--name {name} has {len(name)} characters; a name in KRL has at most {LONGEST_NAME}")
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise UsageError(
-            f"--name {name or repr(name)} is no name in KRL; it must begin with a letter and hold only letters, digits "
-            "and _"
-        )
-    if name.lower() in _RESERVED.split():
-        raise UsageError(f"--name {name} is a word of KRL, or of the program itself; choose another")
 
 
 def status_and_turn(q: Floats, kinematics: Kr16Kinematics) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -104,6 +104,9 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
     scene, model = run_reader.scene(run), run_reader.cell_model(run)
     reference = run_reader.mesh(run, "reference.ply")
     keys = scene.scanner
+    known = scanners.keys(keys.type)
+    if resolution_deg is not None and known is not None and "resolution_deg" not in known:
+        raise UsageError(f"--resolution is the angle between rays, and the scanner {keys.type} has none; leave it away")
     if resolution_deg is not None:
         keys = ScannerKeys(**keys.as_json() | {"resolution_deg": [resolution_deg, resolution_deg]})
     try:

@@ -227,7 +227,7 @@ def _move_aside(path: Path) -> None:
     """Make way for a new run: an ended run's `.part` folder is kept as `.part.1`, `.part.2`, ..."""
     try:
         status = json.loads((path / "manifest.json").read_text(encoding="utf-8"))["status"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return  # no folder of ours, or none at all
     if status == "running":
         return  # perhaps it still is

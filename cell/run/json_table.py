@@ -94,7 +94,7 @@ def parsed(kind: type[Table], content: bytes, path: Path) -> Table:
     except ValidationError as error:
         problem = error.errors(include_url=False)[0]
         if problem["type"] == "json_invalid":
-            said = f"it is not JSON ({problem['ctx']['error']})"
+            said = "it is not JSON, or nested too deep"
         else:
             said = sentences(error, kind)[0] if problem["loc"] else "it must hold one JSON object"
         raise FileError(f"{path} is damaged: {said}; plan or scan again") from error

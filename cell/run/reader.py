@@ -157,8 +157,7 @@ def compiles(run: RunRecord) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        reason = " ".join(str(error).split())[:160]
-        raise FileError(f"{run.folder / 'cell.xml'} is damaged: {reason}; plan again") from error
+        raise FileError(f"{run.folder / 'cell.xml'} is damaged: it is no model of a cell; plan again") from error
 
 
 def mesh(run: RunRecord, name: str) -> TriangleMesh:

@@ -12,6 +12,7 @@ from cell.run.digest import SHOWN
 from cell.scene.fields import NotNegative, Positive, Table
 from cell.scene.option import Option
 from cell.scene.problems import sentences
+from planner.errors import PlannerError
 
 _ERRORS, STEEL, _CELL = "Errors of the execution", "Real controllers", "The cell as it is now"
 _POSE_ERROR = Option(
@@ -137,13 +138,13 @@ class ScanOptions(Table):
         """The options of a manifest.
 
         Raises:
-            ValueError: in one sentence, if one of them cannot be.
+            PlannerError: in one sentence, if one of them cannot be.
         """
         own = {key: value for key, value in kept.items() if key in cls.model_fields and key != "confirm_motion"}
         try:
             return cls.model_validate({**own, "registration": kept.get("register")})
         except ValidationError as error:
-            raise ValueError("; ".join(sentences(error, cls))) from error
+            raise PlannerError("; ".join(sentences(error, cls))) from error
 
     def resumed(self, now: "ScanOptions") -> "ScanOptions":
         """These, as an execution goes on with: `OF_EACH_TIME` as they are now, the driver only where it is given."""

@@ -6,7 +6,7 @@ place from the baseline). `models/scene.toml` is the built-in scene with every k
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -35,6 +35,7 @@ RESERVED_NAMES = (
 )
 
 PART, _HARDWARE = "Part and place", "Robot and scanner"
+_DEEPEST = 8  # levels of tables and lists in a scene file; a scene needs four
 _PLACE = Option(
     "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
     PART,
@@ -214,7 +215,7 @@ class Post(Table):
 
 
 class _Fixture(_Posed):
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]  # it names a file
     attached_to: Literal["base", "object"] = "base"
     occludes: bool = True
 
@@ -319,7 +320,7 @@ def load_scene(
 
 def _parse(path: Path) -> dict[str, object]:
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        content = tomllib.loads(path.read_bytes().decode("utf-8"))
     except OSError as error:
         raise SceneError(
             f"the scene {path} cannot be read: {error.strerror or error}; give the path of a TOML file"
@@ -330,12 +331,34 @@ def _parse(path: Path) -> dict[str, object]:
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"the scene {path} is not valid TOML: {error}; correct that line") from error
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, thousands of brackets
+        raise SceneError(
+            f"the scene {path} holds a number that is too long, or lists nested too deep; models/scene.toml shows what "
+            "a scene holds"
+        ) from error
+    level: list[object] = [content]
+    for _ in range(_DEEPEST):
+        level = [each for table in level for each in _inside(table)]
+        if not level:
+            return content
+    raise SceneError(
+        f"the scene {path} nests its tables or lists deeper than {_DEEPEST}; models/scene.toml shows what a scene holds"
+    )
+
+
+def _inside(value: object) -> Iterable[object]:
+    """What a table or a list holds."""
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
 def _file(path: str, info: ValidationInfo) -> str:
     """The absolute path of a file that a scene names."""
     folder = Path((info.context or {}).get("folder", Path.cwd()))
-    full = folder / Path(path).expanduser()
-    if not full.is_file():
+    try:
+        full = folder / Path(path).expanduser()
+        found = full.is_file()
+    except (OSError, ValueError, RuntimeError):  # longer than any name, a zero in it, the home of nobody
+        raise ValueError("is no name that a file can have; give a mesh file, relative to the scene file") from None
+    if not found:
         raise ValueError(f"is '{path}', and there is no file {full}; give a mesh file, relative to the scene file")
     return str(full)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cell.export import export
+from cell.run.record import open_finished
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -97,11 +98,11 @@ def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
     planned: Path, run_cell: Run, tmp_path: Path
 ) -> None:
     """The default names of run folders begin with a digit."""
-    run = tmp_path / "20261121T030106Z-1f0c2a9b"
-    shutil.copytree(planned, run)
-    told = json.loads(run_cell("export", str(run), "--json", cwd=tmp_path).stdout)
-    assert told["name"].startswith("scan_")
-    assert len(told["name"]) == 13
+    for name in ("20261121T030106Z-1f0c2a9b", "pulse"):
+        run = tmp_path / name
+        shutil.copytree(planned, run)
+        told = json.loads(run_cell("export", str(run), "--json", cwd=tmp_path).stdout)
+        assert told["name"] == f"scan_{open_finished(planned).digest[:8]}"
 
 
 @pytest.mark.parametrize(
@@ -113,9 +114,35 @@ def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
         (("--name", "ünder"), "is no name in KRL"),
         (("--name", ""), "is no name in KRL"),
         (("--name", "Lin"), "--name Lin is a word of KRL"),
-        (("--name", "BAS"), "is a word of KRL, or of the program itself"),
-        (("--name", "con"), "is a word of KRL, or of the program itself"),
-        (("--name", "SC_TOOL"), "is a word of KRL, or of the program itself"),
+        (("--name", "BAS"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
+        *(
+            (("--name", name), "is a word of KRL")
+            for name in (
+                "PULSE",
+                "ANIN",
+                "ANOUT",
+                "DIGIN",
+                "SEC",
+                "CHANNEL",
+                "CONFIRM",
+                "CCLOSE",
+                "B_AND",
+                "PRIO",
+                "Tool_Data",
+                "XHOME",
+                "XHOME3",
+                "DEF_OV_PRO",
+                "PDEFAULT",
+                "PGNO",
+                "BAS_COMMAND",
+                "CHANNEL_7",
+                "SIN",
+                "STRUC",
+                "LOAD",
+            )
+        ),
+        (("--name", "con"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
+        (("--name", "SC_TOOL"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
         (("--speed", "0"), "--speed 0 is not possible; it must be a whole number from 1 to 100"),
         (("--speed", "101"), "--speed 101 is not possible"),
         (("--acceleration", "0"), "--acceleration 0 is not possible"),
