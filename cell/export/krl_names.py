@@ -28,13 +28,13 @@ to toolcor tq_state trigger true unlock until varstate varstatet wait when while
 _CONFIG = """
 act_delay act_distance act_filter adat apo_mode_t appl_run auto_ipo_m bas_command base_corr base_corr_on base_data
 base_name base_type basis_sugg_t cdefault compl_group condstop_para constvel_para cor_tool_no csdefault ctrl_in_t
-ctrl_out_t cvdefault dig_out_type err_to_plc extuserid extuseridwatchdog fct_in_t fct_out_t fdat fdat_act fdefault fhome
-ipo_m_t last_basis last_tp_params ldat ldat_act ldefault load_a1_data load_a2_data load_a3_data load_data m_bas_cor_on
-m_base_corr machine_def machine_def_t machine_frame_dat machine_frame_t machine_tool_dat machine_tool_t max_base
-max_tool moduleparam_t odat odat_act odefault out_modetype out_sugg_t pdat pdat_act pdatwork pdefault pgno pgno_error pgno_fbit
-pgno_fbit_refl pgno_length pgno_parity pgno_req pgno_type pgno_valid ref_pt ref_tool reflect_prog_nr spl_name stopm_flag
-tdefault tm_sugg_t tool_corr tool_corr_on tool_corr_w tool_corr_w_on tool_data tool_name tool_type tqm_tqdat_t
-tracecache_t trigger_para
+ctrl_out_t cvdefault dig_out_type err_to_plc extuserid extuseridwatchdog fct_in_t fct_out_t fdat fdat_act fdefault
+fhome ipo_m_t last_basis last_tp_params ldat ldat_act ldefault load_a1_data load_a2_data load_a3_data load_data
+m_bas_cor_on m_base_corr machine_def machine_def_t machine_frame_dat machine_frame_t machine_tool_dat machine_tool_t
+max_base max_tool moduleparam_t odat odat_act odefault out_modetype out_sugg_t pdat pdat_act pdatwork pdefault pgno
+pgno_error pgno_fbit pgno_fbit_refl pgno_length pgno_parity pgno_req pgno_type pgno_valid ref_pt ref_tool
+reflect_prog_nr spl_name stopm_flag tdefault tm_sugg_t tool_corr tool_corr_on tool_corr_w tool_corr_w_on tool_data
+tool_name tool_type tqm_tqdat_t tracecache_t trigger_para
 """
 _PROGRAMS = """
 bas bas_src cell cell_src h50 ir_stopm kuka_msg msg_demo msglib new_serv p00 sps userspoc usr_start user_grp vorgabe

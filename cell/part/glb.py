@@ -23,6 +23,7 @@ _INDICES: Mapping[int, np.dtype[Any]] = {
     5125: np.dtype("<u4"),
 }  # component types (3.6.2.2)
 _FLOAT = 5126
+_EACH = 16  # what placing a primitive counts beside its triangles: a node takes more bytes
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives (3.7.2.1)
 
 
@@ -49,12 +50,12 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
             found = _primitive(described, data, primitive)
             if found is None:
                 continue
-            count += len(found[1])
+            count += len(found[1]) + _EACH
             if count > len(content):
                 raise BrokenGlbError("unfolds to more triangles than it has bytes: export each body once")
             vertices.append(found[0] @ T[:3, :3].T + T[:3, 3])
             mirrored = np.linalg.det(T[:3, :3]) < 0  # turns the winding round (3.7.4)
-            faces.append(found[1][:, ::-1 if mirrored else 1] + begin)
+            faces.append(found[1][:, :: -1 if mirrored else 1] + begin)
             begin += len(found[0])
             if begin > 3 * len(content):
                 raise BrokenGlbError("unfolds to more vertices than it can hold: export each body once")

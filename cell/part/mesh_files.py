@@ -114,7 +114,8 @@ def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats
 
     trimesh.util.log.setLevel(logging.CRITICAL)  # what it logs of broken files, tracebacks among it, is said here
     try:
-        loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
+        with warnings.catch_warnings(action="ignore"):
+            loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
         if isinstance(loaded, trimesh.Scene):
             parts = [part for part in loaded.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
             loaded = trimesh.util.concatenate(parts) if parts else None

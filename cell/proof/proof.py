@@ -86,6 +86,9 @@ def prove(folder: Path) -> Proven:
     _require_manifest(run, resolved)
     if not len(plan.views) or len(motion.via_q) < 2:
         refuse(run.folder / "motion.npz", "holds no motion: it visits no view")
+    for name in ("pose", "line", "limit_jerk"):  # what runs of earlier versions lack is read as if it were there
+        if name not in stored:
+            refuse(run.folder / "motion.npz", f"has no {name}")
     world = cell_again.compiled(run, resolved)
     if resolved.plan.collision != world.collision:
         refuse(run.folder / "scene.resolved.json", "contradicts itself at plan.collision")

@@ -19,7 +19,10 @@ from planner.values import readonly
 
 
 def _transform(values: Any) -> NDArray[np.float64]:
-    return readonly("as a transform", values, (4, 4))
+    try:
+        return readonly("as a transform", values, (4, 4))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError("is no transform: it must be four rows of four finite numbers") from error
 
 
 Transform = Annotated[NDArray[np.float64], PlainValidator(_transform), PlainSerializer(lambda T: T.tolist())]

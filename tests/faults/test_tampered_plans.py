@@ -68,7 +68,7 @@ def _others(value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, int):
         return [("one more", value + 1), ("far more", value + 1000)]
     if isinstance(value, float):
-        return [("0.01 more", value + 0.01), ("a thousandth less", value * 0.999 - 1e-5), ("negated", -value - 0.5)]
+        return [("0.01 more", value + 0.01), ("a thousandth less", value * 0.998 - 3e-5), ("negated", -value - 0.5)]
     if isinstance(value, str):
         return [("longer", value + "x"), ("empty", "")]
     return [("a number", 1.0), ("a text", "x")] if value is None else []
