@@ -10,7 +10,9 @@ import io
 import lzma
 import math
 import struct
+import sys
 import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -138,14 +140,23 @@ def npz(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         FileError: if it is damaged.
     """
     try:
-        _require_room(content)
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+        with warnings.catch_warnings(action="ignore"):  # numpy reads a header as Python, which has its doubts
+            _require_room(content)
+            with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+                found = {name: stored[name] for name in stored.files}
+        for array in found.values():  # characters that there are none of would fail where they are first looked at
+            if array.dtype.kind == "U" and (_code_points(array) > sys.maxunicode).any():
+                raise ValueError("holds a text that is none")
+        return found
     except (
         ValueError, OSError, EOFError, TypeError, NotImplementedError, OverflowError, RuntimeError, SyntaxError,
         KeyError, MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
     ) as error:  # fmt: skip
         raise FileError(f"{path} is damaged or cut short and cannot be read; plan or scan again") from error
+
+
+def _code_points(array: NDArray[np.str_]) -> NDArray[np.uint32]:
+    return np.frombuffer(array.astype(array.dtype.newbyteorder("=")).tobytes(), dtype=np.uint32)
 
 
 def _require_room(content: bytes) -> None:
