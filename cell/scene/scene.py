@@ -5,8 +5,7 @@ part's default (standoff, baseline, planning faces) or follows from another key 
 place from the baseline). `models/scene.toml` is the built-in scene with every key explained; `Scene()` equals it.
 """
 
-import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -21,6 +20,7 @@ from pydantic import (
 )
 
 from cell.errors import SceneError
+from cell.scene import scene_file
 from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
 from cell.scene.option import Option
 from cell.scene.plan_settings import PlanSettings
@@ -35,7 +35,6 @@ RESERVED_NAMES = (
 )
 
 PART, _HARDWARE = "Part and place", "Robot and scanner"
-_DEEPEST = 8  # levels of tables and lists in a scene file; a scene needs four
 _PLACE = Option(
     "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
     PART,
@@ -301,7 +300,7 @@ def load_scene(
     from cell.scene.presets import beneath
     from cell.scene.problems import sentences
 
-    content: dict[str, object] = {} if path is None else _parse(path)
+    content: dict[str, object] = {} if path is None else scene_file.parsed(path)
     for table, keys in (options or {}).items():
         below = content.get(table, {})
         replaces = table == "part" and ("name" in keys or "path" in keys)
@@ -316,39 +315,6 @@ def load_scene(
     where = "the scene" if path is None else f"the scene {path}"
     count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
     raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))
-
-
-def _parse(path: Path) -> dict[str, object]:
-    try:
-        content = tomllib.loads(path.read_bytes().decode("utf-8"))
-    except OSError as error:
-        raise SceneError(
-            f"the scene {path} cannot be read: {error.strerror or error}; give the path of a TOML file"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise SceneError(
-            f"the scene {path} is not UTF-8 text (byte {error.start}); save it as a UTF-8 TOML file"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"the scene {path} is not valid TOML: {error}; correct that line") from error
-    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, thousands of brackets
-        raise SceneError(
-            f"the scene {path} holds a number that is too long, or lists nested too deep; models/scene.toml shows what "
-            "a scene holds"
-        ) from error
-    level: list[object] = [content]
-    for _ in range(_DEEPEST):
-        level = [each for table in level for each in _inside(table)]
-        if not level:
-            return content
-    raise SceneError(
-        f"the scene {path} nests its tables or lists deeper than {_DEEPEST}; models/scene.toml shows what a scene holds"
-    )
-
-
-def _inside(value: object) -> Iterable[object]:
-    """What a table or a list holds."""
-    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
 def _file(path: str, info: ValidationInfo) -> str:
