@@ -225,3 +225,108 @@ def test_every_field_changed_alone_is_refused_or_changes_nothing(
     run = tmp_path / "run"
     shutil.copytree(planned, run)
     assert judged(run, all_changes(run, np.random.default_rng(12), 12), resealed) == []
+
+
+def _with_via(run: Path, q: np.ndarray, row: int) -> None:
+    """The motion with a via point put in, timed anew, so that everything but the certificate agrees."""
+    from cell.run import reader
+    from cell.run.record import open_finished
+    from planner.timing.motion import retime
+
+    record = open_finished(run)
+    motion = reader.motion(record)
+    with np.load(run / "motion.npz") as stored:
+        arrays = dict(stored)
+
+    def put(array: np.ndarray, value: Any) -> np.ndarray:
+        return np.insert(array, row, value, axis=0)
+
+    again = retime(
+        put(motion.via_q, q), put(motion.segment, motion.segment[row]), put(motion.view, -1), motion.limits,
+        pose=put(motion.pose, -1),
+    )  # fmt: skip
+    names = ("via_q", "segment", "view", "pose", "line", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
+    np.savez_compressed(run / "motion.npz", **arrays | {name: getattr(again, name) for name in names})
+
+
+def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
+    planned: Path, tmp_path: Path, resealed: Reseal, run_cell: Run
+) -> None:
+    """Times, samples and hashes made anew, the new digest confirmed; a free one passes, under another digest."""
+    from cell.robot.kinematics import Kr16Kinematics
+    from planner.reach.setpoints import from_steps, to_steps
+
+    proven = prove(planned)
+    row = int(np.flatnonzero(proven.motion.view >= 0)[0])
+    inside = proven.plan.views[0].T_base_flange.copy()  # from 250 mm off the surface to 50 mm behind it
+    inside[:3, 3] += 0.3 * proven.plan.views[0].T_base_scanner[:3, 2]
+    q = next(
+        q for q in Kr16Kinematics.load().inverse(inside[None])[0]
+        if not np.isnan(q).any() and (q >= proven.motion.limits.lower).all() and (q <= proven.motion.limits.upper).all()
+    )  # fmt: skip
+    run = tmp_path / "inside"
+    shutil.copytree(planned, run)
+    _with_via(run, from_steps(to_steps(q)), row)
+    digest = resealed(run)
+    for command in (("scan", run, "--confirm-motion", digest), ("export", run)):
+        done = run_cell(*command, cwd=tmp_path)
+        assert done.returncode == 6, done.stderr
+        assert re.search(r"motion.npz (comes nearer than the clearance|is not free of collision)", done.stderr)
+    free = tmp_path / "free"
+    shutil.copytree(planned, free)
+    via = proven.motion.via_q
+    _with_via(free, from_steps(to_steps((via[row - 1] + via[row]) / 2)), row)
+    assert resealed(free) != proven.digest
+    assert prove(free).digest != proven.digest
+    with pytest.raises(CellError, match="nothing was moved"):
+        proven.require_way(np.stack([via[0], from_steps(to_steps(q))]))
+
+
+def test_limits_are_the_model_s_even_where_both_files_agree(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
+    """Wider ranges, or faster axes, in scene.resolved.json and motion.npz alike."""
+    for key, name, factor, words in (
+        ("joint_limits_deg", "limit_upper", 1.1, "contradicts itself, or the part, at joint_limits_deg"),
+        ("joint_velocity_limits_deg_s", "limit_velocity", 2.0, "above those of the robot model"),
+    ):
+        run = tmp_path / name
+        shutil.copytree(planned, run)
+        resolved = json.loads((run / "scene.resolved.json").read_text())
+        resolved[key] = (np.array(resolved[key]) * factor).tolist()
+        (run / "scene.resolved.json").write_text(json.dumps(resolved))
+        with np.load(run / "motion.npz") as stored:
+            arrays = dict(stored)
+        np.savez_compressed(run / "motion.npz", **arrays | {name: arrays[name] * factor})
+        resealed(run)
+        with pytest.raises(CellError, match=words):
+            prove(run)
+
+
+def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
+    planned: Path, tmp_path: Path, run_cell: Run
+) -> None:
+    """As earlier versions made them; and one whose manifest lacks the hash of a file that drives."""
+    from cell.api import open_run
+
+    run = tmp_path / "run"
+    shutil.copytree(planned, run)
+    manifest = json.loads((run / "manifest.json").read_text())
+    without = {key: value for key, value in manifest.items() if key != "digest"}
+    (run / "manifest.json").write_text(json.dumps(without))
+    for command in ("scan", "export"):
+        done = run_cell(command, "run", cwd=tmp_path)
+        assert done.returncode == 6
+        assert "has no digest of what drives" in done.stderr
+    assert open_run(run).digest == ""
+    done = run_cell("replay", "run", "--picture", "x.png", "--size", "160x120", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    del manifest["artefacts"]["motion.npz"]
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    assert "has no sha256 of motion.npz" in run_cell("scan", "run", cwd=tmp_path).stderr
+
+
+def test_the_digest_is_that_of_sha256sum(planned: Path) -> None:
+    """The command that docs/run_folder.md gives."""
+    names = ["cell.xml", "motion.npz", "plan.json", "reference.ply", "scene.resolved.json", "viewpoints.npz"]
+    lines = subprocess.run(["sha256sum", *names], cwd=planned, capture_output=True, check=True).stdout
+    digest = subprocess.run(["sha256sum"], input=lines, capture_output=True, check=True).stdout.split()[0].decode()
+    assert digest == json.loads((planned / "manifest.json").read_text())["digest"]
