@@ -104,8 +104,8 @@ def _walk(name: str, tree: Any) -> Iterator[tuple[str, list[Any], str, Callable[
 _GONE = object()
 
 
-def json_changes(run: Path, name: str) -> list[Callable[[], Change]]:
-    """Every change of every field of a JSON file, made when it is asked for."""
+def json_changes(run: Path, name: str, below: str = "") -> list[Callable[[], Change]]:
+    """Every change of every field of a JSON file (whose name holds `below`), made when it is asked for."""
     tree = json.loads((run / name).read_text())
 
     def made(field: str, place: list[Any], what: str, change: Callable[[Any], Any]) -> Change:
@@ -120,7 +120,7 @@ def json_changes(run: Path, name: str) -> list[Callable[[], Change]]:
             owner[place[-1]] = value
         return Change(field, f"{place} {what}", json.dumps(new, indent=2).encode())
 
-    return [lambda args=args: made(*args) for args in _walk(name, tree)]
+    return [lambda args=args: made(*args) for args in _walk(name, tree) if below in args[0]]
 
 
 def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
@@ -217,13 +217,47 @@ def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_
     assert judged(run, [changes[k] for k in chosen.tolist()], resealed) == []
 
 
-@pytest.mark.slow
-def test_every_field_changed_alone_is_refused_or_changes_nothing(
-    planned: Path, tmp_path: Path, resealed: Reseal
-) -> None:
-    """Every field of the four files, in every way."""
+@pytest.fixture(scope="module")
+def swept(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
+    """Run folder of a plan of sweeps that turn, with a mesh fixture."""
+
+    def make(folder: Path) -> None:
+        (folder / "line.toml").write_text(
+            '[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n'
+            f'[[fixtures]]\nname = "clamp"\nshape = "mesh"\nunits = "mm"\npath = "{part_file}"\n'
+            "position_mm = [700, -700, 200]\nabc_deg = [10, 20, 30]\n"
+        )
+        options = ("--place", "1100,400,100", "--faces", "24", "--samples", "2", "--standoff", "250")
+        done = run_cell(
+            "plan", part_file, "--units", "mm", *options, "--scene", "line.toml", "--out", "run", cwd=folder
+        )
+        assert done.returncode == 0, done.stderr
+
+    return made_once("swept", make) / "run"
+
+
+def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path, resealed: Reseal) -> None:
+    """What is said of a sweep, and the via points, times and samples of its line: a seeded handful."""
     run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    shutil.copytree(swept, run)
+    rng = np.random.default_rng(13)
+    of_sweeps, fixtures = json_changes(run, "plan.json", ".sweep"), json_changes(run, "scene.resolved.json", "fixtures")
+    chosen = [
+        *(of_sweeps[k] for k in rng.choice(len(of_sweeps), 15, replace=False).tolist()),
+        *(fixtures[k] for k in rng.choice(len(fixtures), 10, replace=False).tolist()),
+        *array_changes(run, "motion.npz", rng, 1)[::8],
+    ]
+    assert judged(run, chosen, resealed) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plan", ["planned", "swept"])
+def test_every_field_changed_alone_is_refused_or_changes_nothing(
+    plan: str, request: pytest.FixtureRequest, tmp_path: Path, resealed: Reseal
+) -> None:
+    """Every field of the four files, in every way, of views at rest and of sweeps."""
+    run = tmp_path / "run"
+    shutil.copytree(request.getfixturevalue(plan), run)
     assert judged(run, all_changes(run, np.random.default_rng(12), 12), resealed) == []
 
 
