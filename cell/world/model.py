@@ -7,7 +7,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +20,7 @@ from cell.robot import model as robot
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
+from cell.world.trees import trees_of
 from planner.ports import JointLimits
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
@@ -240,41 +241,11 @@ def compile_world(
     )
 
 
-class _Trees(Mapping[int, "TriangleTree"]):
-    """Trees by geom, each built when it is first asked for: half a second where nothing comes near its hull."""
-
-    def __init__(self, meshes: dict[int, TriangleMesh]) -> None:
-        self._meshes = meshes
-        self._built: dict[int, TriangleTree] = {}
-
-    def __getitem__(self, geom: int) -> TriangleTree:
-        if geom not in self._built:
-            from cell.world.triangles import TriangleTree  # its kernels load numba
-
-            self._built[geom] = TriangleTree(self._meshes[geom])
-        return self._built[geom]
-
-    def __contains__(self, geom: object) -> bool:
-        return geom in self._meshes
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._meshes)
-
-    def __len__(self) -> int:
-        return len(self._meshes)
-
-
-def trees_of(model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh]) -> Mapping[int, TriangleTree]:
-    """True triangles in the frame of their body, by the geom of that name that stands for them in a model."""
-    return _Trees({model.geom(name).id: mesh for name, mesh in meshes.items()})
-
-
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         model = spec.compile()
     except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise SceneError(f"the scene does not compile as a MuJoCo model: {reason}; check sizes and meshes") from error
+        raise SceneError("the scene does not compile as a model of shapes; check sizes and meshes") from error
     if model.nq != len(robot.AXES):
         raise SceneError(f"the robot model has {model.nq} joint values; it must be the six axes A1..A6 alone")
     return model
