@@ -223,8 +223,9 @@ def test_every_wire_gives_the_same_scans_to_the_bit(
     """Set-points are integers on every wire, so the reported poses are the same numbers."""
     emulated = emulate(protocol, "--time-scale", "1000")
     done = run_cell(
-        "scan", str(run_folder), *_BEGIN, *_word(run_folder), "--driver", emulated.url, cwd=run_folder.parent
-    )
+        "scan", str(run_folder), *_BEGIN, *_word(run_folder), "--accept-time-scale", "1000", "--driver", emulated.url,
+        cwd=run_folder.parent,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert _scans(run_folder / "executions" / "0001") == undisturbed
     moved = [entry for entry in emulated.entries("move")]
@@ -248,7 +249,9 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
 ) -> None:
     """No path between them was checked."""
     emulated = emulate("modbus", *_FAST, "--start", "5,-90,90,0,90,0")
-    done = run_cell("scan", str(run_folder), "--driver", emulated.url, *_word(run_folder), *_SCALE, cwd=run_folder.parent)
+    done = run_cell(
+        "scan", str(run_folder), "--driver", emulated.url, *_word(run_folder), *_SCALE, cwd=run_folder.parent
+    )
     assert done.returncode == 5, done.stderr
     assert "the plan begins at" in done.stderr
     assert emulated.entries("move") == []
