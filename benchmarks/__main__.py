@@ -54,6 +54,7 @@ REGISTRY = {
     "sigma": "the model of a point's standard deviation beside observed scatter; what its layer costs",
     "soak": "2,000 moves over each wire with 1 % of every fault: what the controller's journal says of them",
     "fuzz": "mangled frames and telegrams against the codecs: crashes and false accepts",
+    "fuzz_inputs": "mangled mesh, TOML, JSON and npz files: read, refused, errors that are none of ours, slowest",
     "wire": "round trip of a state and of a command on loopback, beyond wire time: median and p99",
 }
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -21,9 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from cell.run.record import open_finished
+
 _PLAN = ("plan", "petanque", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--seed", "3")
 _TIME_SCALE = "2"
-_SCAN = ("--resolution", "4", "--confirm-motion", "--speed", "100", "--accept-time-scale", _TIME_SCALE)
+_SCAN = ("--resolution", "4", "--speed", "100", "--accept-time-scale", _TIME_SCALE)
 _PATIENCE_S = 120.0
 
 
@@ -34,8 +37,9 @@ def run() -> list[dict[str, Any]]:
         base = Path(folder)
         _cell(base, *_PLAN, "--out", "plan")
         shutil.copytree(base / "plan", base / "calm")
+        word = _word(open_finished(base / "plan").digest)
         with _Emulator(base / "calm_arm") as emulator:
-            span_s = _span_s(base / "calm", _start(base, "scan", "calm", "--driver", emulator.url, *_SCAN))
+            span_s = _span_s(base / "calm", _start(base, "scan", "calm", "--driver", emulator.url, *_SCAN, *word))
         wanted = _scans(base / "calm")
         return [_row(base, victim, count, wanted, span_s) for victim in ("client", "controller")]
 
@@ -69,7 +73,8 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, spa
     arm = base / f"{name}_arm"
     emulator = _Emulator(arm)
     try:
-        client = _start(base, "scan", name, "--driver", emulator.url, *_SCAN)
+        word = _word(open_finished(base / name).digest)
+        client = _start(base, "scan", name, "--driver", emulator.url, *_SCAN, *word)
         _begun_s(base / name, client)
         time.sleep(float(rng.uniform(0.0, span_s)))
         os.kill((client if victim == "client" else emulator.process).pid, signal.SIGKILL)
@@ -82,15 +87,23 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, spa
         while json.loads((base / name / "executions/0001/manifest.json").read_text())["status"] != "finished":
             done = subprocess.run(
                 [*_COMMAND, "scan", name, "--resume", "latest", "--reset", "--driver", emulator.url,
-                 "--confirm-motion", "--speed", "100", "--accept-time-scale", _TIME_SCALE],
+                 *word, "--speed", "100", "--accept-time-scale", _TIME_SCALE],
                 cwd=base, capture_output=True, text=True, timeout=_PATIENCE_S, check=False,
             )  # fmt: skip
+            if own := re.search("not the digest of the new way.* which is ([0-9a-f]+)", done.stderr):
+                word = _word(own[1])
+                continue
             times += 1
             if done.returncode and times >= 3:
                 raise RuntimeError(f"{name} could not be resumed: {done.stderr}")
         return there, times
     finally:
         emulator.close()
+
+
+def _word(digest: str) -> tuple[str, str]:
+    """The word for what has this digest."""
+    return "--confirm-motion", digest
 
 
 def _begun_s(run: Path, client: subprocess.Popen[bytes]) -> float:

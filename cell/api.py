@@ -87,6 +87,7 @@ def scan(
     progress: "Progress | Narrator | None" = None,
     argv: Sequence[str] = (),
     ask: "Ask | None" = None,
+    confirm: str | None = None,
     **wishes: object,
 ) -> "ExecutedRun":
     """Execute a plan on a controller, scan at every view, merge, make the surface and measure its deviation.
@@ -96,8 +97,9 @@ def scan(
         options: as one value; None makes it of the wishes.
         progress: told how far the work is; None works in silence.
         argv: kept in the manifest beside the options.
-        ask: puts a question to a person, for real controllers; None where nobody is there: `confirm_motion=True` is
-            then the word that an arm may move.
+        ask: puts a question to a person, for real controllers; None where nobody is there.
+        confirm: the word that an arm may move along what has this digest: `run.digest`. Without it, or somebody's yes,
+            nothing moves on a wire; `sim://` needs none.
         **wishes: options of `cell scan` by name: `driver="modbus://192.168.1.10"`, `resolution=0.5`, `seed=7`.
 
     Returns:
@@ -111,6 +113,8 @@ def scan(
     from cell.scan.options import ScanOptions
     from cell.scene.option import read
 
+    if confirm is not None:
+        wishes = {**wishes, "confirm_motion": confirm}
     wanted = read(ScanOptions, wishes) if options is None else options
     outcome = execution.scan(_folder(run), wanted, argv=argv, narrator=_narrator(progress), ask=ask)
     return open_execution(outcome.folder)

@@ -6,6 +6,7 @@ kills, libraries that a fresh process loads (`start_cell`).
 """
 
 import contextlib
+import hashlib
 import io
 import json
 import logging
@@ -30,6 +31,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from cell.plan import picture_process
+from cell.run import digest
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
 # `--hypothesis-profile=full` has four times as many.
@@ -208,6 +210,21 @@ def planned(
         assert json.loads(done.stdout)["n_views"] > 1
 
     return made_once("planned", make) / "run"
+
+
+@pytest.fixture(scope="session")
+def resealed() -> Callable[[Path], str]:
+    """Makes hashes and digest of a changed run folder anew, as who tampers with it would; returns the digest."""
+
+    def seal(run: Path) -> str:
+        manifest = json.loads((run / "manifest.json").read_text())
+        named = {name: run / name for name in manifest["artefacts"]}
+        shas = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in named.items()}
+        manifest |= {"artefacts": shas, "digest": digest.of_plan(shas)}
+        (run / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
+        return str(manifest["digest"])
+
+    return seal
 
 
 @pytest.fixture(scope="session")

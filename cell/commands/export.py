@@ -10,7 +10,7 @@ import typer
 from cell.commands.options import AsJson
 from cell.errors import UsageError
 
-_KRL = "KRL"
+_KRL, _CELL = "KRL", "The cell as it is now"
 
 EPILOG = (
     "Examples:\n\n"
@@ -68,6 +68,30 @@ def export(
     timeout: Annotated[
         float, typer.Option(metavar="S", help="Longest wait for the scanner.", rich_help_panel=_KRL)
     ] = 10.0,
+    scene: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Scene file that describes the cell now. Default: the one that was planned with.",
+            rich_help_panel=_CELL,
+        ),
+    ] = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Mesh file of the part now. Default: the one that was planned with.",
+            rich_help_panel=_CELL,
+        ),
+    ] = None,
+    accept_changed_scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[,NAME...]",
+            help="Export although this differs from the plan: names as the refusal gives them.",
+            rich_help_panel=_CELL,
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
@@ -75,13 +99,16 @@ def export(
     from cell.export.export import Format, Wanted
     from cell.export.export import export as run_export
     from cell.export.krl import Signals
+    from cell.proof.files_now import FilesNow
 
     if kind not in list(Format):
         raise UsageError(f"--format {kind} is not known; it must be one of {', '.join(Format)}")
     signals = Signals(trigger_output, gate_output, done_input, timer, settle, timeout)
-    outcome = run_export(run, Wanted(Format(kind), out, name, speed, acceleration, signals))
+    terminal = Terminal(quiet_stdout=as_json)
+    now = FilesNow(scene, part, tuple(each.strip() for each in (accept_changed_scene or "").split(",")))
+    outcome = run_export(run, Wanted(Format(kind), out, name, speed, acceleration, signals, now), terminal)
     if Format(kind) is Format.KRL:
-        Terminal(quiet_stdout=as_json).note(
+        terminal.note(
             "before this program runs on a robot, check tool, base, signals and cell as docs/export.md says, and run "
             "it in T1 first"
         )

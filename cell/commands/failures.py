@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from cell.errors import CellError
+from cell.errors import CellError, FileError
 from cell.signals import INTERRUPTED, told
 
 _BUG = 70
@@ -42,6 +42,10 @@ def guarded(run: Callable[[], Any], *, as_json: bool) -> int:
         # The reader of stdout went away (`cell ... | head`); the work is done and the folder complete.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:  # of the machine and its files: names of more than 255 bytes, rights, devices
+        named = f"{str(error.filename)[:80]} " if error.filename is not None else ""
+        reason = (error.strerror or "the system refuses it").lower()
+        return _say(f"{named}cannot be used: {reason}; give another name or place", FileError.exit_code, as_json)
     except MemoryError:
         return _say("out of memory; use fewer --faces, --samples or --standoff values", CellError.exit_code, as_json)
     except Exception as error:

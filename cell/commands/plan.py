@@ -45,6 +45,7 @@ def plan(
     from cell import api
     from cell.commands.terminal import Terminal
     from cell.plan.report import table
+    from cell.run.digest import SHOWN
 
     terminal = Terminal(quiet_stdout=as_json)
     checked = scene_of(scene, wishes, part, flag)
@@ -52,5 +53,6 @@ def plan(
     if as_json:
         sys.stdout.write(json.dumps(run.as_json(), indent=2, allow_nan=False) + "\n")
     else:
-        terminal.pairs(f"View plan of {run.report.part.name}", [*table(run.report), ("run folder", str(run.folder))])
+        rows = [*table(run.report), ("digest", run.digest[:SHOWN]), ("run folder", str(run.folder))]
+        terminal.pairs(f"View plan of {run.report.part.name}", rows)
     raise typer.Exit(run.exit_code)

@@ -11,6 +11,8 @@ from cell.errors import FileError
 from cell.export import krl, program, tables
 from cell.export.krl import KrlOptions, Signals
 from cell.export.program import Program
+from cell.narrator import Narrator
+from cell.proof.files_now import AS_PLANNED, FilesNow
 from cell.run.json_table import JsonTable
 
 FOLDER = "export"
@@ -51,6 +53,7 @@ class Wanted:
         speed_percent: of the axis speeds; None takes `SPEED_PERCENT`, or that of the plan where it is slower.
         acceleration_percent: the same of the accelerations, with `ACCELERATION_PERCENT`.
         signals: between controller and scanner.
+        now: where the cell is described now.
     """
 
     kind: Format
@@ -59,23 +62,25 @@ class Wanted:
     speed_percent: int | None
     acceleration_percent: int | None
     signals: Signals
+    now: FilesNow = AS_PLANNED
 
 
-def export(run_folder: Path, wanted: Wanted) -> ExportOutcome:
+def export(run_folder: Path, wanted: Wanted, narrator: Narrator | None = None) -> ExportOutcome:
     """Write the program of a finished run.
 
     Args:
         run_folder: of a finished plan.
         wanted: what was asked for.
+        narrator: is told which files of the plan are gone; None: nobody.
 
     Raises:
         UsageError: if the name is none in KRL, or a number is not possible.
         FileError: if the run has no finished motion, a file of it is damaged, or the files cannot be written.
     """
-    loaded = program.load(run_folder, wanted.name)
+    loaded = program.load(run_folder, wanted.name, wanted.now, narrator)
     options = KrlOptions(
-        _percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
-        _percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
+        percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
+        percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
         wanted.signals,
     )
     contents = _contents(loaded, options, wanted.kind)
@@ -102,7 +107,7 @@ def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, b
     return {f"{name}.json": tables.as_json(loaded)}
 
 
-def _percent(given: int | None, default: int, planned: float) -> int:
+def percent(given: int | None, default: int, planned: float) -> int:
     """What was given, else the default, or the plan's fraction in whole percent, rounded down, where it is less."""
     return given if given is not None else min(default, max(1, int(planned * 100 + 1e-9)))
 

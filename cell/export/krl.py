@@ -252,7 +252,7 @@ def _data(program: Program, options: KrlOptions) -> Iterator[str]:
 def _comments(program: Program) -> Iterator[str]:
     """What the program is, and within which limits it moves."""
     yield f"; {program.views} views of {program.told.part}, planned by scan-cell; run folder {program.told.run}"
-    yield f"; sha256 of its plan.json {program.told.plan_sha256}"
+    yield f"; digest of the plan {program.told.digest}"
     yield "; before it runs: the same robot, tool, base, part and fixtures as in the plan; first in T1 at 10 %"
     yield "; external axes: every motion sends E1 to E6 to 0; the plan knows of none"
     yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"

@@ -8,8 +8,6 @@ E6POS wants status and turn beside a pose, so that one joint solution is meant: 
 elbow (A3 above the stretched arm, -2.990345 deg) and A5 < 0; bit i - 1 of T says A_i < 0.
 """
 
-import hashlib
-import re
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -18,28 +16,19 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError, UsageError
+from cell.errors import UsageError
+from cell.export.krl_names import check_name
+from cell.narrator import Narrator
+from cell.proof import scene_now
+from cell.proof.files_now import FilesNow
+from cell.proof.proof import prove
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
-from cell.run.record import artefact, open_finished, understood
 from planner.path.sweeps.line import rotation_vectors
 from planner.ports import JointLimits
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
-
-LONGEST_NAME = 24
-"""Characters of a name in KRL."""
-
-_RESERVED = """
-abs and as aux axis bas base bool brake case cell char circ circ_rel con const continue decl def default defdat deffct
-delay do e6axis e6pos else end enddat endfct endfor endif endloop endswitch endwhile enum exit ext extfct false for
-frame global goto halt home if import in int interrupt ir_stopm is lin lin_rel load loop not nul or out path pos prn
-pto ptp ptp_rel public real repeat resume return sc_at_stop sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan
-sc_scanned sc_settle sc_stand sc_stop sc_timeout sc_timer sc_tool sc_trigger sc_view seq signal slin spl
-spline sps sptp struc switch then to trigger true until wait when while xor
-"""
-"""Words of KRL, what a program of ours defines itself, KUKA's own programs, and names that Windows gives no file."""
 
 
 class Kind(StrEnum):
@@ -58,7 +47,7 @@ class Told:
         name: of the program.
         part: name of the part.
         run: name of the run folder.
-        plan_sha256: of plan.json.
+        digest: of all that drives.
         speed: fraction of the axis speeds that the plan was timed with.
         acceleration: the same of the accelerations.
         clearance: smallest distance found along the motion [m]; NaN where none was measured.
@@ -68,7 +57,7 @@ class Told:
     name: str
     part: str
     run: str
-    plan_sha256: str
+    digest: str
     speed: float
     acceleration: float
     clearance: float
@@ -140,42 +129,40 @@ class Program(Value):
         return int(self.stop.max())
 
 
-def load(run_folder: Path, name: str | None) -> Program:
+def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator | None) -> Program:
     """Read the program of a finished run.
 
     Args:
         run_folder: of a finished plan.
-        name: of the program; None takes the folder's where it is a name in KRL, else one made of the plan's sha256.
+        name: of the program; None takes the folder's where it is a name in KRL, else one made of the plan's digest.
+
+        now: where the cell is described now.
+        narrator: is told what of that is gone, or accepted; None: nobody.
 
     Raises:
         UsageError: if the name is none in KRL.
-        FileError: if the run is not finished, has no motion, or a file of it is missing, changed or damaged.
+        SceneError: if the cell is described otherwise now.
+        FileError: if the run is not finished, or its plan may not be driven (`cell.proof.proof`).
     """
-    run = open_finished(run_folder)
     if name is not None:
         check_name(name)
-    digest = hashlib.sha256(artefact(run, "plan.json")).hexdigest()
-    motion = run_reader.driven_motion(run)
-    if len(motion.via_q) < 2 or not (motion.view >= 0).any():
-        raise FileError(
-            f"{run_folder} holds no motion: its motion.npz visits no view, so there is nothing to export; plan again"
-        )
-    scene = run_reader.scene(run)
-    clearance, between = run_reader.nearest(run)
+    proven = prove(run_folder)
+    scene_now.require_same(proven, now, narrator, wire=False)
+    scene = proven.scene
+    clearance, between = run_reader.nearest(proven.run)
     folder = run_folder.resolve().name
     told = Told(
-        name=name if name is not None else _name_of(folder, digest),
+        name=name if name is not None else _name_of(folder, proven.digest),
         part=scene.part.name,
         run=folder,
-        plan_sha256=digest,
+        digest=proven.digest,
         speed=scene.speed_scaling,
         acceleration=scene.acceleration_scaling,
         clearance=clearance,
         between=between,
     )
-    with understood(run.folder / "cell.xml"):
-        kinematics = Kr16Kinematics.from_model(run_reader.cell_model(run))
-    return of_motion(motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
+    kinematics = Kr16Kinematics.from_model(proven.world.model)
+    return of_motion(proven.motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
 
 
 def of_motion(
@@ -214,23 +201,6 @@ def of_motion(
         limits=motion.limits,
         sweeps=tuple(_sweep(motion, number, T_base_tcp) for number in range(int(motion.line.max()) + 1)),
     )
-
-
-def check_name(name: str) -> None:
-    """Refuse what is no name in KRL.
-
-    Raises:
-        UsageError: if it is too long, holds other characters, begins with a digit or is a word of the language.
-    """
-    if len(name) > LONGEST_NAME:
-        raise UsageError(f"--name {name} has {len(name)} characters; a name in KRL has at most {LONGEST_NAME}")
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise UsageError(
-            f"--name {name or repr(name)} is no name in KRL; it must begin with a letter and hold only letters, digits "
-            "and _"
-        )
-    if name.lower() in _RESERVED.split():
-        raise UsageError(f"--name {name} is a word of KRL, or of the program itself; choose another")
 
 
 def status_and_turn(q: Floats, kinematics: Kr16Kinematics) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

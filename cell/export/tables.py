@@ -42,7 +42,7 @@ def as_json(program: Program) -> bytes:
         "name": program.told.name,
         "part": program.told.part,
         "run": program.told.run,
-        "plan_sha256": program.told.plan_sha256,
+        "digest": program.told.digest,
         "speed_fraction": program.told.speed,
         "acceleration_fraction": program.told.acceleration,
         "tool_flange_tcp_xyz_mm_abc_deg": _pose(program.T_flange_tcp),

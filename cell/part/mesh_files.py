@@ -1,18 +1,22 @@
 """From the bytes of a mesh file to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB.
 
-trimesh parses; this module says in one sentence what is wrong where it cannot. Coordinates stay in the file's numbers.
+trimesh parses OBJ, PLY, OFF and binary STL; GLB and ASCII STL are read here, because what they announce has to be held
+against what they hold. One sentence says what is wrong, in our words. Coordinates stay in the file's numbers.
 Vertices at exactly the same place become one, because STL repeats a corner in each face and the others at seams.
 """
 
 import io
-import json
+import logging
+import re
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cell.errors import FileError
+from cell.part import glb
 from planner.values import Floats, Ints
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
@@ -61,10 +65,15 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         FileError: if the content is not a mesh of that kind, has no faces, or a face has a corner that is no number.
     """
     suffix = path.suffix.lower()
+    if suffix == ".glb":
+        try:
+            return checked(str(path), *glb.triangles(content))
+        except glb.BrokenGlbError as error:
+            raise FileError(f"{path} {error}") from error
     if suffix == ".stl":
-        content = _checked_stl(path, content)
-    elif suffix == ".glb":
-        _check_glb(path, content)
+        content, text = _checked_stl(path, content)
+        if text:
+            return checked(str(path), *_text_stl(path, content))
     elif suffix in (".obj", ".off"):
         content = content.decode("utf-8", errors="replace").encode()  # comments may be in any encoding
     return checked(str(path), *_parse_with_trimesh(path, suffix, content))
@@ -103,8 +112,10 @@ def checked(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
 def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats, Ints]:
     import trimesh  # half a second of start-up that only a mesh file needs
 
+    trimesh.util.log.setLevel(logging.CRITICAL)  # what it logs of broken files, tracebacks among it, is said here
     try:
-        loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
+        with warnings.catch_warnings(action="ignore"):
+            loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
         if isinstance(loaded, trimesh.Scene):
             parts = [part for part in loaded.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
             loaded = trimesh.util.concatenate(parts) if parts else None
@@ -112,25 +123,24 @@ def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         return np.array(loaded.vertices, np.float64), np.array(loaded.faces, np.int64)
     except Exception as error:  # a parser meets broken bytes with any exception there is; each is the same to the user
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise FileError(
-            f"{path} cannot be read as {suffix[1:].upper()} ({reason}); it is broken or cut short, export it again"
+            f"{path} cannot be read as {suffix[1:].upper()}; it is broken or cut short, export it again"
         ) from error
 
 
-def _checked_stl(path: Path, content: bytes) -> bytes:
-    """The content of a complete STL file, as binary or as clean ASCII.
+def _checked_stl(path: Path, content: bytes) -> tuple[bytes, bool]:
+    """The content of a complete STL file, and whether it is text.
 
     "solid" at the start does not tell the two apart (many binary writers put it there); the size does.
     """
     announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
     if announced is not None and len(content) >= _STL_HEADER + announced * _STL_FACE and announced:
-        return content[: _STL_HEADER + announced * _STL_FACE]
+        return content[: _STL_HEADER + announced * _STL_FACE], False
     if content.lstrip()[:5].lower() == b"solid" and b"facet" in content.lower():
         text = content.lower()
         if text.count(b"vertex") != 3 * text.count(b"endfacet"):
             raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
-        return content.decode("utf-8", errors="replace").encode()
+        return content, True
     if all(byte in b"\t\n\r\f" or 32 <= byte < 127 or byte > 159 for byte in content[:512]):
         raise FileError(f"{path} is a text file, not an STL mesh; give a mesh ({', '.join(SUFFIXES)})")
     if announced is None or announced:
@@ -142,23 +152,19 @@ def _checked_stl(path: Path, content: bytes) -> bytes:
     raise FileError(f"{path} holds no faces; export the mesh again")
 
 
-def _check_glb(path: Path, content: bytes) -> None:
-    """A GLB file starts with its magic and its own length."""
-    if content[:4] != b"glTF" or len(content) < 20:
-        raise FileError(f"{path} is not a binary glTF file (GLB); export the mesh again")
-    length = struct.unpack_from("<I", content, 8)[0]
-    if length > len(content):
-        raise FileError(
-            f"{path} is cut short: it announces {length} bytes but has {len(content)}; export or copy the mesh again"
-        )
-    chunk = struct.unpack_from("<I", content, 12)[0]
-    try:
-        extensions = json.loads(content[20 : 20 + chunk]).get("extensionsRequired", [])
-    except (ValueError, AttributeError) as error:
-        raise FileError(f"{path} is broken: its scene description cannot be read; export the mesh again") from error
-    compressed = [name for name in extensions if "compression" in name]
-    if compressed:
-        raise FileError(f"{path} is compressed ({', '.join(compressed)}), which is not supported; export without it")
+def _text_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
+    """Corners and triangles of an ASCII STL; its normals are not looked at."""
+    corners = re.findall(rb"\bvertex\s+(\S+\s+\S+\s+\S+)", content, re.IGNORECASE)
+    with warnings.catch_warnings(action="ignore"):  # it reads up to the first word that is no number, and says so
+        try:
+            numbers = np.fromstring(b" ".join(corners).decode("ascii", errors="replace"), sep=" ")
+        except ValueError:
+            numbers = np.zeros(0)
+    if len(numbers) != 3 * len(corners):
+        raise FileError(f"{path} has a vertex that is no three numbers; it is broken, export it again")
+    if len(numbers) % 9:
+        raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
+    return numbers.reshape(-1, 3), np.arange(len(numbers) // 3).reshape(-1, 3)
 
 
 def _merge(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:

@@ -73,9 +73,11 @@ def plan(
         run = Run(folder, narrator, drawing, scene.plan.seed, use_cache)
         with folder.kept_on_failure(), _logged(folder.path / "run.log"):
             plan_files.write_scene(folder, scene_path)
+            folder.named(plan_files.named_files(scene, scene_path))
             scanner = scanners.make(scene.scanner.type, settings.scanner)
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
             exit_code = _steps(run, Job(scene, part, settings, scanner))
+            folder.seal()
         return folder.finish(exit_code)
 
 

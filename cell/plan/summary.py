@@ -5,10 +5,10 @@ import numpy as np
 from cell.part.workpiece import Workpiece
 from cell.plan import request as requests
 from cell.plan.clearances import clearance_of
-from cell.plan.files import degrees
 from cell.plan.problem import Problem
 from cell.plan.steps import Job
 from cell.plan.view_plan import ConnectedPlan
+from cell.run.described import degrees
 from cell.run.plan_json import Coverage, Dropped, Promise, Verdicts
 from cell.run.report_json import Curve, Report, ReportMotion, ReportPart, ReportSettings, ReportView, Sigma
 from cell.world.clearance import MotionClearance

@@ -21,7 +21,6 @@ from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import Sweeps, passages_of
 from planner.path.sweeps.timing import DrivenSweep
-from planner.values import Floats
 
 
 class SweepingViews:
@@ -33,10 +32,7 @@ class SweepingViews:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        limits, full = problem.limits, problem.world.limits
-        self._speed = DEFAULT_SPEED.scaled(
-            _fraction(limits.velocity, full.velocity), _fraction(limits.acceleration, full.acceleration)
-        )
+        self._speed = DEFAULT_SPEED.slowed(problem.limits, problem.world.limits)
         self._found: dict[int, Sweeps] = {}
         self.shaded: Mapping[int, str] = {}
 
@@ -100,9 +96,3 @@ class SweepingViews:
                 column, world.T_flange_scanner, problem.kinematics, problem.limits, self._speed, problem.checker
             )
         return self._found[view]
-
-
-def _fraction(limit: Floats, full: Floats) -> float:
-    """The fraction to which limits were scaled; those that are not finite say nothing."""
-    known = np.isfinite(limit) & np.isfinite(full)
-    return float((limit[known] / full[known]).min(initial=1.0))

@@ -20,7 +20,7 @@ from cell.robot import model as robot
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
-from cell.world.model import trees_of
+from cell.world.trees import trees_of
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, readonly
 

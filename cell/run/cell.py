@@ -104,6 +104,9 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
     scene, model = run_reader.scene(run), run_reader.cell_model(run)
     reference = run_reader.mesh(run, "reference.ply")
     keys = scene.scanner
+    known = scanners.keys(keys.type)
+    if resolution_deg is not None and known is not None and "resolution_deg" not in known:
+        raise UsageError(f"--resolution is the angle between rays, and the scanner {keys.type} has none; leave it away")
     if resolution_deg is not None:
         keys = ScannerKeys(**keys.as_json() | {"resolution_deg": [resolution_deg, resolution_deg]})
     try:
@@ -153,11 +156,15 @@ def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = (
     Raises:
         FileError: if the run's files are damaged.
     """
-    return compile_world(_scene(run, without), part.vertices, part_faces=part.faces)
+    return compile_world(scene_of_run(run, without), part.vertices, part_faces=part.faces)
 
 
-def _scene(run: RunRecord, without: Collection[str]) -> Scene:
-    """What stood in the cell, as a scene; scanner and plan keep their defaults (but for baseline and collision)."""
+def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
+    """What stood in the cell, as a scene; scanner and plan keep their defaults (but for baseline and collision).
+
+    Raises:
+        FileError: if the run's files are damaged.
+    """
     resolved = run_reader.scene(run)
     T_scanner_housing = np.linalg.inv(resolved.T_flange_scanner) @ resolved.housing.T_flange_housing
     left = [fixture for fixture in resolved.fixtures if fixture.name not in without]

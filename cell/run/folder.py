@@ -24,7 +24,8 @@ from pydantic import JsonValue
 
 from cell import signals
 from cell.errors import CellError, FileError
-from cell.run.manifest_json import Manifest
+from cell.run import digest
+from cell.run.manifest_json import Manifest, NamedFile
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
 
@@ -67,8 +68,8 @@ class RunFolder:
         Raises:
             FileError: if it exists already or cannot be made.
         """
-        digest = hashlib.sha256(json.dumps([dict(inputs), seed], sort_keys=True).encode()).hexdigest()
-        target = out if out is not None else Path("sim_runs") / f"{now:%Y%m%dT%H%M%SZ}-{digest[:8]}"
+        short = hashlib.sha256(json.dumps([dict(inputs), seed], sort_keys=True).encode()).hexdigest()[:8]
+        target = out if out is not None else Path("sim_runs") / f"{now:%Y%m%dT%H%M%SZ}-{short}"
         if target.name in ("", "."):
             raise FileError(f"the run folder {target} has no name of its own; give --out a new folder's path")
         path = target.with_name(target.name + ".part")
@@ -165,6 +166,15 @@ class RunFolder:
         with self._writing(name):
             self._artefacts[name] = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
 
+    def named(self, files: tuple[NamedFile, ...]) -> None:
+        """Keep which files of the user's the plan is made of."""
+        if files:
+            self.manifest = self.manifest.but(files=files)
+
+    def seal(self) -> None:
+        """Put the digest of all that drives into the manifest; whatever it covers is written."""
+        self.manifest = self.manifest.but(digest=digest.of_plan(self._artefacts))
+
     def finish(self, exit_code: int | None, status: str = "finished") -> Path:
         """Complete the manifest and rename the folder to its final name.
 
@@ -217,7 +227,7 @@ def _move_aside(path: Path) -> None:
     """Make way for a new run: an ended run's `.part` folder is kept as `.part.1`, `.part.2`, ..."""
     try:
         status = json.loads((path / "manifest.json").read_text(encoding="utf-8"))["status"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return  # no folder of ours, or none at all
     if status == "running":
         return  # perhaps it still is

@@ -19,7 +19,10 @@ from planner.values import readonly
 
 
 def _transform(values: Any) -> NDArray[np.float64]:
-    return readonly("as a transform", values, (4, 4))
+    try:
+        return readonly("as a transform", values, (4, 4))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError("is no transform: it must be four rows of four finite numbers") from error
 
 
 Transform = Annotated[NDArray[np.float64], PlainValidator(_transform), PlainSerializer(lambda T: T.tolist())]
@@ -94,7 +97,7 @@ def parsed(kind: type[Table], content: bytes, path: Path) -> Table:
     except ValidationError as error:
         problem = error.errors(include_url=False)[0]
         if problem["type"] == "json_invalid":
-            said = f"it is not JSON ({problem['ctx']['error']})"
+            said = "it is not JSON, or nested too deep"
         else:
             said = sentences(error, kind)[0] if problem["loc"] else "it must hold one JSON object"
         raise FileError(f"{path} is damaged: {said}; plan or scan again") from error

@@ -10,7 +10,7 @@ from typing import Self
 from pydantic import ConfigDict, Field, JsonValue
 
 from cell.errors import FileError
-from cell.run.json_table import JsonTable
+from cell.run.json_table import JointAngles, JsonTable, optional
 
 
 class Resumed(JsonTable):
@@ -20,6 +20,16 @@ class Resumed(JsonTable):
     argv: tuple[str, ...] = Field(description="the command line")
     driver: str = Field(description="URL of the controller")
     after: str = Field(description="status that it had")
+    way: str | None = optional("digest of the way that was planned to go on")
+    way_deg: tuple[JointAngles, ...] | None = optional("its set-points A1 to A6, from where the arm stood")
+
+
+class NamedFile(JsonTable):
+    """A file of the user's that a plan was made of."""
+
+    what: str = Field(description="scene, part, or fixture:NAME")
+    path: str = Field(description="where it was")
+    sha256: str = Field(description="of its bytes")
 
 
 class Manifest(JsonTable):
@@ -38,8 +48,15 @@ class Manifest(JsonTable):
     argv: tuple[str, ...] = Field(default=(), description="the command line")
     seed: int | None = Field(default=None, ge=0, description="of every random choice")
     inputs: dict[str, str] = Field(default_factory=dict, description="sha256 of what the plan depends on")
+    files: tuple[NamedFile, ...] = Field(default=(), description="that the user named; none of a built-in cell")
     options: dict[str, JsonValue] = Field(default_factory=dict, description="of an execution: what was asked for")
     plan: str | None = Field(default=None, description="of an execution: sha256 of the plan.json that was executed")
+    digest: str | None = Field(
+        default=None, description="of all that drives; of an execution: of the plan that was executed"
+    )
+    way: str | None = Field(
+        default=None, description="of an execution: digest of what was driven, where that is not the plan's motion"
+    )
     versions: dict[str, str] = Field(default_factory=dict, description="of what results depend on")
     seconds: dict[str, float] = Field(default_factory=dict, description="of each stage")
     pid: int | None = Field(default=None, description="of an execution, while it runs: its process")

@@ -37,6 +37,11 @@ class PlannedRun:
         return self.record.folder
 
     @property
+    def digest(self) -> str:
+        """Of all that drives; what `scan(run, driver=URL, confirm=run.digest)` confirms on a wire."""
+        return self.record.digest
+
+    @property
     def exit_code(self) -> int:
         """0, or 3 where the plan stays below a coverage that was asked for."""
         return self.record.manifest.exit_code or 0
@@ -83,7 +88,9 @@ class PlannedRun:
 
     def as_json(self) -> dict[str, JsonValue]:
         """The object that `cell plan --json` prints: report.json, and where and how the run ended."""
-        ended: dict[str, JsonValue] = {"schema": SCHEMA, "exit_code": self.exit_code, "run_folder": str(self.folder)}
+        ended: dict[str, JsonValue] = {
+            "schema": SCHEMA, "exit_code": self.exit_code, "run_folder": str(self.folder), "digest": self.digest
+        }  # fmt: skip
         return ended | self.report.as_json()
 
 

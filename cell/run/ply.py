@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -15,7 +16,7 @@ def mesh(content: bytes) -> TriangleMesh:
     A coordinate may differ from the one that was used by the last bit of a double.
 
     Raises:
-        ValueError: if the content is not a whole PLY.
+        PlannerError: if the content is not a whole PLY.
     """
     read = elements(content)
     return TriangleMesh(places(read["vertex"]), read["face"]["vertex_indices"])
@@ -33,7 +34,8 @@ def elements(content: bytes) -> dict[str, NDArray[np.void]]:
         content: of a little-endian binary PLY whose faces are triangles.
 
     Raises:
-        ValueError: if it is none, or header and length differ.
+        PlannerError: if header and length differ.
+        ValueError: if it is none.
     """
     header, found, body = content.partition(b"end_header\n")
     kinds: dict[str, list[tuple[str, str] | tuple[str, str, int]]] = {}
@@ -52,5 +54,5 @@ def elements(content: bytes) -> dict[str, NDArray[np.void]]:
         arrays[name] = np.frombuffer(body[at : at + counts[name] * row.itemsize], dtype=row)
         at += counts[name] * row.itemsize
     if not found or at != len(body):
-        raise ValueError("its header and its length differ")
+        raise PlannerError("its header and its length differ")
     return arrays

@@ -68,21 +68,6 @@ def motion(run: RunRecord) -> Motion:
     return motion_of(arrays(run, "motion.npz"), run.folder / "motion.npz")
 
 
-def driven_motion(run: RunRecord) -> Motion:
-    """The same, if it passes every pose of the plan's views: what can be executed.
-
-    Raises:
-        FileError: if motion.npz or plan.json is missing, changed or damaged, or the motion leaves out poses of sweeps.
-    """
-    found = motion(run)
-    if any(view.sweep is not None for view in plan(run).views) and not (found.pose > 0).any():
-        raise FileError(
-            f"the views of {run.folder} are sweeps, and its motion holds only their first poses, as earlier versions "
-            "planned them; plan again"
-        )
-    return found
-
-
 def nearest(run: RunRecord) -> tuple[float, str]:
     """Smallest clearance that was measured along the motion [m], and between what; (NaN, "") where none was.
 
@@ -172,8 +157,7 @@ def compiles(run: RunRecord) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        reason = " ".join(str(error).split())[:160]
-        raise FileError(f"{run.folder / 'cell.xml'} is damaged: {reason}; plan again") from error
+        raise FileError(f"{run.folder / 'cell.xml'} is damaged: it is no model of a cell; plan again") from error
 
 
 def mesh(run: RunRecord, name: str) -> TriangleMesh:

@@ -7,6 +7,12 @@ changed. A failed run (`.part`) is opened as well: it holds what its stages had 
 
 import hashlib
 import io
+import lzma
+import math
+import struct
+import sys
+import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -23,6 +29,9 @@ from cell.run.folder import SCHEMA
 from cell.run.json_table import parsed
 from cell.run.manifest_json import Manifest
 from planner.errors import PlannerError
+
+_SMALL, _MOST_UNFOLDED = 64 << 20, 50
+"""An .npz unfolds to so many bytes, or so many times its size, at most: those of a run to some ten times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +75,11 @@ class RunRecord:
     def plan_sha256(self) -> str:
         """sha256 of plan.json; "" where there is none."""
         return self.manifest.artefacts.get("plan.json", "")
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that drives, as the manifest says it; "" where there is none."""
+        return self.manifest.digest or ""
 
     def has(self, name: str) -> bool:
         """Whether an artefact is there."""
@@ -126,10 +140,44 @@ def npz(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         FileError: if it is damaged.
     """
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (ValueError, OSError, EOFError, TypeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        with warnings.catch_warnings(action="ignore"):  # numpy reads a header as Python, which has its doubts
+            _require_room(content)
+            with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+                found = {name: stored[name] for name in stored.files}
+        for array in found.values():  # characters that there are none of would fail where they are first looked at
+            if array.dtype.kind == "U" and (_code_points(array) > sys.maxunicode).any():
+                raise ValueError("holds a text that is none")
+        return found
+    except (
+        ValueError, OSError, EOFError, TypeError, NotImplementedError, OverflowError, RuntimeError, SyntaxError,
+        KeyError, MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
+    ) as error:  # fmt: skip
         raise FileError(f"{path} is damaged or cut short and cannot be read; plan or scan again") from error
+
+
+def _code_points(array: NDArray[np.str_]) -> NDArray[np.uint32]:
+    return np.frombuffer(array.astype(array.dtype.newbyteorder("=")).tobytes(), dtype=np.uint32)
+
+
+def _require_room(content: bytes) -> None:
+    """Look at what an .npz announces before anything is allocated: a few bytes may announce gigabytes.
+
+    Raises:
+        ValueError: if it unfolds to more than `_MOST_UNFOLDED` times its size, or an array is not as long as it says.
+    """
+    with zipfile.ZipFile(io.BytesIO(content)) as members:
+        listed = members.infolist()
+        if sum(member.file_size for member in listed) > max(_SMALL, _MOST_UNFOLDED * len(content)):
+            raise ValueError("unfolds to more than a run folder holds")
+        for member in listed:
+            with members.open(member) as file:
+                version = np.lib.format.read_magic(file)
+                header = (
+                    np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                )
+                shape, _, dtype = header(file)
+                if math.prod(shape) * dtype.itemsize != member.file_size - file.tell():
+                    raise ValueError("holds an array that is not as long as it says")
 
 
 def artefact(run: RunRecord, name: str) -> bytes:
@@ -184,9 +232,12 @@ def understood(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyError as error:
-        raise FileError(f"{path} is damaged: it has no {error.args[0]}; plan or scan again") from error
-    except (PlannerError, ValueError, TypeError, IndexError) as error:
+        raise FileError(f"{path} is damaged: it has no {str(error.args[0])[:80]}; plan or scan again") from error
+    except PlannerError as error:
         raise FileError(f"{path} is damaged: {error}; plan or scan again") from error
+    except (ValueError, TypeError, IndexError, AttributeError, OverflowError, ArithmeticError) as error:
+        # a library's words are for who wrote this, not for who reads it
+        raise FileError(f"{path} is damaged: it does not hold what it should; plan or scan again") from error
 
 
 def _no_folder(folder: Path) -> str:

@@ -21,6 +21,11 @@ from planner.timing.motion import Motion
 _DYNAMIC = ("velocity", "acceleration", "jerk")
 
 
+def on_a_wire(url: str) -> bool:
+    """Whether a driver's URL may lead to something real: all but the controller that is simulated in this process."""
+    return not url.lower().startswith("sim:")
+
+
 def prepare(
     options: ScanOptions,
     motion: Motion,

@@ -37,7 +37,13 @@ class ExecutionFolder(RunFolder):
 
     @classmethod
     def make(
-        cls, run: RunRecord, argv: list[str], seed: int, options: Mapping[str, JsonValue], now: datetime
+        cls,
+        run: RunRecord,
+        argv: list[str],
+        seed: int,
+        options: Mapping[str, JsonValue],
+        now: datetime,
+        way: str | None = None,
     ) -> "ExecutionFolder":
         """Make the next execution of a run.
 
@@ -47,6 +53,7 @@ class ExecutionFolder(RunFolder):
             seed: seed of noise and pose errors.
             options: what was asked for, kept in the manifest; a report made later reads it there.
             now: time of the start (UTC).
+            way: digest of what is driven, where that is not the plan's motion.
 
         Raises:
             FileError: if it cannot be made.
@@ -82,6 +89,8 @@ class ExecutionFolder(RunFolder):
                     seed=seed,
                     options=dict(options),
                     plan=run.plan_sha256,
+                    digest=run.digest,
+                    **({} if way is None else {"way": way}),
                     versions=versions(),
                     seconds={},
                 )
@@ -97,10 +106,16 @@ class ExecutionFolder(RunFolder):
         entries = manifest.but(schema_version=SCHEMA, seconds=seconds)
         return cls(path, path, entries, "start", dict(manifest.artefacts))
 
-    def resume(self, argv: list[str], driver: str) -> None:
-        """Take a stopped execution up again: it runs, in this process, and its manifest says how often it was begun."""
+    def resume(self, argv: list[str], driver: str, **way: object) -> None:
+        """Take a stopped execution up again: it runs, in this process, and its manifest says how often it was begun.
+
+        Args:
+            argv: the command line.
+            driver: URL of the controller.
+            **way: of the way that was planned to go on, the entries `way` and `way_deg`.
+        """
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        again = Resumed(at=now, argv=tuple(argv), driver=driver, after=self.manifest.status or "")
+        again = Resumed(at=now, argv=tuple(argv), driver=driver, after=self.manifest.status or "", **way)
         outdated = [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]
         kept = {name: sha for name, sha in sorted(self._artefacts.items()) if name not in outdated}
         self.manifest = process.begun_here(self.manifest.without("exit_code", "reason"))

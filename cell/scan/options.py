@@ -1,15 +1,20 @@
 """What `cell scan` can be asked for, checked."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, JsonValue, ValidationError
+from pydantic import Field, JsonValue, ValidationError, field_validator
 
+from cell.proof.files_now import FilesNow
+from cell.run.digest import SHOWN
 from cell.scene.fields import NotNegative, Positive, Table
 from cell.scene.option import Option
 from cell.scene.problems import sentences
+from planner.errors import PlannerError
 
-_ERRORS, STEEL = "Errors of the execution", "Real controllers"
+_ERRORS, STEEL, _CELL = "Errors of the execution", "Real controllers", "The cell as it is now"
 _POSE_ERROR = Option(
     "Error of the executed pose, one sigma along and about each axis: the scanner stands off what the controller "
     "reports.",
@@ -19,7 +24,12 @@ _POSE_ERROR = Option(
     examples=("0.5,0.1",),
     counts=(2,),
 )
-OF_EACH_TIME = frozenset({"driver", "realtime", "confirm_motion", "speed_percent", "reset", "accept_time_scale"})
+OF_EACH_TIME = frozenset(
+    {
+        *("driver", "realtime", "confirm_motion", "speed_percent", "reset", "accept_time_scale"),
+        *("scene", "part", "accept_changed_scene"),
+    }
+)
 """What is said anew where an execution is resumed; all else stays as it was begun."""
 
 
@@ -60,7 +70,15 @@ class ScanOptions(Table):
             STEEL,
         ),
     ] = None
-    confirm_motion: Annotated[bool, Option("Your word that a real arm may move. Else it is asked for.", STEEL)] = False
+    confirm_motion: Annotated[
+        str | None,
+        Option(
+            "Your word that a real arm may move: the digest of what is driven, or its first 8 characters. Else it is "
+            "asked for.",
+            STEEL,
+            metavar="DIGEST",
+        ),
+    ] = None
     reset: Annotated[bool, Option("Clear a latched fault of the controller first.", STEEL)] = False
     accept_time_scale: Annotated[
         Positive | None,
@@ -70,6 +88,38 @@ class ScanOptions(Table):
             metavar="N",
         ),
     ] = None
+    scene: Annotated[
+        str | None,
+        Option(
+            "Scene file that describes the cell now. Default: the one that was planned with.", _CELL, metavar="FILE"
+        ),
+    ] = None
+    part: Annotated[
+        str | None,
+        Option("Mesh file of the part now. Default: the one that was planned with.", _CELL, metavar="FILE"),
+    ] = None
+    accept_changed_scene: Annotated[
+        tuple[str, ...],
+        Field(strict=False),
+        Option("Drive although this differs from the plan: names as the refusal gives them.", _CELL),
+    ] = ()
+
+    @field_validator("accept_changed_scene", mode="before")
+    @classmethod
+    def _one_by_one(cls, names: Sequence[str]) -> tuple[str, ...]:
+        return tuple(name.strip() for text in names for name in text.split(","))
+
+    @field_validator("confirm_motion")
+    @classmethod
+    def _a_digest(cls, given: str | None) -> str | None:
+        if given is not None and not re.fullmatch(f"[0-9a-f]{{{SHOWN},64}}", given.lower()):
+            raise ValueError(f"is {given!r}; it must be a digest as cell plan prints it, {SHOWN} characters or more")
+        return None if given is None else given.lower()
+
+    @property
+    def files_now(self) -> FilesNow:
+        """Where the cell is described now."""
+        return FilesNow(None if self.scene is None else Path(self.scene), self.part, self.accept_changed_scene)
 
     @property
     def registers(self) -> bool:
@@ -79,20 +129,22 @@ class ScanOptions(Table):
 
     def kept(self) -> dict[str, JsonValue]:
         """For the manifest: all that a report made later needs, settled."""
-        return {**self.model_dump(mode="json", exclude={"registration"}), "register": self.registers}
+        return {
+            **self.model_dump(mode="json", exclude={"registration", "confirm_motion"}), "register": self.registers
+        }  # fmt: skip
 
     @classmethod
     def begun(cls, kept: Mapping[str, object]) -> "ScanOptions":
         """The options of a manifest.
 
         Raises:
-            ValueError: in one sentence, if one of them cannot be.
+            PlannerError: in one sentence, if one of them cannot be.
         """
-        own = {key: value for key, value in kept.items() if key in cls.model_fields}
+        own = {key: value for key, value in kept.items() if key in cls.model_fields and key != "confirm_motion"}
         try:
             return cls.model_validate({**own, "registration": kept.get("register")})
         except ValidationError as error:
-            raise ValueError("; ".join(sentences(error, cls))) from error
+            raise PlannerError("; ".join(sentences(error, cls))) from error
 
     def resumed(self, now: "ScanOptions") -> "ScanOptions":
         """These, as an execution goes on with: `OF_EACH_TIME` as they are now, the driver only where it is given."""

@@ -11,17 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.errors import DriverFailureError
-from cell.run import reader as run_reader
-from cell.run.cell import world_of
-from cell.run.record import RunRecord
 from cell.scan.execute import stands_at
 from cell.scan.legs import Leg, Legs
-from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import RobotState
 from drivers.setpoints import text
 from planner.path import path
 from planner.path.path import PathResult
-from planner.timing.motion import Motion
+from planner.ports import CollisionChecker, JointLimits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,15 +35,17 @@ class Rest:
     stops: tuple[int, ...]
 
 
-def rest_of(legs: Legs, done: Collection[int], state: RobotState, run: RunRecord, motion: Motion, seed: int) -> Rest:
+def rest_of(
+    legs: Legs, done: Collection[int], state: RobotState, checker: CollisionChecker, limits: JointLimits, seed: int
+) -> Rest:
     """What is left of an execution.
 
     Args:
         legs: all that was to be driven.
         done: numbers of the views whose scans are confirmed.
         state: of the controller; the arm stands.
-        run: the run folder, for its cell.
-        motion: of the plan, for its limits.
+        checker: of the cell that the plan was checked in.
+        limits: of the plan.
         seed: of the search for a way.
 
     Raises:
@@ -70,24 +68,22 @@ def rest_of(legs: Legs, done: Collection[int], state: RobotState, run: RunRecord
         if stands_at(leg.via[-1], state):  # it arrived, and the scan was not kept
             left = (replace(leg, via=leg.via[-1:]), *left[1:])
         else:
-            way = _way(leg, state, run, motion, seed)
+            way = _way(leg, state, checker, limits, seed)
             assert way.via is not None
             left = (replace(leg, via=way.via[1:]), *left[1:])
     return Rest(Legs(state.q, left, legs.planned_seconds), way, stops)
 
 
-def _way(leg: Leg, state: RobotState, run: RunRecord, motion: Motion, seed: int) -> PathResult:
+def _way(leg: Leg, state: RobotState, checker: CollisionChecker, limits: JointLimits, seed: int) -> PathResult:
     """A certified way from where the arm stands to the end of a leg."""
-    here = np.clip(state.q, motion.limits.lower, motion.limits.upper)  # a count beyond a limit is a rounded limit
+    here = np.clip(state.q, limits.lower, limits.upper)  # a count beyond a limit is a rounded limit
     if not stands_at(here, state):
         raise DriverFailureError(
             f"the arm stands at {text(state.axes)}, outside the joint range of the plan, where no way is checked; "
             "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
         )
-    world = world_of(run, run_reader.mesh(run, "reference.ply"))
-    checker = MujocoCollisionChecker(world)
     goal = f"view {leg.stop}" if leg.stop else "home"
-    found = path.connect(here, leg.via[-1], checker, motion.limits, np.random.default_rng([seed, leg.stop]))
+    found = path.connect(here, leg.via[-1], checker, limits, np.random.default_rng([seed, leg.stop]))
     if found.via is None:
         between = f" ({found.between})" if found.between else ""
         raise DriverFailureError(

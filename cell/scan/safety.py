@@ -7,6 +7,7 @@ controller; it keeps a mistyped command from moving 235 kg.
 from collections.abc import Callable
 
 from cell.errors import DriverFailureError, UsageError
+from cell.scan.way import Released
 from drivers.contract import Driver, RobotState
 from drivers.status import latched
 
@@ -30,25 +31,36 @@ def speed_fraction(asked_percent: float | None, planned: float, *, hardware: boo
     return min(planned, HARDWARE_SPEED) if hardware else planned
 
 
-def require_confirmed(driver: Driver, speed: float, *, confirmed: bool, ask: Ask | None) -> None:
-    """Steel moves only on a person's word.
+def require_confirmed(driver: Driver, speed: float, released: Released, *, given: str | None, ask: Ask | None) -> None:
+    """Steel moves only on a person's word for what is driven.
 
     Args:
         driver: connected.
         speed: at which it will be driven.
-        confirmed: whether the word was given as an option.
+        released: what is to be driven.
+        given: digest that was given as an option, or its first characters.
         ask: puts the question to a person; None where nobody is there to answer.
 
     Raises:
-        UsageError: if nobody confirms.
+        UsageError: if nobody confirms, or something else than what is to be driven.
     """
     able = driver.capabilities
-    if not able.hardware or confirmed:
+    if not able.hardware:
         return
-    danger = f"{able.controller} moves an arm at {100 * speed:g} % of its axis speeds"
+    danger = (
+        f"{able.controller} moves an arm at {100 * speed:g} % of its axis speeds along {released.what} {released.shown}"
+    )
+    if given is not None and released.digest.startswith(given):
+        return
+    if given is not None and not (released.own and ask is not None):
+        raise UsageError(
+            f"--confirm-motion {given} is not the digest of {released.what}, which is {released.shown}; nothing was "
+            "moved: make sure that this is what is to be driven, and give its digest"
+        )
     if ask is None:
         raise UsageError(
-            f"{danger}; give --confirm-motion once nobody stands within its reach and the emergency stop is at hand"
+            f"{danger}; give --confirm-motion {released.shown} once nobody stands within its reach and the emergency "
+            "stop is at hand"
         )
     if ask(f"{danger}. Nobody within its reach, emergency stop at hand? Type yes to move: ").strip().lower() != "yes":
         raise UsageError("not confirmed; nothing was moved")

@@ -12,11 +12,12 @@ from cell import signals
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.plant import factory
+from cell.proof import scene_now
+from cell.proof.proof import prove
 from cell.run import process
-from cell.run import reader as run_reader
-from cell.run.cell import RunCell, read_cell, taken_as_triangles
+from cell.run.cell import RunCell, read_cell
 from cell.run.executions import RecordedExecution, read_execution
-from cell.run.record import RunRecord, open_finished, read_manifest, understood
+from cell.run.record import RunRecord, read_manifest, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, lock, resources, safety
 from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
@@ -26,11 +27,15 @@ from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
+from cell.scan.way import Released, of_legs, of_plan
 from cell.scan.work import ScanOutcome, Work
 from drivers.clock import Clock
 from drivers.contract import Driver
 from drivers.errors import DriverError
+from drivers.setpoints import from_rad, to_deg
 from planner.timing.motion import Motion
+
+_VIEW, _ANEW = "the way to view {} and back,", "the new way and the rest of the plan"
 
 
 def scan(
@@ -53,9 +58,11 @@ def scan(
     Raises:
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
     """
-    run = open_finished(run_folder)
-    motion = run_reader.driven_motion(run)
+    proven = prove(run_folder)
+    scene_now.require_same(proven, options.files_now, narrator, wire=scan_driver.on_a_wire(options.driver))
+    run, motion = proven.run, proven.motion
     legs = legs_of(motion, options.view)
+    released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
     cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
@@ -65,10 +72,11 @@ def scan(
         connected.enter_context(signals.driving())
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
-            speed = _allowed_speed(driver, options, cell, ask)
+            speed = _allowed_speed(driver, options, cell, released, ask)
             safety.ready(driver, reset=options.reset, stop_first=False, time_scale=options.accept_time_scale)
             execute.require_drivable(legs, driver, speed)
-        folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
+        way = released.digest if released.own else None
+        folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC), way)
         connected.enter_context(lock.held(folder.path))
         if options.view is not None:
             _write_motion(folder, legs.motion(motion))
@@ -112,12 +120,13 @@ def _resumed(
     ask: safety.Ask | None,
 ) -> ScanOutcome:
     """Go on, while nobody else does."""
-    run = open_finished(run_folder)
+    proven = prove(run_folder)
+    run, motion = proven.run, proven.motion
     recorded = read_execution(run, execution)
-    scans, left_out = usable(recorded, run_reader.plan(run).views)
+    scans, left_out = usable(recorded, proven.plan.views)
     begun = resumable(run, recorded)
     settled = begun.resumed(options or ScanOptions())
-    motion = run_reader.motion(run)
+    scene_now.require_same(proven, settled.files_now, narrator, wire=scan_driver.on_a_wire(settled.driver))
     cell = read_cell(run, begun.resolution_deg)
     seed = recorded.manifest.require_seed(recorded.folder)
     legs, done = legs_of(motion, begun.view), {scan.stop for scan in scans}
@@ -131,16 +140,19 @@ def _resumed(
         connected.enter_context(signals.driving())
         with _drivers_errors_as_ours():
             connected.enter_context(driver)
-            if ask is None:  # nobody will agree later: leave the arm alone
-                _allowed_speed(driver, settled, cell, ask)
+            planned = of_plan(proven) if begun.view is None else of_legs(proven, legs, _VIEW.format(begun.view))
+            if ask is None and settled.confirm_motion is None:  # nobody will agree later: leave the arm alone
+                _allowed_speed(driver, settled, cell, planned, ask)
             state = safety.ready(driver, reset=settled.reset, stop_first=True, time_scale=settled.accept_time_scale)
-            rest = rest_of(legs, done, state, run, motion, seed)
-            for sentence in _told(rest, len(done), cell):
+            rest = rest_of(legs, done, state, proven.checker, motion.limits, seed)
+            released = planned if rest.way is None else of_legs(proven, rest.legs, _ANEW)
+            for sentence in _told(rest, len(done)):
                 narrator.note(sentence)
-            speed = _allowed_speed(driver, settled, cell, ask)  # whoever agrees has read which way the arm goes
+            # whoever agrees has read which way the arm goes
+            speed = _allowed_speed(driver, settled, cell, released, ask)
             execute.require_drivable(rest.legs, driver, speed)
         folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
-        folder.resume(list(argv), settled.driver)
+        folder.resume(list(argv), settled.driver, **_kept(rest, released))
         return _executed(connected, Work(run, folder, narrator), rest.legs, driver, clock, cell, motion, settled, speed)
 
 
@@ -153,7 +165,7 @@ def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
     name, manifest = recorded.folder.name, read_manifest(recorded.folder / "manifest.json")
     if process.lives(manifest):
         raise FileError(f"execution {name} is still running (process {manifest.pid}); stop it with Ctrl-C first")
-    if manifest.plan != run.plan_sha256:
+    if manifest.digest != run.digest:
         raise FileError(f"execution {name} is not of the plan that is in {run.folder} now; scan anew")
     with understood(recorded.folder / "manifest.json"):
         return ScanOptions.begun(manifest.options)
@@ -162,7 +174,15 @@ def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
 _NAMED = 10  # views named in a sentence
 
 
-def _told(rest: Rest, done: int, cell: RunCell) -> Iterator[str]:
+def _kept(rest: Rest, released: Released) -> dict[str, object]:
+    """What an execution keeps of a way that was planned to go on."""
+    if rest.way is None:
+        return {}
+    assert rest.way.via is not None
+    return {"way": released.digest, "way_deg": tuple(tuple(row) for row in to_deg(from_rad(rest.way.via)).tolist())}
+
+
+def _told(rest: Rest, done: int) -> Iterator[str]:
     """What a resumed execution is going to do."""
     left = ", ".join(str(stop) for stop in rest.stops[:_NAMED]) + (", ..." if len(rest.stops) > _NAMED else "")
     yield f"{done} views are scanned already; {len(rest.stops)} are left" + (f" ({left})" if left else "")
@@ -172,15 +192,16 @@ def _told(rest: Rest, done: int, cell: RunCell) -> Iterator[str]:
             f"the arm does not stand where the plan goes on; a new way to {goal} was planned: {len(rest.way.via) - 1} "  # type: ignore[arg-type]
             f"moves, nearest {1000 * rest.way.clearance:.1f} mm ({rest.way.between})"
         )
-        yield from taken_as_triangles(cell.scene)
 
 
-def _allowed_speed(driver: Driver, options: ScanOptions, cell: RunCell, ask: safety.Ask | None) -> float:
+def _allowed_speed(
+    driver: Driver, options: ScanOptions, cell: RunCell, released: Released, ask: safety.Ask | None
+) -> float:
     """The speed to drive at, once a person has agreed to it where steel moves."""
     speed = safety.speed_fraction(
         options.speed_percent, cell.scene.speed_scaling, hardware=driver.capabilities.hardware
     )
-    safety.require_confirmed(driver, speed, confirmed=options.confirm_motion, ask=ask)
+    safety.require_confirmed(driver, speed, released, given=options.confirm_motion, ask=ask)
     return speed
 
 

@@ -70,6 +70,8 @@ def _sentence(detail: ErrorDetails, model: type[BaseModel], lengths: Mapping[tup
         return f"{_path(keys[:-1])} has {len(value or ())} values; it must have {lengths[loc[:-1]]}"
     if kind == "missing":
         return f"{where} is missing"
+    if kind == "string_too_long":
+        return f"{where} has {len(str(value))} characters; it must have at most {context['max_length']}"
     if kind == "too_long":
         return f"{where} has {context['actual_length']} values; it must have {context['max_length']}"
     if kind == "too_short":
@@ -92,7 +94,7 @@ def _sentence(detail: ErrorDetails, model: type[BaseModel], lengths: Mapping[tup
         return where + told if told.startswith(".") else f"{where} {told}"
     if kind in _WANTED:
         return f"{where} is {_show(value)}; it must be {_WANTED[kind]}"
-    return f"{where} is {_show(value)}: {detail['msg']}"
+    return f"{where} is {_show(value)}, which it cannot be"
 
 
 def _resolve(loc: tuple[int | str, ...], model: type[BaseModel]) -> tuple[list[int | str], type[BaseModel] | None]:

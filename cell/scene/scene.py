@@ -5,7 +5,6 @@ part's default (standoff, baseline, planning faces) or follows from another key 
 place from the baseline). `models/scene.toml` is the built-in scene with every key explained; `Scene()` equals it.
 """
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -21,6 +20,7 @@ from pydantic import (
 )
 
 from cell.errors import SceneError
+from cell.scene import scene_file
 from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
 from cell.scene.option import Option
 from cell.scene.plan_settings import PlanSettings
@@ -214,7 +214,7 @@ class Post(Table):
 
 
 class _Fixture(_Posed):
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]  # it names a file
     attached_to: Literal["base", "object"] = "base"
     occludes: bool = True
 
@@ -300,7 +300,7 @@ def load_scene(
     from cell.scene.presets import beneath
     from cell.scene.problems import sentences
 
-    content: dict[str, object] = {} if path is None else _parse(path)
+    content: dict[str, object] = {} if path is None else scene_file.parsed(path)
     for table, keys in (options or {}).items():
         below = content.get(table, {})
         replaces = table == "part" and ("name" in keys or "path" in keys)
@@ -317,25 +317,14 @@ def load_scene(
     raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))
 
 
-def _parse(path: Path) -> dict[str, object]:
-    try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
-    except OSError as error:
-        raise SceneError(
-            f"the scene {path} cannot be read: {error.strerror or error}; give the path of a TOML file"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise SceneError(
-            f"the scene {path} is not UTF-8 text (byte {error.start}); save it as a UTF-8 TOML file"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"the scene {path} is not valid TOML: {error}; correct that line") from error
-
-
 def _file(path: str, info: ValidationInfo) -> str:
     """The absolute path of a file that a scene names."""
     folder = Path((info.context or {}).get("folder", Path.cwd()))
-    full = folder / Path(path).expanduser()
-    if not full.is_file():
+    try:
+        full = folder / Path(path).expanduser()
+        found = full.is_file()
+    except (OSError, ValueError, RuntimeError):  # longer than any name, a zero in it, the home of nobody
+        raise ValueError("is no name that a file can have; give a mesh file, relative to the scene file") from None
+    if not found:
         raise ValueError(f"is '{path}', and there is no file {full}; give a mesh file, relative to the scene file")
     return str(full)

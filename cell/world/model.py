@@ -20,6 +20,7 @@ from cell.robot import model as robot
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
+from cell.world.trees import trees_of
 from planner.ports import JointLimits
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
@@ -142,7 +143,7 @@ class World(Value):
         import mujoco
 
         mesh, shape = (a, b) if a in self.trees else (b, a)
-        tree = self.trees.get(mesh)
+        tree = self.trees[mesh] if mesh in self.trees else None  # noqa: SIM401  # `get` would raise inside, every time
         if tree is not None and any_nearer and reach > 0:  # yes or no asks for no depth
             return tree.from_geom(self.model, data, shape, mesh, reach, any_nearer=True)
         ends = None if points is None else np.empty(6)
@@ -240,21 +241,11 @@ def compile_world(
     )
 
 
-def trees_of(model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh]) -> dict[int, TriangleTree]:
-    """True triangles in the frame of their body, by the geom of that name that stands for them in a model."""
-    if not meshes:
-        return {}
-    from cell.world.triangles import TriangleTree  # its kernels load numba
-
-    return {model.geom(name).id: TriangleTree(mesh) for name, mesh in meshes.items()}
-
-
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         model = spec.compile()
     except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise SceneError(f"the scene does not compile as a MuJoCo model: {reason}; check sizes and meshes") from error
+        raise SceneError("the scene does not compile as a model of shapes; check sizes and meshes") from error
     if model.nq != len(robot.AXES):
         raise SceneError(f"the robot model has {model.nq} joint values; it must be the six axes A1..A6 alone")
     return model

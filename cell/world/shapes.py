@@ -204,12 +204,12 @@ def add_fixtures(spec: mujoco.MjSpec, scene: Scene, placed_body: mujoco.MjsBody)
                 diameter, height = np.array(fixture.size_mm) / 1000.0
                 add_cylinder(body, fixture.name, diameter / 2, height, fixture.T)
             case MeshFixture():
-                meshes[fixture.name] = mesh = _fixture_mesh(fixture)
+                meshes[fixture.name] = mesh = fixture_mesh(fixture)
                 add_mesh(spec, body, fixture.name, solid_hull(mesh.vertices, f"fixture '{fixture.name}'"))
     return meshes
 
 
-def _fixture_mesh(fixture: MeshFixture) -> TriangleMesh:
+def fixture_mesh(fixture: MeshFixture) -> TriangleMesh:
     """The fixture's triangles in the frame that it is attached to [m]."""
     path = Path(fixture.path)
     vertices, faces = mesh_files.parse(path, mesh_files.read_bytes(path))

@@ -36,9 +36,7 @@ def solid_hull(vertices: Floats, name: str = "part") -> TriangleMesh:
         local = _thickened(points - middle)
         hull = ConvexHull(local)
     except (QhullError, np.linalg.LinAlgError) as error:
-        raise SceneError(
-            f"the {name} has no convex hull ({str(error).splitlines()[0]}); check its scale and units"
-        ) from error
+        raise SceneError(f"the {name} has no convex hull; check its scale and units") from error
     corners = local[hull.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = np.einsum("fj,fj->f", normals, hull.equations[:, :3]) < 0

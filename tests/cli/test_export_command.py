@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.export import export
+from cell.run.record import open_finished
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -87,27 +90,19 @@ def test_a_program_is_slow_unless_asked_and_never_faster_than_the_plan(
     assert (told["speed_percent"], told["acceleration_percent"]) == (20, 30)
     source = (tmp_path / "x" / "A1.src").read_bytes()
     assert b"BAS(#VEL_PTP,20)\r\nBAS(#ACC_PTP,30)\r\n" in source
-
-    slow = tmp_path / "slow"
-    shutil.copytree(planned, slow)
-    scene = json.loads((slow / "scene.resolved.json").read_text())
-    (slow / "scene.resolved.json").write_text(json.dumps(scene | {"speed_scaling": 0.079}))
-    manifest = json.loads((slow / "manifest.json").read_text())
-    manifest["artefacts"].pop("scene.resolved.json", None)
-    (slow / "manifest.json").write_text(json.dumps(manifest))
-    told = json.loads(run_cell("export", str(slow), "--json", cwd=tmp_path).stdout)
-    assert (told["speed_percent"], told["acceleration_percent"]) == (7, 30)
+    assert [export.percent(None, most, 0.079) for most in (20, 30)] == [7, 7]
+    assert export.percent(50, 20, 0.079) == 50
 
 
 def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
     planned: Path, run_cell: Run, tmp_path: Path
 ) -> None:
     """The default names of run folders begin with a digit."""
-    run = tmp_path / "20261121T030106Z-1f0c2a9b"
-    shutil.copytree(planned, run)
-    told = json.loads(run_cell("export", str(run), "--json", cwd=tmp_path).stdout)
-    assert told["name"].startswith("scan_")
-    assert len(told["name"]) == 13
+    for name in ("20261121T030106Z-1f0c2a9b", "pulse"):
+        run = tmp_path / name
+        shutil.copytree(planned, run)
+        told = json.loads(run_cell("export", str(run), "--json", cwd=tmp_path).stdout)
+        assert told["name"] == f"scan_{open_finished(planned).digest[:8]}"
 
 
 @pytest.mark.parametrize(
@@ -119,9 +114,35 @@ def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
         (("--name", "ünder"), "is no name in KRL"),
         (("--name", ""), "is no name in KRL"),
         (("--name", "Lin"), "--name Lin is a word of KRL"),
-        (("--name", "BAS"), "is a word of KRL, or of the program itself"),
-        (("--name", "con"), "is a word of KRL, or of the program itself"),
-        (("--name", "SC_TOOL"), "is a word of KRL, or of the program itself"),
+        (("--name", "BAS"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
+        *(
+            (("--name", name), "is a word of KRL")
+            for name in (
+                "PULSE",
+                "ANIN",
+                "ANOUT",
+                "DIGIN",
+                "SEC",
+                "CHANNEL",
+                "CONFIRM",
+                "CCLOSE",
+                "B_AND",
+                "PRIO",
+                "Tool_Data",
+                "XHOME",
+                "XHOME3",
+                "DEF_OV_PRO",
+                "PDEFAULT",
+                "PGNO",
+                "BAS_COMMAND",
+                "CHANNEL_7",
+                "SIN",
+                "STRUC",
+                "LOAD",
+            )
+        ),
+        (("--name", "con"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
+        (("--name", "SC_TOOL"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
         (("--speed", "0"), "--speed 0 is not possible; it must be a whole number from 1 to 100"),
         (("--speed", "101"), "--speed 101 is not possible"),
         (("--acceleration", "0"), "--acceleration 0 is not possible"),
@@ -175,7 +196,9 @@ def test_a_name_cannot_put_a_statement_into_the_program(planned: Path, run_cell:
     assert max(map(len, lines)) <= 400
 
 
-def test_runs_that_cannot_be_exported(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_runs_that_cannot_be_exported(
+    planned: Path, run_cell: Run, tmp_path: Path, resealed: Callable[[Path], str]
+) -> None:
     """Missing, unfinished, damaged, without a motion: one sentence and code 6."""
     done = run_cell("export", "nowhere", cwd=tmp_path)
     assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
@@ -203,8 +226,7 @@ def test_runs_that_cannot_be_exported(planned: Path, run_cell: Run, tmp_path: Pa
     for name in ("via_q", "segment", "view", "via_t", "pose", "line"):
         arrays[name] = arrays[name][:1]
     np.savez_compressed(still / "motion.npz", **arrays)
-    del manifest["artefacts"]["motion.npz"]
-    (still / "manifest.json").write_text(json.dumps(manifest))
+    resealed(still)
     done = run_cell("export", str(still), cwd=tmp_path)
     assert done.returncode == 6
     assert "holds no motion" in done.stderr

@@ -161,3 +161,14 @@ def test_cell_sensors_lists_what_is_known(run_cell: Run, tmp_path: Path) -> None
     for sensor in listed:
         assert set(sensor["source"]) == set(sensor["figures"])
         assert "baseline_mm" in sensor["to_be_given"]
+
+
+def test_a_resolution_is_none_of_a_line_sensor_s_options(
+    line_plan: tuple[Path, subprocess.CompletedProcess[str]], run_cell: Run
+) -> None:
+    """One sentence about the option, not about how the scanner is made."""
+    run, _ = line_plan
+    done = run_cell("scan", "run", "--resolution", "1", cwd=run.parent)
+    assert done.returncode == 2
+    assert done.stderr.startswith("cell: --resolution is the angle between rays, and the scanner laser-line has none")
+    assert not (run / "executions").exists()

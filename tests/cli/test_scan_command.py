@@ -523,15 +523,15 @@ def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("blank_pictures")
-def test_a_required_coverage_that_is_missed_ends_with_code_3(planned: Path, tmp_path: Path) -> None:
+def test_a_required_coverage_that_is_missed_ends_with_code_3(
+    planned: Path, tmp_path: Path, resealed: Callable[[Path], str]
+) -> None:
     """The plan's requirement holds for the execution; a single view is not held against it."""
     run = tmp_path / "run"
     shutil.copytree(planned, run)
     resolved = json.loads((run / "scene.resolved.json").read_text())
     resolved["plan"]["required_visible"] = 1.0
     (run / "scene.resolved.json").write_text(json.dumps(resolved))
-    manifest = json.loads((run / "manifest.json").read_text())
-    manifest["artefacts"].pop("scene.resolved.json")
-    (run / "manifest.json").write_text(json.dumps(manifest))
+    resealed(run)
     assert _scan(run, resolution_deg=3.0).exit_code == 3
     assert _scan(run, resolution_deg=3.0, view=1).exit_code == 0

@@ -1,13 +1,11 @@
 """What is left of a stopped execution, from wherever the arm stands; new ways are tested with the command."""
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError
-from cell.run.manifest_json import Manifest
-from cell.run.record import RunRecord
 from cell.scan.legs import Leg, Legs
 from cell.scan.resume import Rest, rest_of
 from drivers.contract import Mode, RobotState
@@ -18,7 +16,7 @@ from planner.timing.motion import Motion, retime
 
 HOME = to_rad(from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])))
 LIMITS = JointLimits(to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration, kr16().jerk)
-RUN = RunRecord(Path("no such run"), Manifest())
+CHECKER: Any = None  # nobody asks it
 
 
 def at(degrees: float) -> np.ndarray:
@@ -44,7 +42,7 @@ MOTION: Motion = retime(np.stack([HOME, at(10)]), np.array([0, 1]), np.array([-1
 
 def rest(done: set[int], q: np.ndarray) -> Rest:
     """What is left where the arm stands at q."""
-    return rest_of(LEGS, done, RobotState(Mode.IDLE, from_rad(q), True), RUN, MOTION, 0)
+    return rest_of(LEGS, done, RobotState(Mode.IDLE, from_rad(q), True), CHECKER, MOTION.limits, 0)
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_files_of_earlier_versions_are_read(planned: Path) -> None:
         (
             ("views", 0, "T_base_flange"),
             [[1.0, 0.0, 0.0, 0.0]] * 3,
-            r"views\[0\].T_base_flange as a transform has shape",
+            r"views\[0\].T_base_flange is no transform: it must be four rows of four finite numbers",
         ),
         (("views", 1, "q_deg"), [0.0] * 5, r"views\[1\].q_deg has 5 values; it must have 6"),
         (("views", 1, "q_deg", 2), float("nan"), r"views\[1\].q_deg\[2\] is nan; it must be a finite number"),
@@ -85,7 +85,7 @@ def test_what_is_no_json_object_is_told() -> None:
     """A list, and a cut file."""
     with pytest.raises(FileError, match=r"it must hold one JSON object"):
         read(Report, [1])
-    with pytest.raises(FileError, match=r"it is not JSON \(EOF"):
+    with pytest.raises(FileError, match=r"it is not JSON, or nested too deep"):
         parsed(Report, b'{"part": ', Path("file.json"))
 
 

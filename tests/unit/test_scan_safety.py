@@ -8,10 +8,14 @@ import pytest
 from cell.errors import DriverFailureError, UsageError
 from cell.scan import safety
 from cell.scan.options import ScanOptions
+from cell.scan.way import Released
 from cell.scene.option import flag, read
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.limits import kr16
 from drivers.setpoints import from_rad
+
+_PLAN = Released("the plan", "0123456789abcdef" * 4)
+_WAY = Released("the new way", "fedcba9876543210" * 4, own=True)
 
 
 class _Controller:
@@ -64,10 +68,10 @@ def test_a_speed_that_is_no_percentage_is_refused(percent: float) -> None:
 def test_steel_does_not_move_without_somebody_s_word() -> None:
     """Nobody at a terminal: the sentence names the option. Any answer but yes: nothing moves."""
     with pytest.raises(UsageError, match="--confirm-motion"):
-        safety.require_confirmed(_Controller(), 0.1, confirmed=False, ask=None)
+        safety.require_confirmed(_Controller(), 0.1, _PLAN, given=None, ask=None)
     for answer in ("", "y", "no", "yes please"):
         with pytest.raises(UsageError, match="nothing was moved"):
-            safety.require_confirmed(_Controller(), 0.1, confirmed=False, ask=lambda question, said=answer: said)
+            safety.require_confirmed(_Controller(), 0.1, _PLAN, given=None, ask=lambda question, said=answer: said)
 
 
 def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
@@ -78,12 +82,34 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
         questions.append(question)
         return " Yes\n"
 
-    safety.require_confirmed(_Controller(), 0.1, confirmed=False, ask=yes)
-    safety.require_confirmed(_Controller(), 0.1, confirmed=True, ask=None)
-    safety.require_confirmed(_Controller(hardware=False), 1.0, confirmed=False, ask=None)
+    safety.require_confirmed(_Controller(), 0.1, _PLAN, given=None, ask=yes)
+    safety.require_confirmed(_Controller(), 0.1, _PLAN, given=_PLAN.shown, ask=None)
+    safety.require_confirmed(_Controller(), 0.1, _PLAN, given=_PLAN.digest, ask=None)
+    safety.require_confirmed(_Controller(hardware=False), 1.0, _PLAN, given=None, ask=None)
     assert len(questions) == 1
+    assert f"along the plan {_PLAN.shown}" in questions[0]
     assert "KR C4" in questions[0]
     assert "10 %" in questions[0]
+
+
+def test_the_digest_of_something_else_is_no_word() -> None:
+    """Not for the plan, and that of the plan not for a way of its own; a person at the terminal is asked about that."""
+    other = "c" * 64
+    with pytest.raises(UsageError, match=f"which is {_PLAN.shown}; nothing was moved"):
+        safety.require_confirmed(_Controller(), 0.1, _PLAN, given=other, ask=lambda question: "yes")
+    with pytest.raises(UsageError, match=f"which is {_WAY.shown}; nothing was moved"):
+        safety.require_confirmed(_Controller(), 0.1, _WAY, given=_PLAN.digest, ask=None)
+    with pytest.raises(UsageError, match="not confirmed"):
+        safety.require_confirmed(_Controller(), 0.1, _WAY, given=_PLAN.digest, ask=lambda question: "no")
+    safety.require_confirmed(_Controller(), 0.1, _WAY, given=_WAY.shown, ask=None)
+
+
+@pytest.mark.parametrize("word", ["yes", "0" * 7, "0" * 65, "0123456z"])
+def test_a_word_that_is_no_digest_is_refused(word: str) -> None:
+    """Eight characters of hexadecimal at least; capitals are the same."""
+    with pytest.raises(UsageError, match="must be a digest as cell plan prints it"):
+        read(ScanOptions, {"confirm_motion": word}, flag)
+    assert read(ScanOptions, {"confirm_motion": "ABCDEF01"}, flag).confirm_motion == "abcdef01"
 
 
 @pytest.mark.parametrize("mode", [Mode.FAULT, Mode.EMERGENCY_STOP])

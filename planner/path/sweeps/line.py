@@ -18,6 +18,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planner.ports import JointLimits
 from planner.timing.s_curve import Profile
 from planner.values import Floats, Value, readonly
 
@@ -50,6 +51,16 @@ class SweepSpeed:
             self.linear_acceleration * acceleration,
             self.angular_acceleration * acceleration,
         )
+
+    def slowed(self, limits: JointLimits, full: JointLimits) -> "SweepSpeed":
+        """As much slower as limits of the axes are than those at full speed."""
+        return self.scaled(_fraction(limits.velocity, full.velocity), _fraction(limits.acceleration, full.acceleration))
+
+
+def _fraction(limit: Floats, full: Floats) -> float:
+    """The fraction to which limits were scaled; those that are not finite say nothing."""
+    known = np.isfinite(limit) & np.isfinite(full)
+    return float((limit[known] / full[known]).min(initial=1.0))
 
 
 DEFAULT_SPEED = SweepSpeed()

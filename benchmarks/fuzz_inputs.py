@@ -1,0 +1,243 @@
+"""Mangled files of every kind that is read: meshes, scenes (TOML), JSON and npz of run folders.
+
+Good files are mangled as bytes (`benchmarks.fuzz.mangled`), or in their structure: a number, a word or a bracket of a
+text becomes a nasty one, of a GLB in its description, of an npz in a member with its zip made anew. Whatever comes out
+must be read, or refused by an error of ours that ends with an exit code other than 70, in bounded time and memory: the
+readers run in a process of their own whose memory is limited to a gigabyte more than it begins with, where an
+allocation beyond that is an error that counts.
+
+`FUZZ_FILES` in the environment changes the 10,000 files.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import multiprocessing
+import os
+import re
+import resource
+import struct
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from benchmarks.fuzz import mangled
+from cell.errors import CellError
+from cell.part import workpiece
+from cell.run import reader
+from cell.run.executions import read_scan
+from cell.run.manifest_json import Manifest
+from cell.run.record import RunRecord, read_manifest
+from cell.scene.scene import load_scene
+
+ROOM = 1 << 30
+"""Bytes that reading a file may take."""
+
+_NASTY = (
+    b"-1", b"0", b"1e999", b"nan", b"inf", b"-0.0", b"4294967295", b"99999999999999999999", b"9" * 5000, b"null",
+    b"true", b'"x"', b'""', b"[]", b"{}", b"[" * 3000, b"[[[[1]]]]", b'{"a":{"b":1}}', b"-", b"", b"\x00", "ü".encode(),
+    b"a" * 400,
+)  # fmt: skip
+_TOKEN = re.compile(rb'-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|"[^"\n]*"|[\[\]{},:=]|\btrue\b|\bnull\b|\w+')
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file.
+
+    Attributes:
+        name: of it.
+        files: good ones by name.
+        read: reads a file; what it raises is judged.
+    """
+
+    name: str
+    files: dict[str, bytes]
+    read: Callable[[Path], object]
+
+
+def structured(good: bytes, rng: np.random.Generator) -> bytes:
+    """A text in which some tokens are others, or gone."""
+    found = list(_TOKEN.finditer(good))
+    for at in sorted(rng.choice(len(found), min(len(found), int(rng.integers(1, 4))), replace=False), reverse=True):
+        token = found[int(at)]
+        other = (
+            _NASTY[int(rng.integers(len(_NASTY)))] if rng.random() < 0.8 else found[int(rng.integers(len(found)))][0]
+        )
+        good = good[: token.start()] + other + good[token.end() :]
+    return good
+
+
+def _glb(good: bytes, rng: np.random.Generator) -> bytes:
+    """A GLB whose description is another."""
+    size = struct.unpack_from("<I", good, 12)[0]
+    described = structured(good[20 : 20 + size].rstrip(), rng)
+    described += b" " * (-len(described) % 4)
+    rest = good[20 + size :]
+    head = b"glTF" + struct.pack("<II", 2, 20 + len(described) + len(rest))
+    return head + struct.pack("<II", len(described), 0x4E4F534A) + described + rest
+
+
+def _npz(good: bytes, rng: np.random.Generator) -> bytes:
+    """An npz of which one member is mangled, its zip whole."""
+    with zipfile.ZipFile(io.BytesIO(good)) as stored:
+        members = {name: stored.read(name) for name in stored.namelist()}
+    name = sorted(members)[int(rng.integers(len(members)))]
+    member = members[name]
+    if rng.random() < 0.6:
+        head, brace, rest = member.partition(b"}")
+        members[name] = structured(head, rng) + brace + rest
+    else:
+        members[name] = mangled(member, member, rng)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made:
+        for each, content in members.items():
+            made.writestr(each, content)
+    return buffer.getvalue()
+
+
+def disturbed(name: str, good: bytes, rng: np.random.Generator) -> bytes:
+    """One mangled file."""
+    if rng.random() < 0.4:
+        return mangled(good, good, rng)
+    if name.endswith(".glb"):
+        return _glb(good, rng)
+    if name.endswith(".npz"):
+        return _npz(good, rng)
+    return structured(good, rng) if name != "binary.stl" else mangled(good[:90], good, rng) + good[90:]
+
+
+def kinds(run: Path, scan: Path | None) -> list[Kind]:
+    """All kinds, with good files of each.
+
+    Args:
+        run: a run folder, whose JSON and npz files are taken.
+        scan: a file of a scan; None leaves it out.
+    """
+    body = trimesh.creation.icosphere(subdivisions=1, radius=20.0)
+    meshes = {f"body.{kind}": body.export(file_type=kind) for kind in ("obj", "ply", "off")}
+    meshes |= {"text.stl": body.export(file_type="stl_ascii"), "binary.stl": body.export(file_type="stl")}
+    meshes |= {"text.ply": body.export(file_type="ply", encoding="ascii")}
+    scene = trimesh.Scene([body, body.copy().apply_translation([50, 0, 0])])
+    meshes["body.glb"] = scene.export(file_type="glb")
+    whole = {name: content.encode() if isinstance(content, str) else content for name, content in meshes.items()}
+    built_in = (Path(__file__).parents[1] / "models" / "scene.toml").read_bytes()
+    own = b'[[fixtures]]\nname = "a"\nshape = "box"\nsize_mm = [1, 2, 3]\n[plan]\nrolls_deg = [0, 90]\nfaces = 60\n'
+    of_json = {
+        name: (run / name).read_bytes() for name in ("plan.json", "scene.resolved.json", "report.json", "manifest.json")
+    }
+    of_npz = {name: (run / name).read_bytes() for name in ("motion.npz", "viewpoints.npz", "reach.npz")}
+    if scan is not None:
+        of_npz["scan.npz"] = scan.read_bytes()
+    return [
+        Kind("mesh", whole, lambda path: workpiece.load(path, "mm")),
+        Kind("TOML", {"scene.toml": built_in, "own.toml": own}, load_scene),
+        Kind("JSON", of_json, _read_json),
+        Kind("npz", of_npz, _read_npz),
+    ]
+
+
+def _read_json(path: Path) -> object:
+    if path.name == "manifest.json":
+        return read_manifest(path)
+    run = RunRecord(path.parent, Manifest(status="finished"))
+    return {"plan.json": reader.plan, "scene.resolved.json": reader.scene, "report.json": reader.report}[path.name](run)
+
+
+def _read_npz(path: Path) -> object:
+    if path.name == "scan.npz":
+        return read_scan(path)
+    run = RunRecord(path.parent, Manifest(status="finished"))
+    return {"motion.npz": reader.motion, "viewpoints.npz": reader.candidates, "reach.npz": reader.reached}[path.name](
+        run
+    )
+
+
+def _judged(kind: Kind, count: int, seed: int) -> Iterator[tuple[str, float, str]]:
+    """How each mangled file ended, with its seconds, and what was foreign."""
+    rng = np.random.default_rng(seed)
+    names = sorted(kind.files)
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(count):
+            name = names[number % len(names)]
+            path = Path(folder) / name
+            path.write_bytes(disturbed(name, kind.files[name], rng))
+            began = process_time()
+            try:
+                kind.read(path)
+                ended, told = "read", ""
+            except CellError as error:
+                ended, told = ("refused", "") if error.exit_code != CellError.exit_code else ("foreign", str(error))
+            except BaseException as error:  # whatever it is, it would end as a bug
+                ended, told = "foreign", f"{name} {number}: {type(error).__name__}: {str(error)[:200]}"
+            yield ended, process_time() - began, told
+
+
+def _row(kind: Kind, count: int, seed: int) -> dict[str, Any]:
+    logging.disable(logging.CRITICAL)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, used + ROOM))
+    judged = list(_judged(kind, count, seed))
+    ends = [ended for ended, _, _ in judged]
+    return {
+        "files": kind.name,
+        "mangled": count,
+        "read": ends.count("read"),
+        "refused": ends.count("refused"),
+        "foreign": ends.count("foreign"),
+        "slowest_s": max(seconds for _, seconds, _ in judged),
+        "first foreign": next((told for _, _, told in judged if told), ""),
+    }
+
+
+def _into(pipe: Any, kind: Kind, count: int, seed: int) -> None:
+    pipe.send(_row(kind, count, seed))
+
+
+def fuzzed(run: Path, scan: Path | None, count: int, seed: int = 0) -> list[dict[str, Any]]:
+    """A row for each kind of file, each read in a process of its own.
+
+    Args:
+        run: a run folder.
+        scan: a file of a scan.
+        count: mangled files in all.
+        seed: of the mangling.
+    """
+    rows = []
+    for kind in kinds(run, scan):
+        here, there = multiprocessing.get_context("fork").Pipe()
+        process = multiprocessing.get_context("fork").Process(target=_into, args=(there, kind, count // 4, seed))
+        process.start()
+        there.close()
+        try:
+            rows.append(here.recv())
+        except EOFError:
+            rows.append(
+                {"files": kind.name, "mangled": count // 4, "foreign": count // 4, "first foreign": "the process died"}
+            )
+        process.join()
+    return rows
+
+
+def run() -> list[dict[str, Any]]:
+    """A row for each kind of file, of a plan of a small part."""
+    from cell import api
+
+    with tempfile.TemporaryDirectory() as folder:
+        planned = api.plan("petanque", place=(1100, 400, 100), faces=60, samples=2, out=Path(folder) / "plan")
+        executed = api.scan(planned, resolution=4.0)
+        scan = next((executed.folder / "scans").glob("*.npz"))
+        return fuzzed(planned.folder, scan, int(os.environ.get("FUZZ_FILES", "10000")))
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(), indent=2))  # noqa: T201  # a quick look

@@ -1,0 +1,224 @@
+"""Triangles of a binary glTF file (GLB), its scene flattened: each node's mesh placed by the node's transform.
+
+Read here and not by a library, because a few hundred bytes of glTF may announce gigabytes: an accessor without data, a
+picture, one mesh under thousands of nodes. Nothing but geometry is looked at, every array is a view into the file's
+own bytes, and a file unfolds to no more triangles than it has bytes. Section numbers are of the Khronos Group's
+glTF 2.0 specification (ISO/IEC 12113).
+"""
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.values import Floats, Ints
+
+_JSON, _BIN = 0x4E4F534A, 0x004E4942  # kinds of chunks (4.4.3)
+_INDICES: Mapping[int, np.dtype[Any]] = {
+    5121: np.dtype("<u1"),
+    5123: np.dtype("<u2"),
+    5125: np.dtype("<u4"),
+}  # component types (3.6.2.2)
+_FLOAT = 5126
+_EACH = 16  # what placing a primitive counts beside its triangles: a node takes more bytes
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives (3.7.2.1)
+
+
+class BrokenGlbError(Exception):
+    """What is wrong with the file, in words of ours that follow "it"."""
+
+
+def triangles(content: bytes) -> tuple[Floats, Ints]:
+    """Vertices (V, 3) and triangles (F, 3) of a GLB, in the file's own numbers.
+
+    Raises:
+        BrokenGlbError: in words, if it is broken, or uses what is not supported.
+    """
+    described, data = _chunks(content)
+    required = described.get("extensionsRequired")
+    for name in required if isinstance(required, list) else ():
+        if "compression" in str(name) or "quantization" in str(name):
+            raise BrokenGlbError(f"is compressed ({str(name)[:60]}), which is not supported: export without it")
+    vertices: list[Floats] = [np.zeros((0, 3))]
+    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
+    begin = count = 0
+    for T, mesh in _placed(described):
+        for primitive in _list(mesh, "primitives"):
+            found = _primitive(described, data, primitive)
+            if found is None:
+                continue
+            count += len(found[1]) + _EACH
+            if count > len(content):
+                raise BrokenGlbError("unfolds to more triangles than it has bytes: export each body once")
+            vertices.append(found[0] @ T[:3, :3].T + T[:3, 3])
+            mirrored = np.linalg.det(T[:3, :3]) < 0  # turns the winding round (3.7.4)
+            faces.append(found[1][:, :: -1 if mirrored else 1] + begin)
+            begin += len(found[0])
+            if begin > 3 * len(content):
+                raise BrokenGlbError("unfolds to more vertices than it can hold: export each body once")
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def _chunks(content: bytes) -> tuple[Mapping[str, Any], bytes]:
+    """The scene's description, and the binary data."""
+    if content[:4] != b"glTF" or len(content) < 20:
+        raise BrokenGlbError("is not a binary glTF file (GLB): export the mesh again")
+    length = struct.unpack_from("<I", content, 8)[0]
+    if length > len(content):
+        raise BrokenGlbError(
+            f"is cut short: it announces {length} bytes but has {len(content)}: export or copy it again"
+        )
+    size, kind = struct.unpack_from("<II", content, 12)
+    if kind != _JSON or 20 + size > len(content):
+        raise BrokenGlbError("begins with no scene description: export the mesh again")
+    try:
+        described = json.loads(content[20 : 20 + size])
+    except (ValueError, RecursionError) as error:
+        raise BrokenGlbError("has a scene description that cannot be read: export the mesh again") from error
+    if not isinstance(described, dict):
+        raise BrokenGlbError("has a scene description of another kind: export the mesh again")
+    at, data = 20 + size, b""
+    if at + 8 <= len(content):
+        size, kind = struct.unpack_from("<II", content, at)
+        data = content[at + 8 : at + 8 + size] if kind == _BIN else b""
+    return described, data
+
+
+def _placed(described: Mapping[str, Any]) -> Iterator[tuple[Floats, Mapping[str, Any]]]:
+    """Transform and mesh of every node of the scene; all nodes without a parent where no scene is named."""
+    nodes = _list(described, "nodes")
+    scenes = _list(described, "scenes")
+    if scenes:
+        roots = _list(scenes[_index(described.get("scene", 0), scenes, "scene")], "nodes", numbers=True)
+    else:
+        below = {child for node in nodes for child in _list(node, "children", numbers=True) if isinstance(child, int)}
+        roots = [number for number in range(len(nodes)) if number not in below]
+    todo = [(number, np.eye(4)) for number in reversed(roots)]
+    seen: set[int] = set()
+    while todo:
+        number, T_parent = todo.pop()
+        node = nodes[_index(number, nodes, "node")]
+        if number in seen:  # nodes form trees (3.5.3); a circle would never end
+            raise BrokenGlbError("has a node under two parents: export the mesh again")
+        seen.add(number)
+        T = T_parent @ _transform(node)
+        if node.get("mesh") is not None:
+            meshes = _list(described, "meshes")
+            yield T, meshes[_index(node["mesh"], meshes, "mesh")]
+        todo += [(child, T) for child in reversed(_list(node, "children", numbers=True))]
+
+
+def _transform(node: Mapping[str, Any]) -> Floats:
+    """(4, 4) of a node: its matrix, column by column, or translation times rotation times scale (3.5.2)."""
+    if "matrix" in node:
+        return _numbers(node["matrix"], 16).reshape(4, 4).T
+    T = np.eye(4)
+    x, y, z, w = _numbers(node.get("rotation", [0, 0, 0, 1]), 4)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    T[:3, :3] = rotation * _numbers(node.get("scale", [1, 1, 1]), 3)
+    T[:3, 3] = _numbers(node.get("translation", [0, 0, 0]), 3)
+    return T
+
+
+def _primitive(described: Mapping[str, Any], data: bytes, primitive: Any) -> tuple[Floats, Ints] | None:
+    """Vertices and triangles of a primitive; None of points and lines."""
+    if not isinstance(primitive, Mapping):
+        raise BrokenGlbError("has a primitive that is no table: export the mesh again")
+    mode = primitive.get("mode", _TRIANGLES)
+    attributes = primitive.get("attributes")
+    if mode not in (_TRIANGLES, _STRIP, _FAN) or not isinstance(attributes, Mapping) or "POSITION" not in attributes:
+        return None
+    vertices = _accessor(described, data, attributes["POSITION"], np.dtype("<f4"), "VEC3").astype(np.float64)
+    if primitive.get("indices") is None:
+        corners: Ints = np.arange(len(vertices))
+    else:
+        corners = _accessor(described, data, primitive["indices"], None, "SCALAR").astype(np.int64).ravel()
+    if mode == _TRIANGLES:
+        return vertices, corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if len(corners) < 3:
+        return vertices, np.zeros((0, 3), np.int64)
+    if mode == _FAN:
+        return vertices, np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
+    strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    strip[1::2] = strip[1::2, [1, 0, 2]]  # every second one is wound the other way
+    return vertices, strip
+
+
+def _accessor(
+    described: Mapping[str, Any], data: bytes, number: Any, kind: np.dtype[Any] | None, form: str
+) -> NDArray[Any]:
+    """The array of an accessor: a view into the file's bytes, which must hold all of it.
+
+    Args:
+        described: the scene.
+        data: the binary chunk.
+        number: of the accessor.
+        kind: of its entries; None: unsigned whole numbers.
+        form: VEC3 or SCALAR.
+    """
+    accessors, views = _list(described, "accessors"), _list(described, "bufferViews")
+    accessor = accessors[_index(number, accessors, "accessor")]
+    if accessor.get("bufferView") is None or "sparse" in accessor:
+        raise BrokenGlbError("has a sparse accessor, or one without data, which is not supported: export without them")
+    view = views[_index(accessor["bufferView"], views, "buffer view")]
+    component = accessor.get("componentType")
+    stored: np.dtype[Any] | None = kind
+    if kind is None and isinstance(component, int):
+        stored = _INDICES.get(component)
+    if stored is None or accessor.get("type") != form or (kind is not None and component != _FLOAT):
+        raise BrokenGlbError("has vertices or indices of a kind that is not supported: export them as plain numbers")
+    if view.get("buffer") != 0:
+        raise BrokenGlbError("keeps its data in another file, which is not supported: export one file")
+    length = 3 if form == "VEC3" else 1
+    width = length * stored.itemsize
+    begin, room, stride = (
+        _whole(view.get("byteOffset", 0)),
+        _whole(view.get("byteLength")),
+        _whole(view.get("byteStride", 0)),
+    )
+    offset, count = _whole(accessor.get("byteOffset", 0)), _whole(accessor.get("count"))
+    stride = stride or width
+    if count and (offset + (count - 1) * stride + width > room or begin + room > len(data) or stride < width):
+        raise BrokenGlbError("announces more data than it has: it is broken or cut short, export the mesh again")
+    if not count:
+        return np.zeros((0, length))
+    return np.ndarray((count, length), stored, data, begin + offset, (stride, stored.itemsize))
+
+
+def _list(table: Mapping[str, Any], key: str, *, numbers: bool = False) -> list[Any]:
+    """A list of tables, or of numbers of nodes; [] where there is none."""
+    found = table.get(key, [])
+    if not isinstance(found, list) or not all(numbers or isinstance(entry, dict) for entry in found):
+        raise BrokenGlbError(f"has '{key}' of another kind than a list: export the mesh again")
+    return found
+
+
+def _index(number: Any, among: list[Any], what: str) -> int:
+    if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(among):
+        raise BrokenGlbError(f"refers to a {what} that it does not have: export the mesh again")
+    return number
+
+
+def _whole(number: Any) -> int:
+    if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < 2**40:
+        raise BrokenGlbError("has a length that is no whole number: export the mesh again")
+    return number
+
+
+def _numbers(values: Any, count: int) -> Floats:
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise BrokenGlbError("has a transform that is no list of numbers: export the mesh again") from error
+    if found.shape != (count,) or not np.isfinite(found).all():
+        raise BrokenGlbError(f"has a transform that is not of {count} finite numbers: export the mesh again")
+    return found

@@ -1,0 +1,125 @@
+"""Facts of a plan as the run folder's files say them, made the same way by who writes them and by who checks them.
+
+Millimetres and degrees, as the keys of the files say.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, TypedDict
+
+import numpy as np
+
+from cell.run.plan_json import Sweep
+from cell.run.scene_json import StandingFixture
+from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
+from cell.world.model import World
+from planner.path.sweeps.path import SweepPath
+from planner.ports import JointLimits
+from planner.values import Floats
+
+
+class LimitsDeg(TypedDict):
+    """The keys of scene.resolved.json that hold limits of the axes."""
+
+    joint_limits_deg: Sequence[tuple[float, float]]
+    joint_velocity_limits_deg_s: Sequence[float]
+    joint_acceleration_limits_deg_s2: Sequence[float]
+    joint_jerk_limits_deg_s3: Sequence[float | None]
+
+
+def limits_deg(limits: JointLimits) -> LimitsDeg:
+    """Limits of the axes [rad] in degrees, without the dust of the conversion."""
+    return {
+        "joint_limits_deg": np.degrees(np.stack([limits.lower, limits.upper], axis=1)).round(9).tolist(),
+        "joint_velocity_limits_deg_s": np.degrees(limits.velocity).round(9).tolist(),
+        "joint_acceleration_limits_deg_s2": np.degrees(limits.acceleration).round(9).tolist(),
+        "joint_jerk_limits_deg_s3": [
+            round(float(jerk), 9) if np.isfinite(jerk) else None for jerk in np.degrees(limits.jerk)
+        ],
+    }
+
+
+def standing_fixtures(scene: Scene, world: World) -> list[StandingFixture]:
+    """All that stands in the cell: the scene's fixtures, then post, pedestal and floor."""
+    return [*(_fixture(fixture, world) for fixture in scene.fixtures), *_built_in(scene, world)]
+
+
+def sweep_of(T_object_poses: Floats, path: SweepPath) -> Sweep:
+    """What is driven at a view of a line sensor.
+
+    Args:
+        T_object_poses: (K, 4, 4) of the driven set-points [m], in the column's order.
+        path: as it is driven.
+    """
+    steady = float(path.profile.cruise)
+    return Sweep(
+        T_object_scanner=list(T_object_poses),
+        q_deg=[degrees(q) for q in path.measured_q],
+        from_q_deg=degrees(path.q[0]),
+        to_q_deg=degrees(path.q[-1]),
+        backwards=path.pose[path.pose >= 0][0] > 0,
+        length_mm=mm(path.line.length),
+        angle_deg=round(float(np.degrees(path.line.angle)), 9),
+        speed_mm_s=round(mm(path.line.length / steady), 6) if steady > 0 else 0.0,
+        speed_deg_s=round(float(np.degrees(path.line.angle / steady)), 6) if steady > 0 else 0.0,
+        duration_s=path.duration,
+    )
+
+
+def degrees(q: Floats) -> list[float]:
+    """Set-points in degrees as the multiples of 1e-4 that they are."""
+    return [float(round(value * 1e4) / 1e4) for value in np.degrees(q)]
+
+
+def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
+    """Post, pedestal and floor, in the form of the scene's fixtures."""
+    floor_mm = -scene.robot.pedestal_height_mm
+
+    def standing(
+        name: str, shape: Literal["box", "cylinder", "plane"], size_mm: list[float], middle_mm: list[float]
+    ) -> StandingFixture:
+        T = np.eye(4)
+        T[:3, 3] = np.array(middle_mm) / 1000
+        return StandingFixture(
+            name=name, shape=shape, size_mm=size_mm, pose=T, attached_to="base", occludes=True, built_in=True
+        )
+
+    listed = []
+    if scene.post.enabled:
+        x, y, top = (mm(value) for value in world.post_top(world.T_base_object))
+        height = top - floor_mm
+        listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], [x, y, floor_mm + height / 2]))
+    if scene.robot.pedestal_height_mm > 0:
+        size = [*scene.robot.pedestal_size_mm, scene.robot.pedestal_height_mm]
+        listed.append(standing("pedestal", "box", size, [0.0, 0.0, floor_mm / 2]))
+    listed.append(standing("floor", "plane", [], [0.0, 0.0, floor_mm]))
+    return listed
+
+
+def _fixture(fixture: Fixture, world: World) -> StandingFixture:
+    if isinstance(fixture, BoxFixture | CylinderFixture):
+        size_mm, pose, file, collision = list(fixture.size_mm), fixture.T, None, None
+    else:  # its file holds the triangles where the scene's pose has put them
+        sides = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
+        size_mm, pose, file = [mm(side) for side in sides], np.eye(4), fixture_file(fixture.name)
+        collision = world.scene.plan.collision
+    return StandingFixture(
+        name=fixture.name,
+        shape=fixture.shape,
+        size_mm=size_mm,
+        pose=pose,
+        attached_to=fixture.attached_to,
+        occludes=fixture.occludes,
+        built_in=False,
+        file=file,
+        collision=collision,
+    )
+
+
+def fixture_file(name: str) -> str:
+    """The file that holds the true triangles of a mesh fixture, in the frame that it is attached to."""
+    return f"fixture_{name}.ply"
+
+
+def mm(metres: float) -> float:
+    """Millimetres without the dust of the conversion."""
+    return round(float(metres) * 1000, 9)

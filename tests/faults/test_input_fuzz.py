@@ -1,0 +1,225 @@
+"""Mangled input files in a reduced form, and crafted ones by name; `python -m benchmarks fuzz_inputs` has more."""
+
+import io
+import json
+import resource
+import struct
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import fuzz_inputs
+from cell.errors import CellError, FileError, SceneError
+from cell.part import workpiece
+from cell.run.record import npz
+from cell.scene.scene import load_scene
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def _clean(rows: list[dict[str, Any]]) -> None:
+    """Nothing foreign, nothing slow; and the mangling leaves some files whole and breaks most."""
+    for row in rows:
+        assert row["foreign"] == 0, row
+        assert row["slowest_s"] < 10, row
+        assert row["refused"] > row["mangled"] // 3, row
+
+
+def test_mangled_files_are_read_or_refused_in_our_words(executed: Path) -> None:
+    """Meshes, scenes, JSON and npz of a run folder: no error of another's, a gigabyte and ten seconds at most."""
+    scan = executed / "executions/0001/scans/0001.npz"
+    _clean(fuzz_inputs.fuzzed(executed, scan, 400, seed=3))
+
+
+@pytest.mark.slow
+def test_ten_thousand_mangled_files(executed: Path) -> None:
+    """The long form."""
+    _clean(fuzz_inputs.fuzzed(executed, executed / "executions/0001/scans/0001.npz", 10_000, seed=4))
+
+
+def _glb(described: bytes | dict[str, Any], data: bytes = b"") -> bytes:
+    text = described if isinstance(described, bytes) else json.dumps(described).encode()
+    text += b" " * (-len(text) % 4)
+    chunk = struct.pack("<II", len(data), 0x004E4942) + data if data else b""
+    return (
+        b"glTF" + struct.pack("<II", 2, 20 + len(text) + len(chunk)) + struct.pack("<II", len(text), 0x4E4F534A)
+        + text + chunk
+    )  # fmt: skip
+
+
+def _scene(**changes: Any) -> dict[str, Any]:
+    """A GLB's description with one triangle of 36 bytes."""
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36}],
+        **changes,
+    }
+
+
+_TRIANGLE = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0]], "<f4").tobytes()
+_ACCESSOR = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
+
+MESHES: dict[str, tuple[str, bytes, str]] = {
+    "an accessor without data": (
+        "x.glb",
+        _glb(_scene(accessors=[{"componentType": 5126, "count": 360_000_000, "type": "VEC3"}])),
+        "sparse accessor",
+    ),
+    "more announced than there is": (
+        "x.glb",
+        _glb(_scene(accessors=[{**_ACCESSOR, "count": 360_000_000}]), _TRIANGLE),
+        "announces more data than it has",
+    ),
+    "a mesh under many nodes": (
+        "x.glb",
+        _glb(_scene(nodes=[{"mesh": 0}] * 5000, scenes=[{"nodes": list(range(5000))}],
+                    meshes=[{"primitives": [{"attributes": {"POSITION": 0}}] * 5000}]), _TRIANGLE),
+        "unfolds to more",
+    ),
+    "nodes in a circle": (
+        "x.glb", _glb(_scene(nodes=[{"children": [1]}, {"children": [0]}]), _TRIANGLE), "a node under two parents"
+    ),
+    "a deep description": ("x.glb", _glb(b"[" * 100_000), "cannot be read"),
+    "a description of another kind": ("x.glb", _glb(b"[1, 2]"), "of another kind"),
+    "nodes of another kind": ("x.glb", _glb(_scene(nodes={"a": 1}), _TRIANGLE), "of another kind than a list"),
+    "a number in place of a mesh": ("x.glb", _glb(_scene(meshes=[7]), _TRIANGLE), "of another kind than a list"),
+    "a count that is a text": (
+        "x.glb", _glb(_scene(accessors=[{**_ACCESSOR, "count": "3"}]), _TRIANGLE), "no whole number"
+    ),
+    "an STL with corners that are words": (
+        "x.stl", b"solid\nfacet normal a b c\nvertex a b c\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n",
+        "no three numbers",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MESHES)
+def test_a_crafted_mesh_is_refused_in_one_sentence(case: str, tmp_path: Path) -> None:
+    """At once, without what it announces being allocated."""
+    name, content, words = MESHES[case]
+    (tmp_path / name).write_bytes(content)
+    began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(FileError, match=words) as refusal:
+        workpiece.load(tmp_path / name, "mm")
+    assert "\n" not in str(refusal.value)
+    assert process_time() - began < 2
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KB
+
+
+def test_pictures_and_normals_are_not_looked_at(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A GLB with a picture that is none; an ASCII STL whose normals are words: the triangles are what counts."""
+    described = _scene(
+        images=[{"bufferView": 1, "mimeType": "image/png"}], textures=[{"source": 0}],
+        bufferViews=[{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 400_000}],
+    )  # fmt: skip
+    (tmp_path / "x.glb").write_bytes(_glb(described, _TRIANGLE + bytes(400_000)))
+    assert len(workpiece.load(tmp_path / "x.glb", "mm").reference.faces) == 1
+    facet = "facet normal {0}\nouter loop\nvertex 0 0 0\nvertex 9 0 0\nvertex 0 9 0\nendloop\nendfacet\n"
+    (tmp_path / "x.stl").write_text("solid x\n" + facet.format("nan nan") + facet.format("a b c d") + "endsolid x\n")
+    assert len(workpiece.load(tmp_path / "x.stl", "mm").reference.faces) == 1  # the second is a duplicate
+    assert capfd.readouterr() == ("", "")
+
+
+SCENES = {
+    "brackets": "a = " + "[" * 100_000,
+    "a long number": "clearance_mm = " + "9" * 200_000,
+    "tables in tables": "[" + ".".join("a" * 3000) + "]\nb = 1",
+    "lists in lists": "[plan]\nrolls_deg = " + "[" * 40 + "]" * 40,
+}
+
+
+@pytest.mark.parametrize("case", SCENES)
+def test_a_crafted_scene_is_refused_in_one_sentence(case: str, tmp_path: Path) -> None:
+    """Thousands of brackets or digits are an error of the scene."""
+    (tmp_path / "x.toml").write_text(SCENES[case])
+    with pytest.raises(SceneError, match=r"x\.toml") as refusal:
+        load_scene(tmp_path / "x.toml")
+    assert len(str(refusal.value)) < 500
+
+
+@pytest.mark.parametrize("arguments", [
+    ("plan", "{long}.stl", "--units", "mm"),
+    ("plan", "--scene", "{long}.toml"),
+    ("plan", "--out", "{long}", "--faces", "20"),
+    ("scan", "{long}"),
+    ("export", "{long}"),
+    ("replay", "{long}"),
+    ("check", "--scene", "{long}.toml"),
+])  # fmt: skip
+def test_a_name_that_no_file_can_have_is_no_bug(arguments: tuple[str, ...], tmp_path: Path, run_cell: Run) -> None:
+    """More than 255 bytes: a sentence and the code of files, or of the scene."""
+    done = run_cell(*(word.format(long="n" * 300) for word in arguments), cwd=tmp_path)
+    assert done.returncode in (2, 6), done.stderr
+    assert "bug" not in done.stderr
+
+
+def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
+    """Its name becomes that of a file; its path may be one that cannot be."""
+    for line, words in (
+        (f'name = "{"n" * 101}"\nshape = "box"\nsize_mm = [1, 1, 1]', "101 characters; it must have at most 100"),
+        (f'name = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no name that a file can have"),
+    ):
+        (tmp_path / "x.toml").write_text(f"[[fixtures]]\n{line}\n")
+        with pytest.raises(SceneError, match=words):
+            load_scene(tmp_path / "x.toml")
+
+
+@pytest.mark.parametrize("name", ["plan.json", "scene.resolved.json", "manifest.json"])
+def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Path, run_cell: Run) -> None:
+    """Nested a hundred thousand times: refused by every command that reads it."""
+    import shutil
+
+    shutil.copytree(planned, tmp_path / "run")
+    manifest = json.loads((tmp_path / "run/manifest.json").read_text())
+    if name != "manifest.json":
+        del manifest["artefacts"][name]
+        (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
+    (tmp_path / "run" / name).write_text('{"views": ' + "[" * 100_000)
+    for command in (("export", "run"), ("scan", "run"), ("replay", "run", "--picture", "x.png")):
+        done = run_cell(*command, cwd=tmp_path)
+        assert done.returncode == 6, done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+def _bomb(unfolded: int) -> bytes:
+    """An npz of one array of zeros, a thousandth of what it unfolds to."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (unfolded // 8,)})
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made, made.open("q.npy", "w", force_zip64=True) as file:
+        file.write(header.getvalue())
+        for _ in range(unfolded >> 20):
+            file.write(bytes(1 << 20))
+    return buffer.getvalue()
+
+
+def _liar() -> bytes:
+    """An npz whose array says that it is a terabyte long."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 37,)})
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as made:
+        made.writestr("q.npy", header.getvalue() + bytes(80))
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("content", [_bomb(1 << 29), _liar()], ids=["bomb", "liar"])
+def test_what_a_file_holds_bounds_what_is_allocated(content: bytes) -> None:
+    """An npz that unfolds to a thousand times its size, or announces a terabyte: refused at once."""
+    began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(CellError, match="is damaged or cut short"):
+        npz(Path("q.npz"), content)
+    assert process_time() - began < 1
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KB

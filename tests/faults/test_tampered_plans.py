@@ -1,0 +1,366 @@
+"""A run folder in which one field was changed, hashes and digest made anew: refused, or a field that changes nothing.
+
+Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so a new
+one is looked at without a word here. Which fields may be changed is a list in docs/run_folder.md.
+"""
+
+import copy
+import io
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.errors import CellError
+from cell.proof.proof import prove
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+Reseal = Callable[[Path], str]
+
+DOCS = Path(__file__).parents[2] / "docs" / "run_folder.md"
+JSON = ("plan.json", "scene.resolved.json", "manifest.json")
+_OPEN = ("artefacts", "inputs", "versions", "seconds", "options")  # maps of the manifest whose keys are data
+
+
+@dataclass(frozen=True)
+class Change:
+    """One field changed in one way.
+
+    Attributes:
+        field: as the docs name it, "plan.json:views[].q_deg".
+        what: of the change, for the failure.
+        content: of the changed file.
+    """
+
+    field: str
+    what: str
+    content: bytes
+
+    @property
+    def file(self) -> str:
+        """The file that was changed."""
+        return self.field.partition(":")[0]
+
+
+def free_fields() -> list[re.Pattern[str]]:
+    """The fields that the docs list, with all that is below where they end in `.*`."""
+    listed = DOCS.read_text(encoding="utf-8").partition("<!-- free fields")[2].partition("<!-- end of free fields")[0]
+    names = re.findall(r"`([a-z.]+:[^`]+)`", listed)
+    assert len(names) > 20
+    below = r"(\..*|\[.*)?"
+    return [
+        re.compile(re.escape(name.removesuffix(".*")) + (below if name.endswith(".*") else r"(\[\])*"))
+        for name in names
+    ]
+
+
+def _others(value: Any) -> list[tuple[str, Any]]:
+    """What a leaf may be changed to."""
+    if isinstance(value, bool):
+        return [("turned", not value)]
+    if isinstance(value, int):
+        return [("one more", value + 1), ("far more", value + 1000)]
+    if isinstance(value, float):
+        return [("0.01 more", value + 0.01), ("a thousandth less", value * 0.998 - 3e-5), ("negated", -value - 0.5)]
+    if isinstance(value, str):
+        return [("longer", value + "x"), ("empty", "")]
+    return [("a number", 1.0), ("a text", "x")] if value is None else []
+
+
+def _walk(name: str, tree: Any) -> Iterator[tuple[str, list[Any], str, Callable[[Any], Any]]]:
+    """Field, place in the tree, and a function that changes the parent's entry; None takes it away."""
+    todo: list[tuple[Any, str, list[Any]]] = [(tree, f"{name}:", [])]
+    while todo:
+        here, field, place = todo.pop()
+        keys = list(here) if isinstance(here, dict) else range(len(here))
+        for key in keys:
+            value = here[key]
+            if isinstance(here, dict):
+                parent = field.partition(":")[2].strip(".")
+                below = field + ("*" if parent in _OPEN else key)
+            else:
+                below = field.removesuffix(".") + "[]"
+            at = [*place, key]
+            for what, other in _others(value):
+                yield below, at, what, lambda old, other=other: other
+            if isinstance(here, dict):
+                yield below, at, "taken away", lambda old: _GONE
+            if isinstance(value, list) and value:
+                yield below, at, "its last taken away", lambda old: old[:-1]
+                yield below, at, "its last twice", lambda old: [*old, old[-1]]
+                if value != value[::-1]:
+                    yield below, at, "turned round", lambda old: old[::-1]
+            if isinstance(value, dict | list):
+                todo.append((value, below + "." if isinstance(value, dict) else below, at))
+
+
+_GONE = object()
+
+
+def json_changes(run: Path, name: str, below: str = "") -> list[Callable[[], Change]]:
+    """Every change of every field of a JSON file (whose name holds `below`), made when it is asked for."""
+    tree = json.loads((run / name).read_text())
+
+    def made(field: str, place: list[Any], what: str, change: Callable[[Any], Any]) -> Change:
+        new = copy.deepcopy(tree)
+        owner = new
+        for key in place[:-1]:
+            owner = owner[key]
+        value = change(owner[place[-1]])
+        if value is _GONE:
+            del owner[place[-1]]
+        else:
+            owner[place[-1]] = value
+        return Change(field, f"{place} {what}", json.dumps(new, indent=2).encode())
+
+    return [lambda args=args: made(*args) for args in _walk(name, tree) if below in args[0]]
+
+
+def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
+    """Changes of every array of an .npz: some entries, rows, the array itself."""
+    with np.load(run / name) as stored:
+        arrays = dict(stored)
+
+    def entry(array: Any, index: int) -> Any:
+        new = array.copy()
+        flat = new.reshape(-1)
+        if array.dtype.kind == "U":
+            new = new.astype(f"<U{array.dtype.itemsize // 4 + 1}")
+            new.reshape(-1)[index] = str(array.reshape(-1)[index]) + "x"
+        elif array.dtype.kind == "f":
+            flat[index] = 0.0 if not np.isfinite(flat[index]) else flat[index] + 1e-3
+        else:
+            flat[index] += 1
+        return new
+
+    def made(key: str, what: str, value: Any) -> Change:
+        others = {own: array for own, array in arrays.items() if own != key}
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **others, **({} if value is None else {key: value}))
+        return Change(f"{name}:{key}", what, buffer.getvalue())
+
+    changes: list[Callable[[], Change]] = []
+    for key, array in arrays.items():
+        chosen = rng.choice(array.size, min(each, array.size), replace=False)
+        changes += [lambda key=key, k=k, a=array: made(key, f"entry {k}", entry(a, k)) for k in chosen.tolist()]
+        changes.append(lambda key=key: made(key, "taken away", None))
+        changes.append(lambda key=key, a=array: made(key, "its last taken away", a[:-1]))
+        changes.append(lambda key=key, a=array: made(key, "its last twice", np.concatenate([a, a[-1:]])))
+        if not np.array_equal(array, array[::-1]):
+            changes.append(lambda key=key, a=array: made(key, "turned round", a[::-1]))
+    return changes
+
+
+def judged(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> list[str]:
+    """Changes that are neither refused nor of a field that the docs list; the folder is as it was afterwards."""
+    free, open_ = free_fields(), []
+    for make in changes:
+        change = make()
+        path = run / change.file
+        before, manifest = path.read_bytes(), (run / "manifest.json").read_bytes()
+        path.write_bytes(change.content)
+        try:
+            if change.file == "manifest.json":
+                _digest_anew(path)
+            else:
+                resealed(run)
+            prove(run)
+        except CellError:
+            pass
+        else:
+            if not any(pattern.fullmatch(change.field) for pattern in free):
+                open_.append(f"{change.field}: {change.what}")
+        finally:
+            path.write_bytes(before)
+            (run / "manifest.json").write_bytes(manifest)
+    return open_
+
+
+def _digest_anew(path: Path) -> None:
+    """The digest that a changed manifest would have, unless the change was of the digest itself."""
+    from cell.run import digest
+
+    manifest = json.loads(path.read_text())
+    shas = manifest.get("artefacts")
+    if (
+        isinstance(manifest.get("digest"), str)
+        and re.fullmatch("[0-9a-f]{64}", manifest["digest"])
+        and isinstance(shas, dict)
+    ):
+        try:
+            manifest["digest"] = digest.of_plan(shas)
+        except KeyError:
+            return
+        path.write_text(json.dumps(manifest))
+
+
+def all_changes(run: Path, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
+    """Of all four files."""
+    of_json = [change for name in JSON for change in json_changes(run, name)]
+    return [*of_json, *array_changes(run, "motion.npz", rng, each)]
+
+
+def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
+    """A seeded handful of all changes; the long form below makes them all."""
+    run = tmp_path / "run"
+    shutil.copytree(planned, run)
+    rng = np.random.default_rng(11)
+    changes = all_changes(run, rng, 2)
+    chosen = rng.choice(len(changes), 70, replace=False)
+    assert judged(run, [changes[k] for k in chosen.tolist()], resealed) == []
+
+
+@pytest.fixture(scope="module")
+def swept(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
+    """Run folder of a plan of sweeps that turn, with a mesh fixture."""
+
+    def make(folder: Path) -> None:
+        (folder / "line.toml").write_text(
+            '[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n'
+            f'[[fixtures]]\nname = "clamp"\nshape = "mesh"\nunits = "mm"\npath = "{part_file}"\n'
+            "position_mm = [700, -700, 200]\nabc_deg = [10, 20, 30]\n"
+        )
+        options = ("--place", "1100,400,100", "--faces", "24", "--samples", "2", "--standoff", "250")
+        done = run_cell(
+            "plan", part_file, "--units", "mm", *options, "--scene", "line.toml", "--out", "run", cwd=folder
+        )
+        assert done.returncode == 0, done.stderr
+
+    return made_once("swept", make) / "run"
+
+
+def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path, resealed: Reseal) -> None:
+    """What is said of a sweep, and the via points, times and samples of its line: a seeded handful."""
+    run = tmp_path / "run"
+    shutil.copytree(swept, run)
+    rng = np.random.default_rng(13)
+    of_sweeps, fixtures = json_changes(run, "plan.json", ".sweep"), json_changes(run, "scene.resolved.json", "fixtures")
+    chosen = [
+        *(of_sweeps[k] for k in rng.choice(len(of_sweeps), 15, replace=False).tolist()),
+        *(fixtures[k] for k in rng.choice(len(fixtures), 10, replace=False).tolist()),
+        *array_changes(run, "motion.npz", rng, 1)[::8],
+    ]
+    assert judged(run, chosen, resealed) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plan", ["planned", "swept"])
+def test_every_field_changed_alone_is_refused_or_changes_nothing(
+    plan: str, request: pytest.FixtureRequest, tmp_path: Path, resealed: Reseal
+) -> None:
+    """Every field of the four files, in every way, of views at rest and of sweeps."""
+    run = tmp_path / "run"
+    shutil.copytree(request.getfixturevalue(plan), run)
+    assert judged(run, all_changes(run, np.random.default_rng(12), 12), resealed) == []
+
+
+def _with_via(run: Path, q: np.ndarray, row: int) -> None:
+    """The motion with a via point put in, timed anew, so that everything but the certificate agrees."""
+    from cell.run import reader
+    from cell.run.record import open_finished
+    from planner.timing.motion import retime
+
+    record = open_finished(run)
+    motion = reader.motion(record)
+    with np.load(run / "motion.npz") as stored:
+        arrays = dict(stored)
+
+    def put(array: np.ndarray, value: Any) -> np.ndarray:
+        return np.insert(array, row, value, axis=0)
+
+    again = retime(
+        put(motion.via_q, q), put(motion.segment, motion.segment[row]), put(motion.view, -1), motion.limits,
+        pose=put(motion.pose, -1),
+    )  # fmt: skip
+    names = ("via_q", "segment", "view", "pose", "line", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
+    np.savez_compressed(run / "motion.npz", **arrays | {name: getattr(again, name) for name in names})
+
+
+def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
+    planned: Path, tmp_path: Path, resealed: Reseal, run_cell: Run
+) -> None:
+    """Times, samples and hashes made anew, the new digest confirmed; a free one passes, under another digest."""
+    from cell.robot.kinematics import Kr16Kinematics
+    from planner.reach.setpoints import from_steps, to_steps
+
+    proven = prove(planned)
+    row = int(np.flatnonzero(proven.motion.view >= 0)[0])
+    inside = proven.plan.views[0].T_base_flange.copy()  # from 250 mm off the surface to 50 mm behind it
+    inside[:3, 3] += 0.3 * proven.plan.views[0].T_base_scanner[:3, 2]
+    q = next(
+        q for q in Kr16Kinematics.load().inverse(inside[None])[0]
+        if not np.isnan(q).any() and (q >= proven.motion.limits.lower).all() and (q <= proven.motion.limits.upper).all()
+    )  # fmt: skip
+    run = tmp_path / "inside"
+    shutil.copytree(planned, run)
+    _with_via(run, from_steps(to_steps(q)), row)
+    digest = resealed(run)
+    for command in (("scan", run, "--confirm-motion", digest), ("export", run)):
+        done = run_cell(*command, cwd=tmp_path)
+        assert done.returncode == 6, done.stderr
+        assert re.search(r"motion.npz (comes nearer than the clearance|is not free of collision)", done.stderr)
+    free = tmp_path / "free"
+    shutil.copytree(planned, free)
+    via = proven.motion.via_q
+    _with_via(free, from_steps(to_steps((via[row - 1] + via[row]) / 2)), row)
+    assert resealed(free) != proven.digest
+    assert prove(free).digest != proven.digest
+    with pytest.raises(CellError, match="nothing was moved"):
+        proven.require_way(np.stack([via[0], from_steps(to_steps(q))]))
+
+
+def test_limits_are_the_model_s_even_where_both_files_agree(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
+    """Wider ranges, or faster axes, in scene.resolved.json and motion.npz alike."""
+    for key, name, factor, words in (
+        ("joint_limits_deg", "limit_upper", 1.1, "contradicts itself, or the part, at joint_limits_deg"),
+        ("joint_velocity_limits_deg_s", "limit_velocity", 2.0, "above those of the robot model"),
+    ):
+        run = tmp_path / name
+        shutil.copytree(planned, run)
+        resolved = json.loads((run / "scene.resolved.json").read_text())
+        resolved[key] = (np.array(resolved[key]) * factor).tolist()
+        (run / "scene.resolved.json").write_text(json.dumps(resolved))
+        with np.load(run / "motion.npz") as stored:
+            arrays = dict(stored)
+        np.savez_compressed(run / "motion.npz", **arrays | {name: arrays[name] * factor})
+        resealed(run)
+        with pytest.raises(CellError, match=words):
+            prove(run)
+
+
+def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
+    planned: Path, tmp_path: Path, run_cell: Run
+) -> None:
+    """As earlier versions made them; and one whose manifest lacks the hash of a file that drives."""
+    from cell.api import open_run
+
+    run = tmp_path / "run"
+    shutil.copytree(planned, run)
+    manifest = json.loads((run / "manifest.json").read_text())
+    without = {key: value for key, value in manifest.items() if key != "digest"}
+    (run / "manifest.json").write_text(json.dumps(without))
+    for command in ("scan", "export"):
+        done = run_cell(command, "run", cwd=tmp_path)
+        assert done.returncode == 6
+        assert "has no digest of what drives" in done.stderr
+    assert open_run(run).digest == ""
+    done = run_cell("replay", "run", "--picture", "x.png", "--size", "160x120", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    del manifest["artefacts"]["motion.npz"]
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    assert "has no sha256 of motion.npz" in run_cell("scan", "run", cwd=tmp_path).stderr
+
+
+def test_the_digest_is_that_of_sha256sum(planned: Path) -> None:
+    """The command that docs/run_folder.md gives."""
+    names = ["cell.xml", "motion.npz", "plan.json", "reference.ply", "scene.resolved.json", "viewpoints.npz"]
+    lines = subprocess.run(["sha256sum", *names], cwd=planned, capture_output=True, check=True).stdout
+    digest = subprocess.run(["sha256sum"], input=lines, capture_output=True, check=True).stdout.split()[0].decode()
+    assert digest == json.loads((planned / "manifest.json").read_text())["digest"]

@@ -1,0 +1,164 @@
+"""The cell as the user's files describe it now: each change has a name, and is driven only where that is accepted."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from cell.errors import SceneError
+from cell.proof.files_now import FilesNow
+from cell.proof.proof import Proven, prove
+from cell.proof.scene_now import require_same
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+_SCENE = """
+[placement]
+position_mm = [1100, 400, 100]
+[plan]
+faces = 60
+samples_per_face = 2
+standoffs_mm = [250]
+[[fixtures]]
+name = "box"
+shape = "box"
+size_mm = [60, 50, 40]
+position_mm = [700, -700, 0]
+[[fixtures]]
+name = "clamp"
+shape = "mesh"
+path = "clamp.stl"
+units = "mm"
+position_mm = [0, -900, 50]
+"""
+
+
+@pytest.fixture(scope="module")
+def cell_of_files(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
+    """A folder with a part, a scene and a mesh of a fixture, and the run folder of a plan made of them."""
+
+    def make(folder: Path) -> None:
+        shutil.copy(part_file, folder / "part.stl")
+        trimesh.creation.box((80, 60, 40)).export(folder / "clamp.stl")
+        (folder / "cell.toml").write_text(_SCENE)
+        done = run_cell("plan", "part.stl", "--units", "mm", "--scene", "cell.toml", "--out", "run", cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once("cell_of_files", make)
+
+
+@pytest.fixture(scope="module")
+def proven(cell_of_files: Path) -> Proven:
+    """Its plan."""
+    return prove(cell_of_files / "run")
+
+
+@pytest.fixture
+def now(cell_of_files: Path, tmp_path: Path) -> Path:
+    """A copy of the files, to be changed."""
+    for name in ("part.stl", "clamp.stl", "cell.toml"):
+        shutil.copy(cell_of_files / name, tmp_path)
+    return tmp_path
+
+
+def _refused(proven: Proven, files: FilesNow, *, wire: bool = False) -> str:
+    """Names that the refusal asks to accept."""
+    with pytest.raises(SceneError, match="no longer the one of the plan") as refusal:
+        require_same(proven, files, None, wire=wire)
+    return str(refusal.value).rpartition(" ")[2]
+
+
+def test_files_as_they_were_are_driven(proven: Proven, now: Path) -> None:
+    """Those that the manifest names, and others of the same content."""
+    require_same(proven, FilesNow(), None, wire=True)
+    require_same(proven, FilesNow(now / "cell.toml", str(now / "part.stl")), None, wire=True)
+    (now / "cell.toml").write_text("# moved nothing\n" + _SCENE)
+    require_same(proven, FilesNow(now / "cell.toml"), None, wire=True)
+
+
+@pytest.mark.parametrize(
+    ("was", "is_now", "name"),
+    [
+        ("[1100, 400, 100]", "[1100, 400, 101]", "placement"),
+        ("[plan]", "[mount]\nposition_mm = [0, 0, 121]\n[plan]", "mount,housing"),
+        ("[plan]", "[housing]\nsize_mm = [160, 80, 61]\n[plan]", "housing"),
+        ("[plan]", "[post]\ndiameter_mm = 41\n[plan]", "post"),
+        ("[plan]", "[robot]\npedestal_height_mm = 610\n[plan]", "pedestal"),
+        ("[60, 50, 40]", "[60, 50, 41]", "fixture:box"),
+        ('name = "box"', 'name = "crate"', "fixture:box,fixture:crate"),
+        ("[0, -900, 50]", "[0, -900, 51]", "fixture:clamp"),
+        ("[plan]", "plan", "scene"),
+    ],
+)
+def test_what_differs_is_named_and_can_be_accepted(was: str, is_now: str, name: str, proven: Proven, now: Path) -> None:
+    """Part, placement, mount, housing, post, pedestal, fixtures: by name; accepting another name does not help."""
+    (now / "cell.toml").write_text(_SCENE.replace(was, is_now))
+    assert _refused(proven, FilesNow(now / "cell.toml")) == name
+    assert _refused(proven, FilesNow(now / "cell.toml", accepted=("missing", "nothing"))) == name
+    require_same(proven, FilesNow(now / "cell.toml", accepted=tuple(name.split(","))), None, wire=True)
+
+
+def test_another_surface_is_another_part_and_another_header_is_not(proven: Proven, now: Path) -> None:
+    """The same triangles in another file are the same part."""
+    content = (now / "part.stl").read_bytes()
+    (now / "part.stl").write_bytes(b"exported again".ljust(80) + content[80:])
+    require_same(proven, FilesNow(part=str(now / "part.stl")), None, wire=True)
+    mesh = trimesh.load(now / "part.stl")
+    mesh.apply_translation([0, 0, 0.1])
+    mesh.export(now / "part.stl")
+    assert _refused(proven, FilesNow(part=str(now / "part.stl"))) == "part"
+    assert _refused(proven, FilesNow(part="mug")) == "part"
+
+
+def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_path: Path, run_cell: Run) -> None:
+    """Changed, or gone: export and scan say so; on a wire a file that is gone has to be accepted."""
+    for name in ("part.stl", "clamp.stl", "cell.toml"):
+        shutil.copy(cell_of_files / name, tmp_path)
+    shutil.copytree(cell_of_files / "run", tmp_path / "run")
+    manifest = json.loads((tmp_path / "run/manifest.json").read_text())
+    assert [each["what"] for each in manifest["files"]] == ["scene", "part", "fixture:clamp"]
+    for each in manifest["files"]:
+        each["path"] = str(tmp_path / Path(each["path"]).name)
+    (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
+
+    (tmp_path / "cell.toml").write_text(_SCENE.replace("[1100, 400, 100]", "[1100, 401, 100]"))
+    done = run_cell("export", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "the placement is another than the plan's" in done.stderr
+    done = run_cell("export", "run", "--accept-changed-scene", "placement", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "the placement is another" in done.stderr
+
+    (tmp_path / "cell.toml").write_text(_SCENE)
+    (tmp_path / "clamp.stl").write_bytes(b"solid")
+    assert "fixture:clamp" in run_cell("scan", "run", cwd=tmp_path).stderr
+    (tmp_path / "clamp.stl").unlink()
+    done = run_cell("export", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"{tmp_path / 'clamp.stl'} is gone" in done.stderr
+    word = ("--confirm-motion", manifest["digest"], "--driver", "modbus://127.0.0.1:1")
+    done = run_cell("scan", "run", *word, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--accept-changed-scene missing" in done.stderr
+    done = run_cell("scan", "run", *word, "--accept-changed-scene", "missing", cwd=tmp_path)
+    assert done.returncode == 5, done.stderr
+    assert not (tmp_path / "run/executions").exists()
+
+
+def test_what_the_command_line_said_is_no_difference(cell_of_files: Path, tmp_path: Path, run_cell: Run) -> None:
+    """A plan placed by `--place` differs from its scene file from the beginning; a change elsewhere in it is told."""
+    for name in ("part.stl", "clamp.stl", "cell.toml"):
+        shutil.copy(cell_of_files / name, tmp_path)
+    done = run_cell(
+        "plan", "part.stl", "--units", "mm", "--scene", "cell.toml", "--place", "1100,420,100", "--out", "run",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    placed = prove(tmp_path / "run")
+    (tmp_path / "cell.toml").write_text(_SCENE.replace("[60, 50, 40]", "[60, 50, 42]"))
+    assert _refused(placed, FilesNow()) == "fixture:box"
+    assert _refused(placed, FilesNow(tmp_path / "cell.toml")) == "placement,fixture:box"
