@@ -10,7 +10,7 @@ import numpy as np
 from cell.replay import marks
 from cell.replay.closest import Closest, add_closest
 from cell.replay.model import Theatre
-from cell.replay.timeline import Timeline
+from cell.run.timeline import Timeline
 from cell.robot import model as robot
 from planner.values import Floats, readonly
 

@@ -1,0 +1,334 @@
+"""The page: one HTML file with three.js, the cell, the part, views and motion in it; no address outside, no server.
+
+three.js is the one that trimesh carries for its own viewer. Geometry is quantised to 1/65535 of its extent and thinned
+to what an eye can tell. Nothing that a user named is ever taken for markup: text goes through JSON whose `<` is escaped
+and through `textContent`. Equal values give equal bytes. Base frame, metres.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Literal, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cell.errors import CellError
+from cell.view import palette
+from cell.view.pieces import Cell
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+
+FACES, POINTS, MOMENTS = 120_000, 300_000, 4_000
+"""Most faces of a surface, points of a cloud and moments of a motion that a page holds."""
+
+NONE = 65535
+"""In a layer: no value here."""
+
+_OWN_START = "var camera,controls,scene,renderer,tracklight;"  # where trimesh's own viewer begins, behind three.js
+_GLYPH = 0.16  # of a frustum's length: a view's small pyramid
+
+Packed = dict[str, str]
+
+
+class PackedPoints(TypedDict):
+    """Points as steps from a corner."""
+
+    low: list[float]
+    step: list[float]
+    steps: Packed
+
+
+class PackedMesh(TypedDict):
+    """A mesh."""
+
+    vertices: PackedPoints
+    faces: Packed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layer:
+    """Values on the vertices of a surface, that give it its colours.
+
+    Attributes:
+        title: in the list of colourings.
+        kind: `views`: bits of the views that measure the vertex, rows of bytes; `length` and `signed`: steps, `NONE`
+            where there is none; `reasons`: number of the reason from 1, 0 none.
+        values: (V,) or (V, width).
+        note: what it means.
+        low: of steps: value of step 0 [mm].
+        step: of steps [mm].
+        limits: ends of the colours at first [mm].
+        names: of reasons.
+    """
+
+    title: str
+    kind: Literal["views", "length", "signed", "reasons"]
+    values: NDArray[np.uint8] | NDArray[np.uint16]
+    note: str = ""
+    low: float = 0.0
+    step: float = 1.0
+    limits: tuple[float, float] = (0.0, 1.0)
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A surface with its layers, object frame [m]."""
+
+    name: str
+    mesh: TriangleMesh
+    layers: Sequence[Layer] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A view that can be clicked.
+
+    Attributes:
+        number: in visiting order, from 1.
+        T_base_scanner: (4, 4) [m].
+        time: of the motion, at which the scanner is there [s].
+        rows: what is said of it.
+    """
+
+    number: int
+    T_base_scanner: Floats
+    time: float
+    rows: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """What does not move: all that is dear to make, so that it can be made before the rest is known.
+
+    Attributes:
+        title: heading.
+        cell: robot and surroundings.
+        surfaces: part, and what was measured of it; coloured at first by the first layer of the first.
+        watched: stamp of a page that is written again and again; "" is none.
+    """
+
+    title: str
+    cell: Cell
+    surfaces: Sequence[Shown] = ()
+    watched: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Play:
+    """What is done in front of it, and said of it.
+
+    Attributes:
+        views: in visiting order.
+        motion: times (M,) [s] and joint angles (M, 6) [rad]; None: the arm stands at home.
+        cloud: (P, 3) points, object frame [m].
+        rows: numbers beside the picture.
+        problems: sentences about what is wrong.
+        notes: sentences.
+        next: commands that go on from here; RUN stands for the run folder.
+        inside: how many folders below its run folder the page lies; None: anywhere else.
+    """
+
+    views: Sequence[View] = ()
+    motion: tuple[Floats, Floats] | None = None
+    cloud: Floats | None = None
+    rows: Sequence[tuple[str, str]] = ()
+    problems: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    next: Sequence[str] = ()
+    inside: int | None = None
+
+
+def html_of(stage: Stage, play: Play) -> str:
+    """The whole file."""
+    return first_half(stage) + second_half(play)
+
+
+def first_half(stage: Stage) -> str:
+    """The file's text up to what `second_half` adds.
+
+    Raises:
+        CellError: if trimesh's viewer is not the one that this version knows.
+    """
+    filled = {
+        "$WATCHED": " file:" if stage.watched else "",
+        "$TITLE": html.escape(stage.title),
+        "$CSS": _text("css"),
+        "$THREE": _three(),
+        "$STAGE": _json(_stage(stage)),
+    }
+    made, rest = [], _text("html").partition("$PLAY")[0]
+    for name, value in filled.items():  # one after the other: what is filled in is never looked at again
+        before, _, rest = rest.partition(name)
+        made += [before, value]
+    return "".join([*made, rest])
+
+
+def second_half(play: Play) -> str:
+    """The rest of the file."""
+    between, _, end = _text("html").partition("$PLAY")[2].partition("$SCRIPT")
+    return "".join([_json(_play(play)), between, _text("js"), end])
+
+
+def _text(kind: str) -> str:
+    return (resources.files("cell.view") / f"page.{kind}").read_text(encoding="utf-8")
+
+
+def _json(content: Mapping[str, object]) -> str:
+    """JSON that stays text inside a script element, whatever is in it."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def thinned(mesh: TriangleMesh) -> TriangleMesh:
+    """A mesh for looking: decimated above `FACES`."""
+    return decimate(mesh, FACES) if len(mesh.faces) > FACES else mesh
+
+
+def stepped(
+    values: Floats, title: str, kind: Literal["length", "signed"], limits: tuple[float, float], note: str
+) -> Layer:
+    """A layer of (V,) lengths [mm]; NaN is none."""
+    known = np.isfinite(values)
+    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
+    step = max(high - low, 1e-9) / (NONE - 1)
+    steps = np.full(len(values), NONE, dtype=np.uint16)
+    steps[known] = np.rint((values[known] - low) / step).astype(np.uint16)
+    return Layer(title, kind, steps, note, low, step, limits)
+
+
+def _stage(stage: Stage) -> Mapping[str, object]:
+    cell, arm = stage.cell, stage.cell.arm
+    middle, near = cell.T_base_object[:3, 3], 1.0
+    if stage.surfaces:
+        mesh = stage.surfaces[0].mesh
+        centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+        middle, near = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3], 2.6 * mesh.diagonal
+    floor = next((piece.vertices[0, 2] for piece in cell.pieces if piece.name == "floor"), 0.0)
+    return {
+        "title": stage.title,
+        "look": {
+            "target": _rounded(0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6])),
+            "distance": round(2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6, 6),
+            "azimuth": round(float(np.arctan2(middle[1], middle[0])) - 0.9, 6),
+            "elevation": 0.35,
+            "part": _rounded(middle),
+            "near": round(near, 6),
+        },
+        "floor": round(float(floor), 6),
+        "palette": _PALETTE,
+        "arm": {
+            "T_parent_link": _rounded(arm.T_parent_link, 12),
+            "axis": _rounded(arm.axis, 12),
+            "home": _rounded(arm.home, 12),
+        },
+        "pieces": [
+            {"name": piece.name, "link": piece.link, "rgb": _rounded(piece.rgb),
+             "mesh": _mesh(thinned(TriangleMesh(piece.vertices, piece.faces)))}
+            for piece in cell.pieces
+        ],
+        "T_base_object": _rounded(cell.T_base_object, 12),
+        "surfaces": [
+            {"name": each.name, "mesh": _mesh(each.mesh), "layers": [_layer(layer) for layer in each.layers]}
+            for each in stage.surfaces
+        ],
+        "frustum": _rounded(cell.frustum),
+        "glyph": _GLYPH,
+        "watched": stage.watched,
+    }  # fmt: skip
+
+
+def _play(play: Play) -> Mapping[str, object]:
+    return {
+        "views": [
+            {"number": view.number, "T_base_scanner": _rounded(view.T_base_scanner, 9), "time": round(view.time, 6),
+             "rows": view.rows}
+            for view in play.views
+        ],
+        "motion": None if play.motion is None else _motion(*play.motion, [view.time for view in play.views]),
+        "cloud": None if play.cloud is None or not len(play.cloud) else _points(play.cloud),
+        "rows": play.rows,
+        "problems": play.problems,
+        "notes": play.notes,
+        "next": play.next,
+        "inside": play.inside,
+    }  # fmt: skip
+
+
+_PALETTE = {
+    "open": [palette.OPEN],
+    "seen": palette.SEEN,
+    "measured": [palette.MEASURED],
+    "reasons": palette.REASONS,
+    "lengths": palette.LENGTHS,
+    "signed": palette.SIGNED,
+    "plain": ["#d6ccb8"],
+    "chosen": [palette.ORANGE],
+    "cloud": [palette.GREEN],
+}
+
+
+def _motion(t: Floats, q: Floats, stops: Sequence[float]) -> Mapping[str, Packed]:
+    """Moments at even distances, and those of the stops; the arm moves straight in joint space between them."""
+    even = np.linspace(0, len(t) - 1, min(len(t), MOMENTS)).astype(np.int64)
+    kept = np.union1d(even, np.searchsorted(t, stops).clip(0, len(t) - 1))
+    return {"t": _packed(t[kept], "f4"), "q": _packed(q[kept], "f4")}
+
+
+def _layer(layer: Layer) -> Mapping[str, object]:
+    return {
+        "title": layer.title,
+        "kind": layer.kind,
+        "values": _packed(layer.values, "u1" if layer.values.dtype == np.uint8 else "u2"),
+        "width": layer.values.shape[1] if layer.values.ndim > 1 else 1,
+        "note": layer.note,
+        "low": layer.low,
+        "step": layer.step,
+        "limits": layer.limits,
+        "names": layer.names,
+    }
+
+
+def _mesh(mesh: TriangleMesh) -> PackedMesh:
+    kind = "u2" if len(mesh.vertices) <= NONE else "u4"
+    return {"vertices": _points(mesh.vertices), "faces": _packed(mesh.faces, kind)}
+
+
+def _points(points: Floats) -> PackedPoints:
+    """(P, 3) points in steps of 1/65535 of their extent."""
+    if len(points) > POINTS:
+        points = points[np.linspace(0, len(points) - 1, POINTS).astype(np.int64)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    step = np.maximum(high - low, 1e-9) / NONE
+    steps = np.rint((points - low) / step)
+    return {"low": low.tolist(), "step": step.tolist(), "steps": _packed(steps, "u2")}
+
+
+def _packed(values: ArrayLike, kind: Literal["u1", "u2", "u4", "f4"]) -> Packed:
+    content = np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()
+    return {"kind": kind, "base64": base64.b64encode(content).decode("ascii")}
+
+
+def _rounded(values: ArrayLike, digits: int = 6) -> object:
+    return (np.round(np.asarray(values, dtype=np.float64), digits) + 0.0).tolist()
+
+
+@cache
+def _three() -> str:
+    """three.js, out of the page that trimesh makes."""
+    import zipfile
+
+    template = resources.files("trimesh") / "resources" / "templates" / "viewer.zip"
+    with template.open("rb") as file, zipfile.ZipFile(file) as archive:
+        text = archive.read("viewer.html.template").decode("utf-8")
+    script, found, _ = text.partition("<script>")[2].partition(_OWN_START)
+    if not found or "THREE" not in script:
+        raise CellError("this version of trimesh has another viewer, and pages need its three.js; install trimesh 5.2")
+    return script
