@@ -134,7 +134,9 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     mujoco.mj_kinematics(world.model, data)
     names = (*LINKS, "bracket") if ends is None else (*LINKS, "bracket", "housing")
     pieces = [
-        Occluder(name, *shape_triangles(world.model, data, geom)) for geom, name in enumerate(world.entities) if name in names
+        Occluder(name, *shape_triangles(world.model, data, geom))
+        for geom, name in enumerate(world.entities)
+        if name in names
     ]
     if ends is None:
         return pieces

@@ -13,16 +13,16 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
-from cell.run import timeline as replay_timeline
 from cell.replay.closest import of_plan
 from cell.replay.frames import require_empty, write_frames, write_picture
 from cell.replay.model import dress
 from cell.replay.offscreen import require_backend
 from cell.replay.show import Show
-from cell.run.timeline import Timeline
 from cell.run import reader as run_reader
+from cell.run import timeline as replay_timeline
 from cell.run.executions import read_execution
 from cell.run.record import RunRecord, open_run
+from cell.run.timeline import Timeline
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ import numpy as np
 from cell.replay import marks
 from cell.replay.closest import Closest, add_closest
 from cell.replay.model import Theatre
-from cell.run.timeline import Timeline
 from cell.robot import model as robot
+from cell.run.timeline import Timeline
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:

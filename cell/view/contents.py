@@ -240,4 +240,3 @@ def _percent(share: float) -> str:
 
 def _mm(length: float | None) -> str:
     return "more than 300 mm" if length is None else f"{length:.1f} mm"
-

@@ -297,8 +297,10 @@ def _layer(layer: Layer) -> Mapping[str, object]:
 
 
 def _mesh(mesh: TriangleMesh) -> PackedMesh:
-    kind = "u2" if len(mesh.vertices) <= NONE else "u4"
-    return {"vertices": _points(mesh.vertices), "faces": _packed(mesh.faces, kind)}
+    return {
+        "vertices": _points(mesh.vertices),
+        "faces": _packed(mesh.faces, "u2" if len(mesh.vertices) <= NONE else "u4"),
+    }
 
 
 def _points(points: Floats) -> PackedPoints:

@@ -21,7 +21,6 @@ from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints
 
 _PANEL = (560, 540)
-_SAMPLES = 2  # a side: rays per pixel are its square
 _MARGIN, _LINE = 12, 26
 _BAR = 0.25  # of the panel's width: the scale bar is at most so long
 
@@ -53,13 +52,15 @@ def part_and_views(
     around = np.concatenate([mesh.vertices, pyramids.reshape(-1, 3)])
     views, seen = _panel(mesh, caster, samples, colours[count], rays.direction(-60, 25), around)
     rays.lines(views, seen, pyramids, "#333333", hidden="#b9bfc6")
-    at = seen.camera.project(T_object_scanner[:, :3, 3])[:, :2] / _SAMPLES
+    at = seen.camera.project(T_object_scanner[:, :3, 3])[:, :2]
     middle = np.array(_PANEL) / 2
     outward = (at - middle) / np.maximum(np.linalg.norm(at - middle, axis=1, keepdims=True), 1e-9)
     rays.labels(views, at + 12 * outward, [str(n) for n in numbers or range(1, len(at) + 1)])
     share = np.bincount(count, weights=samples.areas, minlength=len(colours)) / samples.areas.sum()
     names = ["not measured", "1 view", *(str(k) for k in range(2, len(SEEN))), f"{len(SEEN)} or more"]
-    legend = [(colour, f"{name} ({100 * part:.1f} %)") for colour, name, part in zip(colours, names, share, strict=True)]
+    legend = [
+        (colour, f"{name} ({100 * part:.1f} %)") for colour, name, part in zip(colours, names, share, strict=True)
+    ]
     titles = [*(_from(way) for way in ways), f"{len(at)} views"]
     rays.save(_sheet([_scaled(panel) for panel in [*panels, (views, seen)]], titles, legend, columns=3), path)
 
@@ -93,7 +94,9 @@ def reasons(
     legend = [
         (colour, f"{name} ({100 * part:.2f} %)") for colour, name, part in zip(colours, names, share, strict=False)
     ]
-    rays.save(_sheet([_scaled(panel) for panel in panels], [_from(way) for way in ways], legend, columns=2, title=title), path)
+    rays.save(
+        _sheet([_scaled(panel) for panel in panels], [_from(way) for way in ways], legend, columns=2, title=title), path
+    )
 
 
 def group_numbers(count: int, groups: Sequence[Ints]) -> NDArray[np.int64]:
@@ -113,18 +116,18 @@ def _panel(
     shown: Floats,
 ) -> tuple[Image.Image, rays.Seen]:
     """The mesh from one side in its samples' colours (S, 3); `shown` (N, 3) are in the picture."""
-    size = (_PANEL[0] * _SAMPLES, _PANEL[1] * _SAMPLES)
-    camera = rays.fitted(shown, toward, size, parallel=True)
-    seen = rays.look(camera, caster)
-    hit = np.flatnonzero(seen.face >= 0)
-    picture = np.ones((len(seen.face), 3))
-    normals = face_normals(mesh)[seen.face[hit]]
-    # The rays of a pixel share one colour, which takes longer to look up than a ray to cast.
-    pixel = hit // size[0] // _SAMPLES * size[0] + hit % size[0] // _SAMPLES
-    _, first, of_pixel = np.unique(pixel, return_index=True, return_inverse=True)
-    own = nearest(samples, seen.point[hit[first]], normals[first], mesh.diagonal)
-    picture[hit] = rays.shaded(colours[own[of_pixel]], normals @ -camera.forward)
-    return rays.picture(picture, size, _SAMPLES), seen
+    camera = rays.fitted(shown, toward, _PANEL, parallel=True)
+    facing = face_normals(mesh)
+
+    def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
+        hits = caster.first_hit(origins, directions)
+        picture, hit = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
+        normals = facing[hits.face[hit]]
+        own = nearest(samples, origins[hit] + hits.distance[hit, None] * directions[hit], normals, mesh.diagonal)
+        picture[hit] = rays.shaded(colours[own], normals @ -camera.forward)
+        return picture, hits.distance
+
+    return rays.render(camera, colour_of)
 
 
 def _scale_bar(draw: ImageDraw.ImageDraw, left: float, y: float, width: float, mm_per_pixel: float) -> None:
@@ -162,11 +165,12 @@ def _sheet(
     rows = -(-len(panels) // columns)
     top, across = _LINE * bool(title), columns * (width + _MARGIN) + _MARGIN
     type_face, small = rays.font(16), rays.font(14)
-    places, x, y = [], _MARGIN, top + rows * (height + 2 * _LINE) + _MARGIN / 2
+    places: list[tuple[float, float]] = []
+    x, y = float(_MARGIN), top + rows * (height + 2 * _LINE) + _MARGIN / 2
     for _, text in legend:
         needed = 22 + small.getlength(text) + 18
         if x + needed > across and x > _MARGIN:
-            x, y = _MARGIN, y + _LINE
+            x, y = float(_MARGIN), y + _LINE
         places.append((x, y))
         x += needed
     sheet = Image.new("RGB", (across, round(y + _LINE + _MARGIN / 2)), "white")
@@ -178,10 +182,10 @@ def _sheet(
         draw.text((left + width / 2, upper + _LINE / 2 + 3), name, "#333333", type_face, anchor="mm")
         sheet.paste(panel, (left, upper + _LINE))
         _scale_bar(draw, left, upper + _LINE + height + 8, width, mm_per_pixel)
-    for (colour, text), (left, upper) in zip(legend, places, strict=True):
-        square = [(left, upper + 4), (left + 16, upper + 20)]
+    for (colour, text), (x, y) in zip(legend, places, strict=True):
+        square = [(x, y + 4), (x + 16, y + 20)]
         draw.rectangle(square, fill=tuple((255 * colour).astype(int).tolist()), outline="#666666")
-        draw.text((left + 22, upper + 12), text, "#111111", small, anchor="lm")
+        draw.text((x + 22, y + 12), text, "#111111", small, anchor="lm")
     return sheet
 
 

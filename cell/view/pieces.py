@@ -154,8 +154,8 @@ def _cell(
 ) -> Cell:
     """The cell of a compiled model whose state has part and post at the placement and the arm at home."""
     links = np.tile(np.eye(4), (len(LINKS), 1, 1))
-    for number, link in enumerate(LINKS):
-        links[number, :3, :3], links[number, :3, 3] = data.body(link).xmat.reshape(3, 3), data.body(link).xpos
+    for number, name in enumerate(LINKS):
+        links[number, :3, :3], links[number, :3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
     pieces = []
     for occluder in standing_triangles(data, T_base_object, meshes, ()):
         vertices = occluder.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3]

@@ -6,7 +6,7 @@ over the picture, hidden where something is nearer. One frame throughout, metres
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from cell.errors import FileError
-from cell.rays.embree import EmbreeRayCaster
 from planner.values import Floats, Ints, Value
 
-Pixels = NDArray[np.uint8]
 _STEPS = 40  # of a line, each of which is hidden or not
+_EDGE = 0.05  # of full brightness: neighbours that differ by more are looked at again
 _NEAR = 0.004  # of the camera's distance: what is no farther behind a surface than this counts as on it
 
 
@@ -49,12 +48,18 @@ class Camera(Value):
         """(3,) unit, from the lower edge of the picture to the upper one."""
         return np.cross(self.right, self.forward)
 
-    def rays(self) -> tuple[Floats, Floats]:
-        """(rows * columns, 3) origins and unit directions, row by row."""
+    def rays(self, pixels: Ints | None = None, off: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
+        """(N, 3) origins and unit directions of pixels.
+
+        Args:
+            pixels: (N,) numbers, row by row; None is all of them.
+            off: right and down from their middles [pixels].
+        """
         columns, rows = self.size
-        x = self.half[0] * (2 * (np.arange(columns) + 0.5) / columns - 1)
-        y = self.half[1] * (1 - 2 * (np.arange(rows) + 0.5) / rows)
-        across = (x[None, :, None] * self.right + y[:, None, None] * self.up).reshape(-1, 3)
+        pixels = np.arange(columns * rows) if pixels is None else pixels
+        x = self.half[0] * (2 * (pixels % columns + 0.5 + off[0]) / columns - 1)
+        y = self.half[1] * (1 - 2 * (pixels // columns + 0.5 + off[1]) / rows)
+        across = x[:, None] * self.right + y[:, None] * self.up
         if self.parallel:
             return self.eye + across, np.broadcast_to(self.forward, across.shape)
         directions = across + self.forward
@@ -113,27 +118,38 @@ def direction(azimuth_deg: float, elevation_deg: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a camera sees: per pixel, row by row.
+    """What a camera sees.
 
     Attributes:
         camera: that looked.
-        face: (P,) face that is met, -1: none.
-        distance: (P,) along the ray [m], inf: none.
-        point: (P, 3) where [m]; of no meaning where nothing is met.
+        distance: (P,) along the ray of each pixel, row by row [m]; inf where nothing is met.
     """
 
     camera: Camera
-    face: Ints
     distance: Floats
-    point: Floats
 
 
-def look(camera: Camera, caster: EmbreeRayCaster) -> Seen:
-    """Cast the rays of a camera."""
-    origins, directions = camera.rays()
-    hits = caster.first_hit(origins, directions)
-    distance = np.where(hits.face >= 0, hits.distance, 0.0)
-    return Seen(camera, hits.face.astype(np.int64), hits.distance, origins + distance[:, None] * directions)
+ColourOf = Callable[[Floats, Floats], tuple[Floats, Floats]]
+"""Colours (N, 3) from 0 to 1 and distances (N,) [m] for origins and directions (N, 3) of rays."""
+
+
+def render(camera: Camera, colour_of: ColourOf) -> tuple[Image.Image, Seen]:
+    """Draw what a camera sees: a ray per pixel, and four where the colour differs from a neighbour's."""
+    columns, rows = camera.size
+    colour, distance = colour_of(*camera.rays())
+    grid = colour.reshape(rows, columns, 3)
+    edge = np.zeros((rows, columns), dtype=np.bool_)
+    for axis in (0, 1):
+        differs = np.abs(np.diff(grid, axis=axis)).max(axis=2) > _EDGE
+        height, width = differs.shape
+        edge[:height, :width] |= differs
+        edge[rows - height :, columns - width :] |= differs
+    pixels = np.flatnonzero(edge)
+    if len(pixels):
+        around = [colour_of(*camera.rays(pixels, (x, y)))[0] for x in (-0.25, 0.25) for y in (-0.25, 0.25)]
+        colour[pixels] = np.mean(around, axis=0)
+    values = (255 * colour.reshape(rows, columns, 3).clip(0, 1) + 0.5).astype(np.uint8)
+    return Image.fromarray(values), Seen(camera, distance)
 
 
 def shaded(colour: Floats, facing: Floats) -> Floats:
@@ -147,22 +163,13 @@ def shaded(colour: Floats, facing: Floats) -> Floats:
     return np.where((facing < 0)[:, None], 0.35 * lit + 0.25, lit)
 
 
-def picture(colour: Floats, size: tuple[int, int], samples: int = 1) -> Image.Image:
-    """A picture of (P, 3) colours from 0 to 1, row by row; `samples` x `samples` of them make a pixel."""
-    columns, rows = size
-    values = colour.reshape(rows, columns, 3)
-    if samples > 1:
-        values = values.reshape(rows // samples, samples, columns // samples, samples, 3).mean(axis=(1, 3))
-    return Image.fromarray((255 * values.clip(0, 1) + 0.5).astype(np.uint8))
-
-
 def lines(
     drawn: Image.Image, seen: Seen, segments: Floats, colour: str, *, width: int = 1, hidden: str | None = None
 ) -> None:
     """Draw segments over a picture, what is behind a surface in another colour or not at all.
 
     Args:
-        drawn: the picture; its size may be a part of the camera's.
+        drawn: the picture.
         seen: what the camera saw.
         segments: (N, 2, 3) [m].
         colour: of what is in front.
@@ -179,7 +186,6 @@ def lines(
     column = middle[..., 0].astype(np.int64).clip(0, columns - 1)
     row = middle[..., 1].astype(np.int64).clip(0, rows - 1)
     front = middle[..., 2] <= seen.distance[row * columns + column] * (1 + _NEAR)
-    at[..., :2] *= drawn.size[0] / columns
     draw = ImageDraw.Draw(drawn)
     for i in range(len(segments)):
         for first, last, free in _runs(front[i]):
@@ -196,7 +202,7 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int, bool]]:
 
 def labels(drawn: Image.Image, places: Floats, texts: Sequence[str], size: int = 15) -> None:
     """Write texts at (N, 2) places [pixels], moved as little as needed so that none covers another."""
-    draw, type_face, taken = ImageDraw.Draw(drawn), font(size), []
+    draw, type_face, taken = ImageDraw.Draw(drawn), font(size), list[tuple[float, float, float, float]]()
     turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ways = [(0.0, 0.0), *((r * np.cos(a), r * np.sin(a)) for r in size * np.arange(1, 9) * 0.8 for a in turns)]
     for place, text in zip(places, texts, strict=True):

@@ -111,7 +111,7 @@ def vertex_normals(mesh: TriangleMesh) -> Floats:
     cross, normals = cross_products(mesh.vertices, mesh.faces), np.zeros_like(mesh.vertices)
     for corner in range(3):
         np.add.at(normals, mesh.faces[:, corner], cross)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
 
 
 def sides(
