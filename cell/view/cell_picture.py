@@ -42,9 +42,10 @@ def draw_cell(
     views: Floats,
     way: Floats,
     size: tuple[int, int] = (960, 720),
-    camera_deg: tuple[float, float] | None = None,
+    camera: rays.Camera | tuple[float, float] | None = None,
     hide: Collection[str] = (),
-) -> Image.Image:
+    extra: Sequence[Piece] = (),
+) -> tuple[Image.Image, rays.Seen]:
     """Draw it.
 
     Args:
@@ -54,36 +55,38 @@ def draw_cell(
         views: (n, 4, 4) T_base_scanner of every view.
         way: (M, 3) places of the scanner's source.
         size: (width, height) [pixels].
-        camera_deg: azimuth (0 is base x, 90 base y) and elevation of the camera as seen from the part; None is beside
-            part and arm.
+        camera: where it stands; or its azimuth (0 is base x, 90 base y) and elevation as seen from the part [deg], part
+            and arm in the picture; None is beside both.
         hide: names of pieces to leave out.
+        extra: further pieces, base frame.
+
+    Returns:
+        The picture, and what the camera saw.
 
     Raises:
         UsageError: if a name is none of the cell's.
     """
     T, links = cell.T_base_object, cell.arm.links(q)
     stands = Piece("part", 0, part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, np.array(LOOKS["surface"]))
-    pieces = [*placed(cell.pieces, links), stands]
+    pieces = [*placed(cell.pieces, links), stands, *extra]
     _require_known(hide, [piece.name for piece in pieces])
     pieces = [piece for piece in pieces if piece.name not in hide]
     subject = [piece for piece in pieces if piece.name in ("robot", "scanner", "part")] or pieces
-    middle = stands.vertices.mean(axis=0)
-    beside = float(np.degrees(np.arctan2(middle[1], middle[0]))) + _BESIDE_DEG
-    toward = rays.direction(*((beside, _ABOVE_DEG) if camera_deg is None else camera_deg))
     marks = _pyramids(views, _SHARE * cell.frustum)
-    fit = np.concatenate([*(piece.vertices for piece in subject), marks.reshape(-1, 3), way])
-    camera = rays.fitted(fit, toward, size, parallel=False)
-    others = [piece for piece in pieces if not any(piece is each for each in subject)]
-    glass = _in_front(camera, subject, [piece for piece in others if piece.name != "floor"])
-    lit = [
-        _Lit(camera.eye, [piece for piece in pieces if (piece.name in glass) == panes])
-        for panes in (False, bool(glass))
-    ]
+    if not isinstance(camera, rays.Camera):
+        middle = stands.vertices.mean(axis=0)
+        beside = float(np.degrees(np.arctan2(middle[1], middle[0]))) + _BESIDE_DEG
+        fit = np.concatenate([*(piece.vertices for piece in subject), marks.reshape(-1, 3), way])
+        camera = rays.fitted(fit, rays.direction(*(camera or (beside, _ABOVE_DEG))), size, parallel=False)
+    known = ("robot", "scanner", "part", "points", "post", "pedestal", "floor")
+    glass = _in_front(camera, subject, [piece for piece in pieces if piece.name not in known])
+    solid = _Lit(camera.eye, [piece for piece in pieces if piece.name not in glass])
+    panes = _Lit(camera.eye, [piece for piece in pieces if piece.name in glass]) if glass else None
 
     def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        colour, distance = lit[0].colour_of(origins, directions)
-        if glass:
-            before, to_pane = lit[1].colour_of(origins, directions)
+        colour, distance = solid.colour_of(origins, directions)
+        if panes is not None:
+            before, to_pane = panes.colour_of(origins, directions)
             through = to_pane < distance
             colour[through] = (1 - _GLASS) * colour[through] + _GLASS * before[through]
         return colour, distance
@@ -95,7 +98,7 @@ def draw_cell(
     here = links[-1] @ cell.arm.T_link_scanner
     if any(np.allclose(here, view, atol=1e-6) for view in views):
         rays.lines(drawn, seen, _pyramids(here[None], cell.frustum), ORANGE, width=2)
-    return drawn
+    return drawn, seen
 
 
 def best_view(cell: Cell, part: TriangleMesh, views: Floats) -> int:

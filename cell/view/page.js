@@ -76,7 +76,7 @@ for (const T of data.arm.T_parent_link) {
 }
 const axes = data.arm.axis.map((axis) => new THREE.Vector3(...axis));
 function pose(q, start = 0) {
-  axes.forEach((axis, k) => links[k + 1].quaternion.setFromAxisAngle(axis, q[start + k]));
+  axes.forEach((axis, k) => links[k + 1].quaternion.setFromAxisAngle(axis, q[start + k] - data.arm.reference[k]));
   redraw();
 }
 for (const piece of data.pieces) {

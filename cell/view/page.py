@@ -226,6 +226,7 @@ def _stage(stage: Stage) -> Mapping[str, object]:
         "palette": _PALETTE,
         "arm": {
             "T_parent_link": _rounded(arm.T_parent_link, 12),
+            "reference": _rounded(arm.reference, 12),
             "axis": _rounded(arm.axis, 12),
             "home": _rounded(arm.home, 12),
         },

@@ -53,13 +53,15 @@ class Arm(Value):
     """The chain of the arm, enough to place its links.
 
     Attributes:
-        T_parent_link: (6, 4, 4) of link_1 to link_6 at zero [m]; the first in base.
+        T_parent_link: (6, 4, 4) of link_1 to link_6 [m] at the model's reference angles; the first in base.
+        reference: (6,) these angles [rad].
         axis: (6, 3) of the joint, in the link's frame and through its origin.
         T_link_scanner: (4, 4) of the scanner in link_6 [m].
         home: (6,) [rad].
     """
 
     T_parent_link: Annotated[Floats, "6 4 4"]
+    reference: Annotated[Floats, "6"]
     axis: Annotated[Floats, "6 3"]
     T_link_scanner: Annotated[Floats, "4 4"]
     home: Annotated[Floats, "6"]
@@ -69,7 +71,7 @@ class Arm(Value):
         from scipy.spatial.transform import Rotation
 
         turns = np.tile(np.eye(4), (6, 1, 1))
-        turns[:, :3, :3] = Rotation.from_rotvec(self.axis * np.asarray(q)[:, None]).as_matrix()
+        turns[:, :3, :3] = Rotation.from_rotvec(self.axis * (np.asarray(q) - self.reference)[:, None]).as_matrix()
         placed = [np.eye(4)]
         for T, turn in zip(self.T_parent_link, turns, strict=True):
             placed.append(placed[-1] @ T @ turn)
@@ -174,6 +176,7 @@ def _cell(
     flange[:3, :3], flange[:3, 3] = data.site(FLANGE).xmat.reshape(3, 3), data.site(FLANGE).xpos
     arm = Arm(
         np.stack([_relative(model, link) for link in LINKS[1:]]),
+        np.array(model.qpos0),
         np.stack([model.joint(axis).axis for axis in AXES]),
         np.linalg.inv(links[-1]) @ flange @ T_flange_scanner,
         np.array(data.qpos),

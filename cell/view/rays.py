@@ -215,6 +215,12 @@ def labels(drawn: Image.Image, places: Floats, texts: Sequence[str], size: int =
         draw.text(box, text, "#111111", type_face, anchor="mm", stroke_width=2, stroke_fill="white")
 
 
+def dots(drawn: Image.Image, places: Floats, colour: str, radius: float = 4.0) -> None:
+    """Draw (N, 2) places [pixels] as dots."""
+    for x, y in places:
+        ImageDraw.Draw(drawn).ellipse((x - radius, y - radius, x + radius, y + radius), colour)
+
+
 def _free(
     at: tuple[float, float],
     width: float,
