@@ -21,6 +21,7 @@ from cell.run.record import RunRecord
 from cell.run.report_json import Report
 from cell.run.scene_json import ScannerKeys
 from cell.view.page import POINTS, Layer, Play, Shown, Stage, View, html_of, stepped, thinned
+from cell.view.palette import REASONS
 from cell.view.pictures import group_numbers
 from cell.view.pieces import Cell, cell_of_run
 from cell.view.surface import Surface, nearest, surface_of, vertex_normals
@@ -63,8 +64,11 @@ def why_page(run: RunRecord, surface: Surface, groups: Sequence[tuple[Ints, str]
     """
     scene, plan = run_reader.scene(run), run_reader.plan(run)
     number = group_numbers(len(surface.samples), [rows for rows, _ in groups]).astype(np.uint8)
-    names = tuple(f"{name} ({100 * len(rows) / len(number):.2f} %)" for rows, name in groups)
-    stage = plan_stage(scene.part.name, cell_of_run(run, scene), surface, (number, names))
+    names = [f"{name} ({100 * len(rows) / len(number):.2f} %)" for rows, name in groups[: len(REASONS)]]
+    if len(groups) > len(REASONS):
+        rest = sum(len(rows) for rows, _ in groups[len(REASONS) - 1 :])
+        names[-1] = f"{len(groups) - len(REASONS) + 1} smaller groups ({100 * rest / len(number):.2f} %)"
+    stage = plan_stage(scene.part.name, cell_of_run(run, scene), surface, (number, tuple(names)))
     play = plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1)
     return html_of(stage, play)
 
