@@ -6,6 +6,7 @@ A plan's page is made of the same pieces while the plan is made (`cell.plan.draw
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,12 @@ from cell.run.report_json import Report
 from cell.run.scene_json import ScannerKeys
 from cell.view.page import POINTS, Layer, Play, Shown, Stage, View, html_of, stepped, thinned
 from cell.view.palette import REASONS
-from cell.view.pictures import group_numbers
+from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, cell_of_run
-from cell.view.surface import Surface, nearest, surface_of, vertex_normals
+from cell.view.surface import Canvas, Surface, canvas_of, surface_of
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints
 
@@ -49,55 +51,55 @@ def run_page(run: RunRecord) -> str:
         stage = Stage(title.format(scene.part.name), cell, [part])
         return html_of(stage, Play(problems=[f"this run {run.ended}"], inside=0))
     plan = run_reader.plan(run)
-    surface = measured(run, read_cell(run), [view.T_object_poses for view in plan.views])
-    stage = plan_stage(scene.part.name, cell, surface)
+    canvas, surface = measured(run, read_cell(run), [view.T_object_poses for view in plan.views])
+    stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface)])
     return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run)))
 
 
-def why_page(run: RunRecord, surface: Surface, groups: Sequence[tuple[Ints, str]]) -> str:
+def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[tuple[Ints, str]]) -> str:
     """The page of `cell why`: the plan's, the part coloured by the reasons why it stays open.
 
     Args:
         run: the plan's folder.
-        surface: the part with what the plan measures.
+        canvas: the part.
+        surface: what the plan measures of it.
         groups: rows of the surface's samples that stay open for a reason, and its name; largest first.
     """
     scene, plan = run_reader.scene(run), run_reader.plan(run)
-    number = group_numbers(len(surface.samples), [rows for rows, _ in groups]).astype(np.uint8)
-    names = [f"{name} ({100 * len(rows) / len(number):.2f} %)" for rows, name in groups[: len(REASONS)]]
-    if len(groups) > len(REASONS):
-        rest = sum(len(rows) for rows, _ in groups[len(REASONS) - 1 :])
-        names[-1] = f"{len(groups) - len(REASONS) + 1} smaller groups ({100 * rest / len(number):.2f} %)"
-    stage = plan_stage(scene.part.name, cell_of_run(run, scene), surface, (number, tuple(names)))
-    play = plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1)
-    return html_of(stage, play)
+    number = group_numbers(len(surface.samples), [rows for rows, _ in groups])
+    share = 100 * np.bincount(number, minlength=len(REASONS) + 1)[1:] / max(len(number), 1)
+    named = zip(group_names([name for _, name in groups]), share, strict=False)
+    names = tuple(f"{name} ({percent:.2f} %)" for name, percent in named)
+    layer = Layer("Why it stays open", "reasons", number.astype(np.uint8), canvas.note, names=names)
+    stage = Stage(f"Why {scene.part.name} stays open", cell_of_run(run, scene), [part_of(canvas, surface, [layer])])
+    return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1))
 
 
-def execution_page(run: RunRecord, execution: str, surface: Surface | None = None) -> str:
+def execution_page(run: RunRecord, execution: str, known: tuple[Canvas, Surface] | None = None) -> str:
     """The page of an execution: what it measured, by how much that deviates, its points, the arm as it was reported.
 
     Args:
         run: the run that was executed.
         execution: its id, or "latest".
-        surface: the part with what the executed poses measure; None measures it.
+        known: the part, and what the executed poses measure of it; None measures it.
     """
     recorded = read_execution(run, execution)
     scene, scans = run_reader.scene(run), recorded.scans
     cell, done = cell_of_run(run, scene), open_execution(recorded.folder)
-    if surface is None:
+    if known is None:
         poses = [
             scan.stored.get("sweep_T_object_scanner_true", scan.stored["T_object_scanner_true"][None]) for scan in scans
         ]
-        surface = measured(run, read_cell(run), poses)
-    shown = [part_of(surface)]
+        known = measured(run, read_cell(run), poses)
+    shown = [part_of(*known)]
     if done.mesh is not None:
-        shown.append(_deviating(done.mesh, surface.reference, done))
+        shown.append(_deviating(done.mesh, run_reader.mesh(run, "reference.ply"), done))
     points = done.points if len(scans) else None
     return html_of(Stage(f"Scan of {scene.part.name}", cell, shown), _execution_play(run, recorded, done, cell, points))
 
 
-def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> Surface:
-    """What some views measure of the held-out samples.
+def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, Surface]:
+    """The part, and what some views measure of its held-out samples.
 
     Args:
         run: the plan.
@@ -105,9 +107,14 @@ def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> Surface:
         poses: (K, 4, 4) of each view [m], object frame.
     """
     samples = held_out(cell.reference, cell.planning, run.seed)
+    return canvas_of(cell.reference, samples), of_views(cell, samples, poses)
+
+
+def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) -> Surface:
+    """What some views measure of samples; arguments as in `measured`."""
     stacked = np.stack(poses) if len(poses) else np.zeros((0, 1, 4, 4))
     casters, angle = (cell.part_caster, cell.occluder_caster), resolution_deg(cell.scanner_keys)
-    return surface_of(cell.reference, samples, stacked, cell.scanner, casters, angle)
+    return surface_of(samples, stacked, cell.scanner, casters, angle)
 
 
 def resolution_deg(keys: ScannerKeys) -> float | None:
@@ -116,36 +123,24 @@ def resolution_deg(keys: ScannerKeys) -> float | None:
     return None if grid is None else max(grid)
 
 
-def plan_stage(
-    name: str, cell: Cell, surface: Surface, reasons: tuple[np.ndarray, tuple[str, ...]] | None = None
-) -> Stage:
-    """The part among what stands around it.
+def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Shown:
+    """The part with its colourings.
 
     Args:
-        name: of the part.
-        cell: the cell.
-        surface: the part with what the plan measures.
-        reasons: (S,) number of the reason why a sample stays open, 0 none, and names of the reasons.
+        canvas: the part.
+        surface: what views measure of it.
+        first: colourings that come before the others, values of the samples.
     """
-    title = f"View plan of {name}" if reasons is None else f"Why {name} stays open"
-    return Stage(title, cell, [part_of(surface, reasons)])
-
-
-def part_of(surface: Surface, reasons: tuple[np.ndarray, tuple[str, ...]] | None = None) -> Shown:
-    """The part with its colourings."""
-    mesh = thinned(surface.reference)
-    own = nearest(surface.samples, mesh.vertices, vertex_normals(mesh), mesh.diagonal)
-    note = "" if mesh is surface.reference else _thinned(len(mesh.faces), len(surface.reference.faces), "faces")
+    own = canvas.at_vertices()
+    layers = [replace(layer, values=layer.values[own]) for layer in first]
     bits = np.packbits(surface.seen[own], axis=1, bitorder="little")
-    layers = [Layer("Number of views", "views", bits.reshape(len(own), -1), note)]
+    layers.append(Layer("Number of views", "views", bits.reshape(len(own), -1), canvas.note))
     for name in sorted(surface.layers):
         values = surface.layers[name]
         known = values[np.isfinite(values)]
         limits = (0.0, round(float(np.quantile(known, 0.98)), 6) if len(known) else 1.0)
         layers.append(stepped(values[own], _TITLES[name], "length", limits, _NOTES[name]))
-    if reasons is not None:
-        layers.insert(0, Layer("Why it stays open", "reasons", reasons[0][own], note, names=reasons[1]))
-    return Shown("part", mesh, layers)
+    return Shown("part", canvas.mesh, layers)
 
 
 def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside: int = 0) -> Play:

@@ -22,12 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 from cell.errors import CellError
 from cell.view import palette
 from cell.view.pieces import Cell
+from cell.view.surface import FACES
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
-FACES, POINTS, MOMENTS = 120_000, 300_000, 4_000
-"""Most faces of a surface, points of a cloud and moments of a motion that a page holds."""
+POINTS, MOMENTS = 300_000, 4_000
+"""Most points of a cloud and moments of a motion that a page holds."""
 
 NONE = 65535
 """In a layer: no value here."""

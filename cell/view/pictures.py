@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.view import rays
 from cell.view.palette import MEASURED, OPEN, REASONS, SEEN, rgb
-from cell.view.surface import Surface, nearest, sides
+from cell.view.surface import Canvas, Surface, sides
 from planner.surface.mesh import TriangleMesh, face_normals
-from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints
 
 _PANEL = (560, 540)
@@ -27,8 +25,8 @@ _BAR = 0.25  # of the panel's width: the scale bar is at most so long
 
 def part_and_views(
     path: Path,
+    canvas: Canvas,
     surface: Surface,
-    caster: EmbreeRayCaster,
     T_object_scanner: Floats,
     fov_rad: ArrayLike,
     numbers: Sequence[int] | None = None,
@@ -37,66 +35,59 @@ def part_and_views(
 
     Args:
         path: PNG to write.
-        surface: the part with what the views measure.
-        caster: of the part.
+        canvas: the part.
+        surface: what the views measure of it.
         T_object_scanner: (n, 4, 4) views in visiting order [m].
         fov_rad: horizontal and vertical field of view [rad].
         numbers: (n,) of the views; None counts from 1.
     """
-    mesh, samples = surface.reference, surface.samples
+    mesh, areas = canvas.mesh, surface.samples.areas
     count = np.minimum(surface.seen.sum(axis=1), len(SEEN))
     colours = np.array([rgb(OPEN), *(rgb(colour) for colour in SEEN)])
-    ways = sides(caster, samples, count == 0, mesh.diagonal, 2)
-    panels = [_panel(mesh, caster, samples, colours[count], way, mesh.vertices) for way in ways]
+    ways = sides(canvas, count == 0, 2)
+    panels = [_panel(canvas, colours[count], way, mesh.vertices) for way in ways]
     pyramids = _frustums(T_object_scanner, fov_rad, mesh)
     around = np.concatenate([mesh.vertices, pyramids.reshape(-1, 3)])
-    views, seen = _panel(mesh, caster, samples, colours[count], rays.direction(-60, 25), around)
+    views, seen = _panel(canvas, colours[count], rays.direction(-60, 25), around)
     rays.lines(views, seen, pyramids, "#333333", hidden="#b9bfc6")
     at = seen.camera.project(T_object_scanner[:, :3, 3])[:, :2]
     middle = np.array(_PANEL) / 2
     outward = (at - middle) / np.maximum(np.linalg.norm(at - middle, axis=1, keepdims=True), 1e-9)
     rays.labels(views, at + 12 * outward, [str(n) for n in numbers or range(1, len(at) + 1)])
-    share = np.bincount(count, weights=samples.areas, minlength=len(colours)) / samples.areas.sum()
+    share = np.bincount(count, weights=areas, minlength=len(colours)) / areas.sum()
     names = ["not measured", "1 view", *(str(k) for k in range(2, len(SEEN))), f"{len(SEEN)} or more"]
     legend = [
         (colour, f"{name} ({100 * part:.1f} %)") for colour, name, part in zip(colours, names, share, strict=True)
     ]
-    titles = [*(_from(way) for way in ways), f"{len(at)} views"]
+    titles = [*(_from(way) for way in ways), f"{len(at)} view{'s' * (len(at) != 1)}"]
     rays.save(_sheet([_scaled(panel) for panel in [*panels, (views, seen)]], titles, legend, columns=3), path)
 
 
-def reasons(
-    path: Path,
-    mesh: TriangleMesh,
-    caster: EmbreeRayCaster,
-    samples: SurfaceSamples,
-    groups: Sequence[tuple[Ints, str]],
-    title: str,
-) -> None:
+def reasons(path: Path, canvas: Canvas, groups: Sequence[tuple[Ints, str]], title: str) -> None:
     """The part from the sides that show most of what is open, coloured by reasons.
 
     Args:
         path: PNG to write.
-        mesh: the part.
-        caster: of the part.
-        samples: of its surface.
+        canvas: the part.
         groups: rows of the samples that stay open for a reason, and its name; largest first.
         title: of the picture.
     """
-    number = group_numbers(len(samples), [rows for rows, _ in groups])
+    areas = canvas.samples.areas
+    number = group_numbers(len(areas), [rows for rows, _ in groups])
     colours = np.array([rgb(MEASURED), *(rgb(colour) for colour in REASONS)])
-    ways = sides(caster, samples, number > 0, mesh.diagonal, 4)
-    panels = [_panel(mesh, caster, samples, colours[number], way, mesh.vertices) for way in ways]
-    share = np.bincount(number, weights=samples.areas, minlength=len(colours)) / samples.areas.sum()
-    names = ["measured", *(name for _, name in groups)]
-    if len(names) > len(colours):
-        names[len(REASONS) :] = [f"{len(names) - len(REASONS)} smaller groups"]
-    legend = [
-        (colour, f"{name} ({100 * part:.2f} %)") for colour, name, part in zip(colours, names, share, strict=False)
-    ]
-    rays.save(
-        _sheet([_scaled(panel) for panel in panels], [_from(way) for way in ways], legend, columns=2, title=title), path
-    )
+    ways = sides(canvas, number > 0, 4)
+    panels = [_panel(canvas, colours[number], way, canvas.mesh.vertices) for way in ways]
+    share = np.bincount(number, weights=areas, minlength=len(colours)) / areas.sum()
+    named = zip(colours, ["measured", *group_names([name for _, name in groups])], share, strict=False)
+    legend = [(colour, f"{name} ({100 * part:.2f} %)") for colour, name, part in named]
+    titles = [_from(way) for way in ways]
+    rays.save(_sheet([_scaled(panel) for panel in panels], titles, legend, columns=2, title=title), path)
+
+
+def group_names(names: Sequence[str]) -> list[str]:
+    """Names for the numbers of `group_numbers`, from 1."""
+    most = len(REASONS)
+    return list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} smaller groups"]
 
 
 def group_numbers(count: int, groups: Sequence[Ints]) -> NDArray[np.int64]:
@@ -107,24 +98,16 @@ def group_numbers(count: int, groups: Sequence[Ints]) -> NDArray[np.int64]:
     return number
 
 
-def _panel(
-    mesh: TriangleMesh,
-    caster: EmbreeRayCaster,
-    samples: SurfaceSamples,
-    colours: Floats,
-    toward: Floats,
-    shown: Floats,
-) -> tuple[Image.Image, rays.Seen]:
-    """The mesh from one side in its samples' colours (S, 3); `shown` (N, 3) are in the picture."""
+def _panel(canvas: Canvas, colours: Floats, toward: Floats, shown: Floats) -> tuple[Image.Image, rays.Seen]:
+    """The part from one side in its samples' colours (S, 3); `shown` (N, 3) are in the picture."""
     camera = rays.fitted(shown, toward, _PANEL, parallel=True)
-    facing = face_normals(mesh)
+    facing, of_face = face_normals(canvas.mesh), colours[canvas.own]
 
     def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        hits = caster.first_hit(origins, directions)
+        hits = canvas.caster.first_hit(origins, directions)
         picture, hit = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
-        normals = facing[hits.face[hit]]
-        own = nearest(samples, origins[hit] + hits.distance[hit, None] * directions[hit], normals, mesh.diagonal)
-        picture[hit] = rays.shaded(colours[own], normals @ -camera.forward)
+        face = hits.face[hit]
+        picture[hit] = rays.shaded(of_face[face], facing[face] @ -camera.forward)
         return picture, hits.distance
 
     return rays.render(camera, colour_of)

@@ -1,7 +1,7 @@
 """What views do to a part's surface, for pictures and pages: which view measures which sample, how finely, how surely.
 
-Any place of the surface takes the values of the nearest held-out sample that looks the same way, so that a thin wall
-shows its own side. Object frame, metres.
+A face of the mesh that is drawn takes the values of the nearest held-out sample that looks the same way, so that a thin
+wall shows its own side. Object frame, metres.
 """
 
 from __future__ import annotations
@@ -12,12 +12,14 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.view.rays import direction
 from planner.measurability.matrix import measured
 from planner.ports import RayCaster, Scanner
-from planner.surface.mesh import TriangleMesh, cross_products
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_centres, face_normals
 from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints, Value
 from planner.viewpoints.lines_of_sight import Targets, in_view
@@ -25,15 +27,63 @@ from planner.viewpoints.lines_of_sight import Targets, in_view
 _WALL = 0.02  # of the diagonal: two samples that look apart by a right angle count as 1.4 times this far apart
 _SIDES = ((-60.0, 22.0), (120.0, 22.0), (30.0, -30.0), (-150.0, -30.0))  # looked from where nothing asks for more
 _ASKED = 2000  # samples that directions are judged by
+_LIFT = 2e-3  # of the diagonal: the mesh that is drawn may stand over its samples
 _LEAST = 0.02  # of them: what a further direction shows at least
+
+
+FACES = 120_000
+"""Most faces of a mesh that is drawn."""
+
+_FINE = 40_000  # faces into which those of a coarser mesh are split, so that each can have its own colour
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Canvas(Value):
+    """A surface made ready to be coloured.
+
+    Attributes:
+        mesh: decimated above `FACES` faces, large faces split.
+        caster: of the mesh.
+        samples: S of the true surface.
+        own: (F,) sample whose values a face has.
+        note: what is not as it is; "" where nothing is.
+    """
+
+    mesh: TriangleMesh
+    caster: EmbreeRayCaster
+    samples: SurfaceSamples
+    own: Annotated[Ints, "F"]
+    note: str
+
+    def at_vertices(self) -> Ints:
+        """(V,) sample whose values a vertex has: that of one of its faces."""
+        own = np.zeros(len(self.mesh.vertices), dtype=np.int64)
+        own[self.mesh.faces] = self.own[:, None]
+        return own
+
+
+def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
+    """Make a part ready to be coloured.
+
+    Args:
+        reference: the part.
+        samples: of it.
+    """
+    count = len(reference.faces)
+    mesh = decimate(reference, FACES if count > FACES else max(count, _FINE))
+    weight = _WALL * reference.diagonal
+    tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
+    _, own = tree.query(np.hstack([face_centres(mesh), weight * face_normals(mesh)]))
+    note = f"drawn with {len(mesh.faces):,} of {count:,} faces" if len(mesh.faces) < count else ""
+    caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
+    return Canvas(mesh, caster, samples, np.asarray(own, dtype=np.int64), note)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface(Value):
-    """A part's samples with what some views measure of them.
+    """What some views measure of the samples of a surface.
 
     Attributes:
-        reference: the part.
         samples: S of them.
         seen: (S, n) whether a view measures a sample.
         layers: (S,) values by name [mm], the best of the views that measure the sample, NaN where none does: `sigma`,
@@ -41,14 +91,12 @@ class Surface(Value):
             neighbouring points, of scanners with a grid of rays.
     """
 
-    reference: TriangleMesh
     samples: SurfaceSamples
     seen: Annotated[NDArray[np.bool_], "S n"]
     layers: dict[str, Floats]
 
 
 def surface_of(
-    reference: TriangleMesh,
     samples: SurfaceSamples,
     T_object_scanner: Floats,
     scanner: Scanner,
@@ -58,8 +106,7 @@ def surface_of(
     """Ask the views about the samples.
 
     Args:
-        reference: the part.
-        samples: of it.
+        samples: of the part.
         T_object_scanner: (n, K, 4, 4) poses of the views [m].
         scanner: the sensor's law.
         casters: the part's and the occluders'.
@@ -87,43 +134,15 @@ def surface_of(
                 layers["spacing"][here] = np.minimum(layers["spacing"][here], gap)
     for values in layers.values():
         values[~np.isfinite(values)] = np.nan
-    return Surface(reference, samples, seen, layers)
+    return Surface(samples, seen, layers)
 
 
-def nearest(samples: SurfaceSamples, points: Floats, normals: Floats, diagonal: float) -> Ints:
-    """(N,) for each place of the surface the nearest sample that looks the same way.
-
-    Args:
-        samples: of the surface.
-        points: (N, 3) on it [m].
-        normals: (N, 3) outward unit normals there.
-        diagonal: of the part's bounding box [m].
-    """
-    from scipy.spatial import cKDTree
-
-    weight = _WALL * diagonal
-    tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
-    return np.asarray(tree.query(np.hstack([points, weight * normals]))[1], dtype=np.int64)
-
-
-def vertex_normals(mesh: TriangleMesh) -> Floats:
-    """(V, 3) unit normals, each face weighted with its area; zero for a vertex without faces."""
-    cross, normals = cross_products(mesh.vertices, mesh.faces), np.zeros_like(mesh.vertices)
-    for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], cross)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
-
-
-def sides(
-    caster: EmbreeRayCaster, samples: SurfaceSamples, wanted: NDArray[np.bool_], diagonal: float, count: int
-) -> list[Floats]:
+def sides(canvas: Canvas, wanted: NDArray[np.bool_], count: int) -> list[Floats]:
     """Directions to look from: each shows most of what is wanted and no earlier one shows.
 
     Args:
-        caster: of the part.
-        samples: of its surface.
-        wanted: (S,) those that should be shown.
-        diagonal: of the part's bounding box [m].
+        canvas: the surface.
+        wanted: (S,) samples that should be shown.
         count: how many directions; where nothing more is shown, they are around the part.
 
     Returns:
@@ -133,11 +152,12 @@ def sides(
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(np.int64)] if len(rows) else rows
     ways = np.array([direction(a, e) for e in (-62, -30, 0, 25, 60) for a in range(0, 360, 30)])
     shown = np.zeros((len(ways), len(rows)))
-    points, normals = samples.points[rows], samples.normals[rows]
+    diagonal, normals = canvas.mesh.diagonal, canvas.samples.normals[rows]
+    points = canvas.samples.points[rows] + _LIFT * diagonal * normals
     for i, way in enumerate(ways):
         facing = normals @ way
         ahead = np.flatnonzero(facing > 0.1)
-        free = ~caster.blocked(points[ahead] + 2 * diagonal * way, points[ahead])
+        free = ~canvas.caster.blocked(points[ahead] + 2 * diagonal * way, points[ahead])
         shown[i, ahead[free]] = facing[ahead[free]]
     chosen: list[Floats] = []
     left = np.ones(len(rows))

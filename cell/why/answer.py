@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.rays.embree import EmbreeRayCaster
-from cell.view.surface import Surface
+from cell.view.surface import Canvas, Surface
 from cell.why.search import Named
 from planner.surface.sample import SurfaceSamples
 from planner.values import Ints
@@ -66,8 +65,8 @@ class Answer:
     """All that `cell why` found.
 
     Attributes:
-        surface: the reference with its held-out samples, and what the plan measures of them.
-        caster: of the part.
+        canvas: the reference, ready to be coloured.
+        surface: its held-out samples, and what the plan measures of them.
         diagnosis: of the open samples.
         open_rows: (n,) the open samples.
         groups: largest area first.
@@ -77,8 +76,8 @@ class Answer:
         part_name: for titles.
     """
 
+    canvas: Canvas
     surface: Surface
-    caster: EmbreeRayCaster
     diagnosis: Diagnosis
     open_rows: Ints
     groups: tuple[Group, ...]

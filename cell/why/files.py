@@ -63,7 +63,9 @@ def write(run: RunRecord, answer: Answer, report: WhyReport) -> Path:
         (part / "why.ply").write_bytes(picture.ply(answer))
         picture.draw(part / "why.png", answer)
         reasons = [(group.rows, group.title) for group in answer.groups]
-        (part / contents.NAME).write_text(contents.why_page(run, answer.surface, reasons), encoding="utf-8")
+        (part / contents.NAME).write_text(
+            contents.why_page(run, answer.canvas, answer.surface, reasons), encoding="utf-8"
+        )
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
     except OSError as error:

@@ -46,6 +46,4 @@ def ply(answer: Answer) -> bytes:
 def draw(path: Path, answer: Answer) -> None:
     """The true part from the sides on which most is open, in the colours of the reasons."""
     groups = [(group.rows, group.title) for group in answer.groups]
-    pictures.reasons(
-        path, answer.surface.reference, answer.caster, answer.samples, groups, f"Why {answer.part_name} stays open"
-    )
+    pictures.reasons(path, answer.canvas, groups, f"Why {answer.part_name} stays open")
