@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
 from cell.run import timeline as timelines
 from cell.run.cell import RunCell, read_cell
-from cell.run.executed import ExecutedRun, open_execution
-from cell.run.executions import RecordedExecution, read_execution
+from cell.run.executed import ExecutedRun
+from cell.run.executions import RecordedExecution
 from cell.run.plan_json import PlanView
 from cell.run.record import RunRecord
 from cell.run.report_json import Report
@@ -75,26 +74,27 @@ def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[
     return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1))
 
 
-def execution_page(run: RunRecord, execution: str, known: tuple[Canvas, Surface] | None = None) -> str:
+def execution_page(
+    run: RunRecord, recorded: RecordedExecution, done: ExecutedRun, known: tuple[Canvas, Surface] | None = None
+) -> str:
     """The page of an execution: what it measured, by how much that deviates, its points, the arm as it was reported.
 
     Args:
         run: the run that was executed.
-        execution: its id, or "latest".
-        known: the part, and what the executed poses measure of it; None measures it.
+        recorded: the scans.
+        done: the report on them.
+        known: the part, and what the scans measure of it, in their order; None measures it.
     """
-    recorded = read_execution(run, execution)
-    scene, scans = run_reader.scene(run), recorded.scans
-    cell, done = cell_of_run(run, scene), open_execution(recorded.folder)
+    scene = run_reader.scene(run)
+    cell = cell_of_run(run, scene)
     if known is None:
-        poses = [
-            scan.stored.get("sweep_T_object_scanner_true", scan.stored["T_object_scanner_true"][None]) for scan in scans
-        ]
+        stored = [scan.stored for scan in recorded.scans]
+        poses = [each.get("sweep_T_object_scanner_true", each["T_object_scanner_true"][None]) for each in stored]
         known = measured(run, read_cell(run), poses)
     shown = [part_of(*known)]
     if done.mesh is not None:
         shown.append(_deviating(done.mesh, run_reader.mesh(run, "reference.ply"), done))
-    points = done.points if len(scans) else None
+    points = done.points if recorded.scans else None
     return html_of(Stage(f"Scan of {scene.part.name}", cell, shown), _execution_play(run, recorded, done, cell, points))
 
 
@@ -221,12 +221,6 @@ def _deviating(mesh: TriangleMesh, reference: TriangleMesh, done: ExecutedRun) -
     known = np.abs(values[np.isfinite(values)])
     limit = round(1.5 * float(np.quantile(known, 0.95)), 6) if len(known) else 1.0
     return Shown("surface", small, [stepped(values, "Deviation", "signed", (-limit, limit), note)])
-
-
-def page_beside(folder: Path) -> Path | None:
-    """The page that lies in a folder of a run, an execution or `cell why`; None where there is none."""
-    path = folder / NAME
-    return path if path.is_file() else None
 
 
 def _thinned(shown: int, of: int, what: str) -> str:

@@ -12,7 +12,8 @@ from pathlib import Path
 from cell import scanners
 from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
-from cell.run.executions import FOLDER
+from cell.run.executed import open_execution
+from cell.run.executions import FOLDER, read_execution
 from cell.run.record import open_run
 from cell.run.scene_json import ScannerKeys
 from cell.scene.scene import Scene, load_scene
@@ -43,7 +44,8 @@ def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
         if what is None or not what.is_dir():
             text = html_of(*scene_page(load_scene(what)))
         elif what.absolute().parent.name == FOLDER:
-            text = execution_page(open_run(what.absolute().parent.parent), what.absolute().name)
+            run = open_run(what.absolute().parent.parent)
+            text = execution_page(run, read_execution(run, what.absolute().name), open_execution(what))
         else:
             text = run_page(open_run(what))
         return write(text, out)

@@ -12,6 +12,12 @@ from planner.values import Floats
 BLACK, ORANGE, SKY, GREEN, YELLOW = "#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442"
 BLUE, VERMILION, PURPLE, GREY = "#0072b2", "#d55e00", "#cc79a7", "#999999"
 
+AXES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, BLACK)
+"""A1 to A6."""
+
+BETWEEN = "#f6d5c0"
+"""What lies between a curve and its bound."""
+
 OPEN = VERMILION
 SEEN = ("#d4e6f1", "#a9cce3", "#7fb3d5", "#5499c7", "#2471a3", "#1a5276", "#154360")
 """Measured from 1, 2, ... views; the last from so many or more."""
