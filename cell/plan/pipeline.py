@@ -87,6 +87,7 @@ def _steps(run: Run, job: Job) -> int:
     cell = steps.compile_cell(run, job, surface)
     run.drawing.make_ready(run.folder.path)
     reached = steps.reach_candidates(run, job, cell, candidates)
+    candidates, reached = steps.grow_candidates(run, job, surface, cell, candidates, reached)
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
     problem = steps.ask(run, job, cell, measured, prediction)
     chosen = steps.connect(run, problem)

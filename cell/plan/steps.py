@@ -16,7 +16,7 @@ from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import promise
-from cell.plan.candidates import first, grow
+from cell.plan.candidates import GROWN, arm_of, first, grow
 from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
@@ -41,16 +41,18 @@ from planner.measurability import matrix
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Scanner
 from planner.reach import reach
-from planner.reach.reach import Reach
+from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
+from planner.surface.sample import sample
 from planner.timing import motion as timing
 from planner.timing.motion import Motion
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints import growth
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 
 _ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
 _FEATURES, _SELECTION, _MOTION, _ENSEMBLE = 0, 2, 3, 4
-EXECUTIONS, CURVE = 5, 6
+EXECUTIONS, CURVE, _SCOUTS = 5, 6, 7
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
 
@@ -155,44 +157,51 @@ def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> 
     with run.step("reach") as progress:
         reached = _reach_of(job, cell, candidates, progress)
         plan_files.write_reach(run.folder, reached)
-        if job.scene.plan.candidates != "targeted":  # those come in rounds, see `measure`
-            check_named(job.scene.plan, reached)
-        if not reached.reachable.any():
-            raise UnreachableError(_nothing_reachable(reached, job.part))
+        if job.scene.plan.candidates != GROWN:
+            _check_reached(job, reached)
         return reached
+
+
+def grow_candidates(
+    run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
+) -> tuple[Viewpoints, Reach]:
+    """Step 4 again: candidates where none that is reached measures, if the scene's generator grows them.
+
+    Raises:
+        UnreachableError: if the arm reaches none after all.
+        SceneError: if the plan names a candidate that there is not, or that is not reached.
+    """
+    if job.scene.plan.candidates != GROWN:
+        return candidates, reached
+    with run.step("grow the candidates") as progress:
+        scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(_SCOUTS))
+        casters = _casters(surface, cell)
+        arm = arm_of(job.scene, cell.world, cell.kinematics, cell.checker, job.scanner, casters)
+        grown = grow(candidates, reached.reachable, scouts, arm, progress)
+        reached = join_reach([reached, _reach_of(job, cell, grown)])
+        candidates = join_viewpoints([candidates, grown])
+        plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_reach(run.folder, reached)
+        _check_reached(job, reached)
+        return candidates, reached
 
 
 def measure(
     run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Measured, Prediction]:
-    """Step 5: the measurability matrix, grown where candidates are targeted, and the held-out samples."""
+    """Step 5: the measurability matrix, and the held-out samples."""
     plan = job.scene.plan
     with run.step("measurability") as progress:
-        casters = [surface.caster, caster_of(occluder_triangles(cell.world))]
-
-        def columns(views: Viewpoints) -> tuple[Measurability, Scanner]:
-            views = scanners.swept(job.scanner, views)
-            M = part_matrix(
-                job.scene, job.settings, surface, views,
-                narrator=run.narrator, use_cache=run.use_cache, progress=progress,
-            )  # fmt: skip
-            M = matrix.occlude(M, views, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
-            if plan.max_sigma_mm is None:
-                return M, job.scanner
-            may_be_empty = plan.candidates == "targeted"
-            return limit_sigma(M, views, job.scanner, plan.max_sigma_mm, casters, may_be_empty=may_be_empty)
-
-        M, scanner = columns(candidates)
-        if plan.candidates == "targeted":
-            candidates, reached, M = grow(
-                candidates, reached, M, standoff=job.settings.standoffs[0], scanner=scanner, casters=casters,
-                reach_of=lambda views: _reach_of(job, cell, views), measure=lambda views: columns(views)[0],
-                progress=progress,
-            )  # fmt: skip
-            plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
-            plan_files.write_reach(run.folder, reached)
-        check_named(plan, reached)
+        casters = _casters(surface, cell)
         candidates = scanners.swept(job.scanner, candidates)
+        M = part_matrix(
+            job.scene, job.settings, surface, candidates,
+            narrator=run.narrator, use_cache=run.use_cache, progress=progress,
+        )  # fmt: skip
+        M = matrix.occlude(M, candidates, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
+        scanner: Scanner = job.scanner
+        if plan.max_sigma_mm is not None:
+            M, scanner = limit_sigma(M, candidates, job.scanner, plan.max_sigma_mm, casters)
         plan_files.write_measurability(run.folder, M)
         samples = held_out(surface.reference, surface.planning, run.seed)
         poses = candidates.T_object_scanner[reached.reachable]
@@ -241,6 +250,18 @@ def prove_and_time(
         )
         plan_files.write_motion(run.folder, motion, tour, measured)
         return replace(chosen, tour=tour), measured, motion
+
+
+def _check_reached(job: Job, reached: Reach) -> None:
+    """Refuse to go on with nothing reachable, or without what the plan names."""
+    check_named(job.scene.plan, reached)
+    if not reached.reachable.any():
+        raise UnreachableError(_nothing_reachable(reached, job.part))
+
+
+def _casters(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
+    """The part's and the occluders', object frame."""
+    return [surface.caster, caster_of(occluder_triangles(cell.world))]
 
 
 def _reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:

@@ -40,7 +40,7 @@ class PlanKeys(Table):
         Option(f"What is settled where neither scene file nor option says anything. {presets.line()}.", _VIEWS),
     ] = "balanced"
     candidates: Annotated[
-        Literal["optimal-scanning-zone", "view-sphere", "targeted"],
+        Literal["grown", "optimal-scanning-zone", "view-sphere"],
         Option("Which viewpoints are looked at; in the optimal scanning zone one per face.", _VIEWS),
     ] = "optimal-scanning-zone"
     view_sphere_step_deg: Annotated[
@@ -136,12 +136,12 @@ class PlanSettings(PlanKeys):
             )
         return collision
 
-    @field_validator("fill")
+    @field_validator("candidates", mode="before")
     @classmethod
-    def _aimed_at_samples(cls, fill: str, info: ValidationInfo) -> str:
-        if fill == "rays" and info.data.get("candidates") == "targeted":
-            raise ValueError("is 'rays', and candidates = 'targeted' aims at surface samples; choose fill = 'aimed'")
-        return fill
+    def _without_targeted(cls, candidates: object) -> object:
+        if candidates == "targeted":
+            raise ValueError("is 'targeted', which is gone: 'grown' measures more with fewer views; choose 'grown'")
+        return candidates
 
     @field_validator("percent_kept")
     @classmethod
