@@ -27,7 +27,7 @@ from cell.rays.occluders import occluder_triangles
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
@@ -98,6 +98,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
 
 
 def parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name and `[part]` of each part; meshes are written into the folder."""
     for name in NAMES:
         yield name, {"name": name}
     for name, (path, *_) in meshes(scratch):
@@ -129,14 +130,16 @@ class PartInCell:
         self.casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (reference, others)]
 
     def reach_of(self, views: Viewpoints) -> Reach:
+        """Verdicts and joint solutions."""
         world = self.world
         return reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
 
-    def arm(self, scene: Scene) -> Arm:
+    def arm(self) -> Arm:
         """Who measures, and where it gets to."""
-        return generators.arm_of(scene, self.world, self.kinematics, self.checker, self.scanner, self.casters)
+        return generators.arm_of(self.world, self.kinematics, self.checker, self.scanner, self.casters)
 
     def measure(self, views: Viewpoints) -> Measurability:
+        """Columns of M with occluders applied."""
         M = fill(views, self.features, self.scanner, self.casters[0])
         return occlude(M, views, self.scanner, self.casters[1])
 
@@ -148,13 +151,14 @@ class PartInCell:
         reached = self.reach_of(views)
         if generator == generators.GROWN:
             scouts = sample(self.part.reference, self.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
-            added = generators.grow(views, reached.reachable, scouts, self.arm(scene))
+            added = generators.grow(views, reached.reachable, scouts, self.arm())
             views, reached = join_viewpoints([views, added]), join_reach([reached, self.reach_of(added)])
         M = self.measure(views)
         chosen = self.choose(M, reached, 1.0)
         return views, reached, M, chosen, perf_counter() - start
 
     def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
+        """The views for a share of what the reachable candidates measure."""
         areas = M.features.areas
         return cover.solve(
             cover.Problem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)

@@ -24,7 +24,7 @@ from planner.surface.sample import sample
 from planner.values import Bools
 from planner.viewpoints import growth
 from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets, free_pairs, in_view
+from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.pointwise import drawn, frustum
 
 _LIMIT_DEG = 75.0
@@ -46,7 +46,7 @@ def run() -> list[dict[str, Any]]:
 
 def _part(bench: PartInCell) -> dict[str, Any]:
     scene = load_scene(None, {**bench.tables, "plan": {"candidates": "optimal-scanning-zone"}})
-    arm = bench.arm(scene)
+    arm = bench.arm()
     zone = generators.first(scene, bench.settings, bench.part, bench.planning)
     usable = bench.reach_of(zone).reachable
     start = process_time()
@@ -84,12 +84,9 @@ def free_search(points: np.ndarray[Any, Any], normals: np.ndarray[Any, Any], arm
             found = arm.measuring(drawn(targets, waiting[:size], stretch, within, arm.scanner), targets)
             own, which = np.unique(found.row, return_index=True)
             seen[own] = True
-            poses, still = found.T_object_scanner[which[:_SHARED]], np.flatnonzero(~seen)
-            for _, _, row in free_pairs(
-                poses, targets, arm.scanner, arm.casters,
-                lambda k, poses=poses, still=still: in_view(targets, poses[k], arm.scanner, still),
-            ):  # fmt: skip
-                seen[row] = True
+            still = np.flatnonzero(~seen)
+            views = arm.views(found.pick(which[:_SHARED]))
+            seen[still] = arm.measured(views, targets, still).any(axis=1)
             waiting = waiting[size:]
             waiting = waiting[~seen[waiting]]
     return seen

@@ -40,8 +40,15 @@ def first(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleM
     return optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
 
 
+def limited(scene: Scene, scanner: Scanner) -> Scanner:
+    """The scanner's law with the scene's limit on sigma; who does not know its sigma is refused where M is made."""
+    limit = scene.plan.max_sigma_mm
+    if limit is None or not callable(getattr(scanner, "sigma", None)):
+        return scanner
+    return Limited(cast(SigmaScanner, scanner), limit / 1000)
+
+
 def arm_of(
-    scene: Scene,
     world: World,
     kinematics: Kinematics,
     checker: CollisionChecker,
@@ -49,14 +56,13 @@ def arm_of(
     casters: Sequence[RayCaster],
     T_base_object: Floats | None = None,
 ) -> Arm:
-    """Who measures and where it gets to, with the scene's limit on sigma.
+    """Who measures and where it gets to.
 
     Args:
-        scene: for the limit.
         world: the cell.
         kinematics: of the arm.
         checker: of the cell at the placement.
-        scanner: the sensor's law.
+        scanner: the sensor's law, with its limit on sigma.
         casters: the part's and the occluders', object frame.
         T_base_object: (4, 4) placement [m]; None is the scene's.
     """
@@ -66,9 +72,6 @@ def arm_of(
         return reach.takes_up(T_object_scanner, placement, world.T_flange_scanner, kinematics, checker)
 
     T_view_scanner = getattr(scanner, "T_view_scanner", np.eye(4)[None])
-    limit = scene.plan.max_sigma_mm
-    if limit is not None and callable(getattr(scanner, "sigma", None)):
-        scanner = Limited(cast(SigmaScanner, scanner), limit / 1000)
     return Arm(scanner, casters, takes_up, T_view_scanner)
 
 

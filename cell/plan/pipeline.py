@@ -95,8 +95,9 @@ def _steps(run: Run, job: Job) -> int:
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     promised, curve = _further(run, problem, chosen)
+    lost = steps.what_is_lost(run, problem, chosen)
     with run.step("report"):
-        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, promised, curve)
+        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, promised, curve, lost)
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)
         run.drawing.finish(run.folder)

@@ -14,9 +14,9 @@ from cell.errors import UnreachableError
 from cell.narrator import Narrator
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
+from cell.plan import attainable, promise
 from cell.plan import files as plan_files
-from cell.plan import promise
-from cell.plan.candidates import GROWN, arm_of, first, grow
+from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
@@ -28,6 +28,7 @@ from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import Prediction, held_out
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run.folder import RunFolder
+from cell.run.report_json import Attainable
 from cell.scanners import ScannerPlugin
 from cell.scene import doubts
 from cell.scene.resolve import Settings
@@ -52,7 +53,7 @@ from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 _ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
 _FEATURES, _SELECTION, _MOTION, _ENSEMBLE = 0, 2, 3, 4
-EXECUTIONS, CURVE, _SCOUTS = 5, 6, 7
+EXECUTIONS, CURVE, _SCOUTS, _ASKED = 5, 6, 7, 8
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
 
@@ -176,7 +177,8 @@ def grow_candidates(
     with run.step("grow the candidates") as progress:
         scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(_SCOUTS))
         casters = _casters(surface, cell)
-        arm = arm_of(job.scene, cell.world, cell.kinematics, cell.checker, job.scanner, casters)
+        scanner = limited(job.scene, job.scanner)
+        arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
         grown = grow(candidates, reached.reachable, scouts, arm, progress)
         reached = join_reach([reached, _reach_of(job, cell, grown)])
         candidates = join_viewpoints([candidates, grown])
@@ -250,6 +252,14 @@ def prove_and_time(
         )
         plan_files.write_motion(run.folder, motion, tour, measured)
         return replace(chosen, tour=tour), measured, motion
+
+
+def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainable:
+    """What any pose would measure that the robot takes up here, beside what the plan measures."""
+    with run.step("what is lost"):
+        known, world = problem.prediction, problem.world
+        arm = arm_of(world, problem.kinematics, problem.checker, known.scanner, known.casters)
+        return attainable.of_plan(problem, chosen.visible, arm, run.rng(_ASKED))
 
 
 def _check_reached(job: Job, reached: Reach) -> None:

@@ -10,7 +10,7 @@ from cell.plan.steps import Job
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.described import degrees
 from cell.run.plan_json import Coverage, Dropped, Promise, Verdicts
-from cell.run.report_json import Curve, Report, ReportMotion, ReportPart, ReportSettings, ReportView, Sigma
+from cell.run.report_json import Attainable, Curve, Report, ReportMotion, ReportPart, ReportSettings, ReportView, Sigma
 from cell.world.clearance import MotionClearance
 from planner.measurability.quality import best_sigma
 from planner.surface.mesh import TriangleMesh, face_areas
@@ -26,6 +26,7 @@ def plan_report(
     motion: Motion,
     promise: Promise | None,
     curve: Curve | None,
+    lost: Attainable,
 ) -> Report:
     """Everything that the report says.
 
@@ -38,6 +39,7 @@ def plan_report(
         motion: timed.
         promise: under pose errors, where that was asked for.
         curve: over the number of views, where that was asked for.
+        lost: what any pose measures.
     """
     cover, plan = chosen.cover, job.scene.plan
     return Report(
@@ -46,6 +48,7 @@ def plan_report(
         n_views=len(cover.views),
         n_features=problem.M.shape[0],
         coverage=_coverage(problem, chosen),
+        attainable=lost,
         sigma=None if plan.max_sigma_mm is None else _sigma(problem, chosen, plan.max_sigma_mm),
         solver=cover.solver,
         status=_sentence(chosen) + _at_target(chosen.target, plan.coverage),

@@ -83,6 +83,7 @@ class PlanKeys(Table):
             "Exit with code 3 when the predicted visible coverage of the WHOLE surface is below this share.",
             _VIEWS,
             name="require",
+            also="require_total",
             metavar="SHARE",
         ),
     ] = 0.0
