@@ -90,7 +90,7 @@ def _steps(run: Run, job: Job) -> int:
     candidates, reached = steps.grow_candidates(run, job, surface, cell, candidates, reached)
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
     problem = steps.ask(run, job, cell, measured, prediction)
-    chosen = steps.connect(run, problem)
+    problem, chosen = steps.connect(run, problem, surface)
     draw_views(run.drawing, run.folder, job.part, problem, chosen)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
@@ -134,7 +134,7 @@ def _below(narrator: Narrator, report: Report) -> bool:
     if missed:
         narrator.note(
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
-            "for, although it covers every sample of the matrix; more --samples or --faces bring it closer"
+            "for, and samples added where it fails show no candidate that measures more; see cell why"
         )
     if coverage.visible < settings.required_visible:
         narrator.note(

@@ -14,7 +14,7 @@ from cell.errors import UnreachableError
 from cell.narrator import Narrator
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
-from cell.plan import attainable, promise
+from cell.plan import attainable, denser, promise
 from cell.plan import files as plan_files
 from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.clearances import require_no_contact
@@ -53,7 +53,7 @@ from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 _ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
 _FEATURES, _SELECTION, _MOTION, _ENSEMBLE = 0, 2, 3, 4
-EXECUTIONS, CURVE, _SCOUTS, _ASKED = 5, 6, 7, 8
+EXECUTIONS, CURVE, _SCOUTS, _ASKED, _FRESH = 5, 6, 7, 8, 9
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
 
@@ -230,12 +230,31 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
     )  # fmt: skip
 
 
-def connect(run: Run, problem: Problem) -> ConnectedPlan:
-    """Steps 6 to 8: the views, their order with a joint solution each, and free paths between them."""
+def connect(run: Run, problem: Problem, surface: PartSurface) -> tuple[Problem, ConnectedPlan]:
+    """Steps 6 to 8: the views, their order with a joint solution each, and free paths between them.
+
+    Where that falls short of the coverage asked for, samples are added to the matrix and the plan is made again.
+
+    Returns:
+        The problem with the samples that were added, and its plan.
+    """
     with run.step("select, order and connect") as progress:
-        return choose_and_connect(
-            problem, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress
-        )
+        fresh, first_matrix = run.rng(_FRESH), problem.M
+        chosen = _planned(run, problem, progress)
+        for _ in range(denser.ROUNDS):
+            more = denser.with_samples(problem, chosen, surface, fresh) if denser.falls_short(problem, chosen) else None
+            if more is None:
+                break
+            problem, chosen = more, _planned(run, more, progress)
+        if problem.M is not first_matrix:
+            plan_files.write_measurability(run.folder, problem.M)
+        return problem, chosen
+
+
+def _planned(run: Run, problem: Problem, progress: Progress) -> ConnectedPlan:
+    return choose_and_connect(
+        problem, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress
+    )
 
 
 def prove_and_time(
