@@ -126,11 +126,13 @@ def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[Promise
 def _below(narrator: Narrator, report: Report) -> bool:
     """Whether the plan stays below a coverage that was asked for; says which, and what would help.
 
-    A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers.
+    A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers; one that is asked several
+    times, or with a probability, is of the matrix' samples as well.
     """
     coverage, settings = report.coverage, report.settings
     share, asked = coverage.visible_of_coverable, settings.coverage
-    missed = asked < 1 and share < asked
+    plain = report.most_coverage is None and report.multiplicity is None and report.promise is None
+    missed = plain and asked < 1 and share < asked
     if missed:
         narrator.note(
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "

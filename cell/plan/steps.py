@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell import scanners
-from cell.errors import UnreachableError
 from cell.narrator import Narrator
-from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
 from cell.plan import attainable, denser, promise
 from cell.plan import files as plan_files
@@ -20,7 +18,8 @@ from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
-from cell.plan.request import Request, check_named, seconds_of_views
+from cell.plan.reachable import require_reachable
+from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import ConnectedPlan, choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
@@ -49,8 +48,6 @@ from planner.timing import motion as timing
 from planner.timing.motion import Motion
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
-
-_ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
 _FEATURES, _SELECTION, _MOTION, _ENSEMBLE = 0, 2, 3, 4
 EXECUTIONS, CURVE, _SCOUTS, _ASKED, _FRESH = 5, 6, 7, 8, 9
@@ -159,7 +156,7 @@ def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> 
         reached = _reach_of(job, cell, candidates, progress)
         plan_files.write_reach(run.folder, reached)
         if job.scene.plan.candidates != GROWN:
-            _check_reached(job, reached)
+            require_reachable(job.scene.plan, job.part, reached)
         return reached
 
 
@@ -184,7 +181,7 @@ def grow_candidates(
         candidates = join_viewpoints([candidates, grown])
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
         plan_files.write_reach(run.folder, reached)
-        _check_reached(job, reached)
+        require_reachable(job.scene.plan, job.part, reached)
         return candidates, reached
 
 
@@ -233,28 +230,20 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
 def connect(run: Run, problem: Problem, surface: PartSurface) -> tuple[Problem, ConnectedPlan]:
     """Steps 6 to 8: the views, their order with a joint solution each, and free paths between them.
 
-    Where that falls short of the coverage asked for, samples are added to the matrix and the plan is made again.
+    Where the views fall short of the coverage asked for, samples are added to the matrix and they are chosen again.
 
     Returns:
         The problem with the samples that were added, and its plan.
     """
     with run.step("select, order and connect") as progress:
-        fresh, first_matrix = run.rng(_FRESH), problem.M
-        chosen = _planned(run, problem, progress)
-        for _ in range(denser.ROUNDS):
-            more = denser.with_samples(problem, chosen, surface, fresh) if denser.falls_short(problem, chosen) else None
-            if more is None:
-                break
-            problem, chosen = more, _planned(run, more, progress)
-        if problem.M is not first_matrix:
+        chooses, matrix_before = run.rng(_SELECTION), problem.M
+        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH))
+        if problem.M is not matrix_before:
             plan_files.write_measurability(run.folder, problem.M)
+        chosen = choose_and_connect(
+            problem, selected, selection_rng=chooses, motion_rng=run.rng(_MOTION), progress=progress
+        )
         return problem, chosen
-
-
-def _planned(run: Run, problem: Problem, progress: Progress) -> ConnectedPlan:
-    return choose_and_connect(
-        problem, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress
-    )
 
 
 def prove_and_time(
@@ -281,13 +270,6 @@ def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainabl
         return attainable.of_plan(problem, chosen.visible, arm, run.rng(_ASKED))
 
 
-def _check_reached(job: Job, reached: Reach) -> None:
-    """Refuse to go on with nothing reachable, or without what the plan names."""
-    check_named(job.scene.plan, reached)
-    if not reached.reachable.any():
-        raise UnreachableError(_nothing_reachable(reached, job.part))
-
-
 def _casters(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
     """The part's and the occluders', object frame."""
     return [surface.caster, caster_of(occluder_triangles(cell.world))]
@@ -307,14 +289,3 @@ def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
             f"the planning mesh has {came_out} faces in place of {wanted}: this mesh does not come closer (slivers, "
             "several bodies, or fewer faces than asked for); the plan uses these"
         )
-
-
-def _nothing_reachable(reached: Reach, part: Workpiece) -> str:
-    counts = ", ".join(f"{count} {verdict.sentence}" for verdict, count in reached.counts().items() if count)
-    worst = next(iter(reached.blockers()), "")
-    return (
-        f"none of the {len(reached)} candidate viewpoints is reachable: {counts}"
-        + (f" (most often {worst})" if worst else "")
-        + "; move the part (--place), change the standoff or allow more --roll values"
-        + (", or turn its faces round if they face inwards" if any(f.kind in _ONE_SIDED for f in part.findings) else "")
-    )

@@ -16,6 +16,9 @@ from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
 FINE_RESOLUTION_DEG = 0.25
 """Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
 
+PAPER_SCANNER = {"grazing_max_deg": 75.0, "sensor_grazing_max_deg": 90.0}
+"""The paper limits the incidence of the laser alone, whatever the defaults are."""
+
 
 def row(settings: Mapping[str, Any]) -> dict[str, object]:
     """Both methods on one row.
@@ -71,8 +74,12 @@ def row(settings: Mapping[str, Any]) -> dict[str, object]:
 def _bench(settings: str) -> Bench:
     """The bench of a row, whatever the place: the rows of Table 5 that one process computes share part and matrices."""
     asked = json.loads(settings)
-    scanner: dict[str, object] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2}
-    plan: dict[str, object] = {"rolls_deg": [0.0], **{key: asked[key] for key in ("faces", "samples_per_face")}}
+    scanner: dict[str, object] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2, **PAPER_SCANNER}
+    plan: dict[str, object] = {
+        "rolls_deg": [0.0],
+        "candidates": "optimal-scanning-zone",
+        **{key: asked[key] for key in ("faces", "samples_per_face")},
+    }
     if "standoff_mm" in asked:
         plan["standoffs_mm"] = [asked["standoff_mm"]]
     if "fov_deg" in asked:

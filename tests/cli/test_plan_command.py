@@ -176,7 +176,7 @@ def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tm
     assert done.returncode == 4
     kept = tmp_path / "far.part"
     manifest = json.loads((kept / "manifest.json").read_text())
-    assert (manifest["status"], manifest["stage"], manifest["exit_code"]) == ("failed", "reach", 4)
+    assert (manifest["status"], manifest["stage"], manifest["exit_code"]) == ("failed", "grow the candidates", 4)
     assert "out of the arm's reach" in manifest["reason"]
     assert (kept / "reach.npz").exists()
     assert not (tmp_path / "far").exists()
