@@ -134,9 +134,14 @@ def _below(narrator: Narrator, report: Report) -> bool:
     plain = report.most_coverage is None and report.multiplicity is None and report.promise is None
     missed = plain and asked < 1 and share < asked
     if missed:
+        why = (
+            f"{len(report.dropped)} views that were chosen could not be connected; move the part, or ask for less"
+            if report.dropped
+            else "what is left is measured by views that the arm shades, or falls between all samples; see cell why"
+        )
         narrator.note(
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
-            "for, and samples added where it fails show no candidate that measures more; see cell why"
+            f"for: {why}"
         )
     if coverage.visible < settings.required_visible:
         narrator.note(

@@ -24,7 +24,19 @@ def line_plan(
     (folder / "line.toml").write_text(
         '[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n', encoding="utf-8"
     )
-    arguments = (str(part_file), *_OPTIONS, "--standoff", "250", "--scene", "line.toml", "--out", "run", "--json")
+    arguments = (
+        str(part_file),
+        *_OPTIONS,
+        "--standoff",
+        "250",
+        "--scene",
+        "line.toml",
+        "--coverage",
+        "0.95",
+        "--out",
+        "run",
+        "--json",
+    )
     return folder / "run", run_cell("plan", *arguments, cwd=folder)
 
 

@@ -20,7 +20,7 @@ from planner.reach import reach
 
 _TABLES = {
     "part": {"name": "petanque"},
-    "plan": {"faces": 60, "samples_per_face": 3},
+    "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
     "scanner": {"resolution_deg": [1.0, 1.0]},
 }
 
