@@ -98,14 +98,14 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
 
 
 def parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Name and `[part]` of each part; meshes are written into the folder."""
+    """Name and `[part]` table of each part, built-in ones first; meshes are written into the folder."""
     for name in NAMES:
         yield name, {"name": name}
     for name, (path, *_) in meshes(scratch):
         yield name, {"path": str(path), "units": "mm"}
 
 
-class PartInCell:
+class Bench:
     """One part in its cell."""
 
     def __init__(self, options: dict[str, Any], scanner: dict[str, float] | None = None) -> None:
@@ -138,16 +138,23 @@ class PartInCell:
         """Who measures, and where it gets to."""
         return generators.arm_of(self.world, self.kinematics, self.checker, self.scanner, self.casters)
 
+    def views(self, generator: str) -> Viewpoints:
+        """The generator's candidates before reach is asked."""
+        scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
+        return generators.first(scene, self.settings, self.part, self.planning)
+
+    def measure_alone(self, views: Viewpoints) -> Measurability:
+        """M where nothing but the part itself occludes."""
+        return fill(views, self.features, self.scanner, self.casters[0])
+
     def measure(self, views: Viewpoints) -> Measurability:
-        """Columns of M with occluders applied."""
-        M = fill(views, self.features, self.scanner, self.casters[0])
-        return occlude(M, views, self.scanner, self.casters[1])
+        """M in the cell."""
+        return occlude(self.measure_alone(views), views, self.scanner, self.casters[1])
 
     def plan(self, generator: str) -> tuple[Viewpoints, Reach, Measurability, Cover, float]:
         """Candidates, reach, M, selection, and the seconds that they took."""
-        scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
         start = perf_counter()
-        views = generators.first(scene, self.settings, self.part, self.planning)
+        views = self.views(generator)
         reached = self.reach_of(views)
         if generator == generators.GROWN:
             scouts = sample(self.part.reference, self.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
@@ -158,7 +165,7 @@ class PartInCell:
         return views, reached, M, chosen, perf_counter() - start
 
     def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
-        """The views for a share of what the reachable candidates measure."""
+        """The fewest views for a share of the coverable area."""
         areas = M.features.areas
         return cover.solve(
             cover.Problem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)
@@ -166,7 +173,7 @@ class PartInCell:
 
 
 def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:
-    bench = PartInCell(options)
+    bench = Bench(options)
     seconds = {generator: np.inf for generator in GENERATORS}
     found = {}
     for _ in range(_RUNS):

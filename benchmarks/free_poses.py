@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.candidates import PartInCell, parts
+from benchmarks.candidates import Bench, parts
 from cell.plan import candidates as generators
 from cell.scene.scene import load_scene
 from planner.measurability import coverage
@@ -40,11 +40,11 @@ def run() -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as scratch:
         for name, options in parts(Path(scratch)):
             limits = {"grazing_max_deg": _LIMIT_DEG, "sensor_grazing_max_deg": _LIMIT_DEG}
-            rows.append({"part": name, **_part(PartInCell(options, limits))})
+            rows.append({"part": name, **_part(Bench(options, limits))})
     return rows
 
 
-def _part(bench: PartInCell) -> dict[str, Any]:
+def _part(bench: Bench) -> dict[str, Any]:
     scene = load_scene(None, {**bench.tables, "plan": {"candidates": "optimal-scanning-zone"}})
     arm = bench.arm()
     zone = generators.first(scene, bench.settings, bench.part, bench.planning)
