@@ -49,9 +49,7 @@ def draw_views(
         folder.path / "cell.png",
         q=chosen.tour.q,
         T_base_scanner=chosen.T_base_scanner,
-        way_q=(via[:-1, None] + np.linspace(0, 1, _STEPS)[None, :, None] * np.diff(via, axis=0)[:, None]).reshape(
-            -1, 6
-        ),
+        way_q=(via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, 6),
     )
     drawing.send(
         "cover_curve",

@@ -205,7 +205,7 @@ def _execution_play(
     notes = list(timeline.notes)
     if points is not None and len(points) > POINTS:
         notes.append(_thinned(POINTS, len(points), "points"))
-    then = [f"cell replay RUN --execution {recorded.folder.name}", "cell scan RUN"]
+    then = ["cell replay RUN --execution EXECUTION", "cell scan RUN"]
     return Play(said, (timeline.t, timeline.q), points, rows, notes=notes, next=then, inside=2)
 
 

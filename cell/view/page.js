@@ -281,10 +281,11 @@ function play(on) {
 
 // ---- panel ---------------------------------------------------------------------------------------------------------
 const folder = decodeURIComponent(location.pathname).replace(/^\/([A-Za-z]:)/, "$1").split("/").slice(0, -1);
+const execution = data.inside === 2 ? folder[folder.length - 1] : "latest";
 if (data.inside) folder.splice(-data.inside);
 function command(text) {
   const path = location.protocol === "file:" && data.inside !== null ? folder.join("/") : "RUN";
-  return text.replace("RUN", /^[\w@%+=:,./-]+$/.test(path) ? path : `'${path.replace(/'/g, "'\\''")}'`);
+  return text.replace("EXECUTION", execution).replace("RUN", /^[\w@%+=:,./-]+$/.test(path) ? path : `'${path.replace(/'/g, "'\\''")}'`);
 }
 byId("inset").firstElementChild.textContent = "as the scanner sees it";
 document.querySelector("h1").textContent = data.title;

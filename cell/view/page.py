@@ -134,7 +134,7 @@ class Play:
         rows: numbers beside the picture.
         problems: sentences about what is wrong.
         notes: sentences.
-        next: commands that go on from here; RUN stands for the run folder.
+        next: commands that go on from here; RUN stands for the run folder, EXECUTION for the name of the page's.
         inside: how many folders below its run folder the page lies; None: anywhere else.
     """
 

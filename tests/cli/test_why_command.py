@@ -18,7 +18,8 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, t
     assert done.stderr == ""
     assert "stay open" in done.stdout
     assert "files: run/why" in done.stdout
-    assert sorted(path.name for path in (tmp_path / "run" / "why").iterdir()) == ["why.json", "why.ply", "why.png"]
+    written = sorted(path.name for path in (tmp_path / "run" / "why").iterdir())
+    assert written == ["view.html", "why.json", "why.ply", "why.png"]
 
 
 @pytest.mark.usefixtures("blank_pictures")
