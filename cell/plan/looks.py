@@ -6,7 +6,6 @@ What does not depend on the views is made ready as soon as the cell is compiled,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -37,13 +36,16 @@ class _Ready:
     canvas: Canvas
 
 
-@lru_cache(maxsize=1)
-def make_ready(folder: Path) -> _Ready:
+_READY: dict[Path, _Ready] = {}  # of the run that is drawn: one
+
+
+def make_ready(folder: Path) -> None:
     """Read the part and the cell of an unfinished run, and make them ready to be drawn."""
     run = open_run(folder)
     cell = read_cell(run)
     samples = held_out(cell.reference, cell.planning, run.seed)
-    return _Ready(cell, cell_of_run(run, cell.scene), canvas_of(cell.reference, samples))
+    _READY.clear()
+    _READY[folder] = _Ready(cell, cell_of_run(run, cell.scene), canvas_of(cell.reference, samples))
 
 
 def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floats) -> None:
@@ -54,7 +56,7 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
         T_object_poses: (n, K, 4, 4) views in visiting order, all their poses [m].
         T_object_scanner: (n, 4, 4) the middle pose of each [m].
     """
-    ready = make_ready(path.parent)
+    ready = _READY[path.parent]
     surface = of_views(ready.cell, ready.canvas.samples, list(T_object_poses))
     opening = np.radians(ready.cell.scanner_keys.opening_deg)
     pictures.part_and_views(path, ready.canvas, surface, T_object_scanner, opening)
@@ -71,7 +73,7 @@ def cell_with_arm(path: Path, *, q: Floats, T_base_scanner: Floats, way_q: Float
         T_base_scanner: (n, 4, 4) the views [m].
         way_q: (M, 6) joint angles on the way [rad].
     """
-    ready = make_ready(path.parent)
+    ready = _READY[path.parent]
     arm, part = ready.shown.arm, ready.canvas.mesh
     way = np.stack([(arm.links(each)[-1] @ arm.T_link_scanner)[:3, 3] for each in way_q])
     stands = q[best_view(ready.shown, part, T_base_scanner)]

@@ -20,7 +20,8 @@ from cell.run.plan_json import PlanView
 from cell.run.record import RunRecord
 from cell.run.report_json import Report
 from cell.run.scene_json import ScannerKeys
-from cell.view.page import POINTS, Layer, Play, Shown, Stage, View, html_of, stepped, thinned
+from cell.view.packed import POINTS, Layer, stepped
+from cell.view.page import Play, Shown, Stage, View, html_of, thinned
 from cell.view.palette import REASONS
 from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, cell_of_run

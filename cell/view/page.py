@@ -7,77 +7,26 @@ and through `textContent`. Equal values give equal bytes. Base frame, metres.
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Literal, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from cell.errors import CellError
 from cell.view import palette
+from cell.view.packed import Layer, packed_layer, packed_mesh, packed_motion, packed_points, rounded
 from cell.view.pieces import Cell
 from cell.view.surface import FACES
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
-POINTS, MOMENTS = 300_000, 4_000
-"""Most points of a cloud and moments of a motion that a page holds."""
-
-NONE = 65535
-"""In a layer: no value here."""
-
 _OWN_START = "var camera,controls,scene,renderer,tracklight;"  # where trimesh's own viewer begins, behind three.js
 _GLYPH = 0.16  # of a frustum's length: a view's small pyramid
-
-Packed = dict[str, str]
-
-
-class PackedPoints(TypedDict):
-    """Points as steps from a corner."""
-
-    low: list[float]
-    step: list[float]
-    steps: Packed
-
-
-class PackedMesh(TypedDict):
-    """A mesh."""
-
-    vertices: PackedPoints
-    faces: Packed
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Layer:
-    """Values on the vertices of a surface, that give it its colours.
-
-    Attributes:
-        title: in the list of colourings.
-        kind: `views`: bits of the views that measure the vertex, rows of bytes; `length` and `signed`: steps, `NONE`
-            where there is none; `reasons`: number of the reason from 1, 0 none.
-        values: (V,) or (V, width).
-        note: what it means.
-        low: of steps: value of step 0 [mm].
-        step: of steps [mm].
-        limits: ends of the colours at first [mm].
-        names: of reasons.
-    """
-
-    title: str
-    kind: Literal["views", "length", "signed", "reasons"]
-    values: NDArray[np.uint8] | NDArray[np.uint16]
-    note: str = ""
-    low: float = 0.0
-    step: float = 1.0
-    limits: tuple[float, float] = (0.0, 1.0)
-    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,18 +142,6 @@ def thinned(mesh: TriangleMesh) -> TriangleMesh:
     return decimate(mesh, FACES) if len(mesh.faces) > FACES else mesh
 
 
-def stepped(
-    values: Floats, title: str, kind: Literal["length", "signed"], limits: tuple[float, float], note: str
-) -> Layer:
-    """A layer of (V,) lengths [mm]; NaN is none."""
-    known = np.isfinite(values)
-    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
-    step = max(high - low, 1e-9) / (NONE - 1)
-    steps = np.full(len(values), NONE, dtype=np.uint16)
-    steps[known] = np.rint((values[known] - low) / step).astype(np.uint16)
-    return Layer(title, kind, steps, note, low, step, limits)
-
-
 def _stage(stage: Stage) -> Mapping[str, object]:
     cell, arm = stage.cell, stage.cell.arm
     middle, near = cell.T_base_object[:3, 3], 1.0
@@ -216,32 +153,32 @@ def _stage(stage: Stage) -> Mapping[str, object]:
     return {
         "title": stage.title,
         "look": {
-            "target": _rounded(0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6])),
+            "target": rounded(0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6])),
             "distance": round(2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6, 6),
             "azimuth": round(float(np.arctan2(middle[1], middle[0])) - 0.9, 6),
             "elevation": 0.35,
-            "part": _rounded(middle),
+            "part": rounded(middle),
             "near": round(near, 6),
         },
         "floor": round(float(floor), 6),
         "palette": _PALETTE,
         "arm": {
-            "T_parent_link": _rounded(arm.T_parent_link, 12),
-            "reference": _rounded(arm.reference, 12),
-            "axis": _rounded(arm.axis, 12),
-            "home": _rounded(arm.home, 12),
+            "T_parent_link": rounded(arm.T_parent_link, 12),
+            "reference": rounded(arm.reference, 12),
+            "axis": rounded(arm.axis, 12),
+            "home": rounded(arm.home, 12),
         },
         "pieces": [
-            {"name": piece.name, "link": piece.link, "rgb": _rounded(piece.rgb),
-             "mesh": _mesh(thinned(TriangleMesh(piece.vertices, piece.faces)))}
+            {"name": piece.name, "link": piece.link, "rgb": rounded(piece.rgb),
+             "mesh": packed_mesh(thinned(TriangleMesh(piece.vertices, piece.faces)))}
             for piece in cell.pieces
         ],
-        "T_base_object": _rounded(cell.T_base_object, 12),
+        "T_base_object": rounded(cell.T_base_object, 12),
         "surfaces": [
-            {"name": each.name, "mesh": _mesh(each.mesh), "layers": [_layer(layer) for layer in each.layers]}
+            {"name": each.name, "mesh": packed_mesh(each.mesh), "layers": [packed_layer(layer) for layer in each.layers]}
             for each in stage.surfaces
         ],
-        "frustum": _rounded(cell.frustum),
+        "frustum": rounded(cell.frustum),
         "glyph": _GLYPH,
         "watched": stage.watched,
     }  # fmt: skip
@@ -250,12 +187,12 @@ def _stage(stage: Stage) -> Mapping[str, object]:
 def _play(play: Play) -> Mapping[str, object]:
     return {
         "views": [
-            {"number": view.number, "T_base_scanner": _rounded(view.T_base_scanner, 9), "time": round(view.time, 6),
+            {"number": view.number, "T_base_scanner": rounded(view.T_base_scanner, 9), "time": round(view.time, 6),
              "rows": view.rows}
             for view in play.views
         ],
-        "motion": None if play.motion is None else _motion(*play.motion, [view.time for view in play.views]),
-        "cloud": None if play.cloud is None or not len(play.cloud) else _points(play.cloud),
+        "motion": None if play.motion is None else packed_motion(*play.motion, [view.time for view in play.views]),
+        "cloud": None if play.cloud is None or not len(play.cloud) else packed_points(play.cloud),
         "rows": play.rows,
         "problems": play.problems,
         "notes": play.notes,
@@ -275,53 +212,6 @@ _PALETTE = {
     "chosen": [palette.ORANGE],
     "cloud": [palette.GREEN],
 }
-
-
-def _motion(t: Floats, q: Floats, stops: Sequence[float]) -> Mapping[str, Packed]:
-    """Moments at even distances, and those of the stops; the arm moves straight in joint space between them."""
-    even = np.linspace(0, len(t) - 1, min(len(t), MOMENTS)).astype(np.int64)
-    kept = np.union1d(even, np.searchsorted(t, stops).clip(0, len(t) - 1))
-    return {"t": _packed(t[kept], "f4"), "q": _packed(q[kept], "f4")}
-
-
-def _layer(layer: Layer) -> Mapping[str, object]:
-    return {
-        "title": layer.title,
-        "kind": layer.kind,
-        "values": _packed(layer.values, "u1" if layer.values.dtype == np.uint8 else "u2"),
-        "width": layer.values.shape[1] if layer.values.ndim > 1 else 1,
-        "note": layer.note,
-        "low": layer.low,
-        "step": layer.step,
-        "limits": layer.limits,
-        "names": layer.names,
-    }
-
-
-def _mesh(mesh: TriangleMesh) -> PackedMesh:
-    return {
-        "vertices": _points(mesh.vertices),
-        "faces": _packed(mesh.faces, "u2" if len(mesh.vertices) <= NONE else "u4"),
-    }
-
-
-def _points(points: Floats) -> PackedPoints:
-    """(P, 3) points in steps of 1/65535 of their extent."""
-    if len(points) > POINTS:
-        points = points[np.linspace(0, len(points) - 1, POINTS).astype(np.int64)]
-    low, high = points.min(axis=0), points.max(axis=0)
-    step = np.maximum(high - low, 1e-9) / NONE
-    steps = np.rint((points - low) / step)
-    return {"low": low.tolist(), "step": step.tolist(), "steps": _packed(steps, "u2")}
-
-
-def _packed(values: ArrayLike, kind: Literal["u1", "u2", "u4", "f4"]) -> Packed:
-    content = np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()
-    return {"kind": kind, "base64": base64.b64encode(content).decode("ascii")}
-
-
-def _rounded(values: ArrayLike, digits: int = 6) -> object:
-    return (np.round(np.asarray(values, dtype=np.float64), digits) + 0.0).tolist()
 
 
 @cache
