@@ -91,7 +91,8 @@ def execution_page(
     if known is None:
         stored = [scan.stored for scan in recorded.scans]
         poses = [each.get("sweep_T_object_scanner_true", each["T_object_scanner_true"][None]) for each in stored]
-        known = measured(run, read_cell(run), poses)
+        grid = done.report.settings.resolution_deg
+        known = measured(run, read_cell(run, grid[0] if grid else None), poses)
     shown = [part_of(*known)]
     if done.mesh is not None:
         shown.append(_deviating(done.mesh, run_reader.mesh(run, "reference.ply"), done))

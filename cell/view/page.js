@@ -401,8 +401,9 @@ function draw() {
   hidden.forEach((each, k) => { each.visible = were[k]; });
   beam.visible = true;
 }
-function frame(time) {
+function frame() {
   requestAnimationFrame(frame);
+  const time = performance.now();
   if (playing) {
     moment(now + ((time - last) / 1000) * Number(byId("speed").value));
     if (now >= motion.t[motion.t.length - 1]) play(false);

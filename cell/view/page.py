@@ -175,7 +175,8 @@ def _stage(stage: Stage) -> Mapping[str, object]:
         ],
         "T_base_object": rounded(cell.T_base_object, 12),
         "surfaces": [
-            {"name": each.name, "mesh": packed_mesh(each.mesh), "layers": [packed_layer(layer) for layer in each.layers]}
+            {"name": each.name, "mesh": packed_mesh(each.mesh),
+             "layers": [packed_layer(layer) for layer in each.layers]}
             for each in stage.surfaces
         ],
         "frustum": rounded(cell.frustum),
