@@ -228,7 +228,9 @@ function sprite(text, place) {
   made.position.copy(place); made.scale.set(0.034, 0.017, 1); made.center.set(0.5, -0.2);
   return made;
 }
-data.views.forEach((view, k) => marks.add(sprite(String(view.number), sources[k])));
+const signs = data.views.map((view, k) => sprite(String(view.number), sources[k]));
+const crowded = signs.length > 60;
+signs.forEach((sign) => { sign.visible = !crowded; marks.add(sign); });
 if (data.views.length) { scene.add(marks, beam); register("views", marks, []); }
 if (data.cloud) {
   const geometry = new THREE.BufferGeometry();
@@ -246,6 +248,7 @@ function select(view, go = true) {
   const list = byId("selected");
   list.replaceChildren();
   beam.visible = view >= 0;
+  if (crowded) signs.forEach((sign, k) => { sign.visible = k === view; });
   byId("inset").hidden = view < 0;
   byId("command").textContent = view < 0 ? "" : command(`cell replay RUN --view ${data.views[view].number}`);
   if (view >= 0) {
