@@ -122,10 +122,7 @@ class _Lit:
     """Pieces under the sun and the sky."""
 
     def __init__(self, eye: Floats, pieces: Sequence[Piece]) -> None:
-        starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-        faces = np.concatenate([piece.faces + at for piece, at in zip(pieces, starts[:-1], strict=True)])
-        mesh = TriangleMesh(np.concatenate([piece.vertices for piece in pieces]), faces.astype(np.int32))
-        of_face = np.repeat(np.arange(len(pieces)), [len(piece.faces) for piece in pieces])
+        mesh, of_face = _joined(pieces)
         self._caster, self._normals = EmbreeRayCaster(mesh.vertices, mesh.faces), face_normals(mesh)
         self._rgb = np.array([piece.rgb for piece in pieces])[of_face]
         self._floor = np.array([piece.name == "floor" for piece in pieces])[of_face]
@@ -161,6 +158,8 @@ def _tiles(at: Floats) -> Floats:
 
 def _in_front(camera: rays.Camera, subject: Sequence[Piece], others: Sequence[Piece]) -> set[str]:
     """Names of the pieces that hide part and arm from the camera."""
+    if not others:
+        return set()
     coarse = rays.Camera(
         camera.eye, camera.forward, camera.right, camera.half,
         (max(camera.size[0] // _COARSE, 1), max(camera.size[1] // _COARSE, 1)), camera.parallel,
@@ -175,9 +174,16 @@ def _in_front(camera: rays.Camera, subject: Sequence[Piece], others: Sequence[Pi
 
 def _distance(camera: rays.Camera, pieces: Sequence[Piece]) -> NDArray[np.float64]:
     """(P,) to the first of the pieces along each ray [m]; inf where there is none."""
-    origins, directions = camera.rays()
-    found = [EmbreeRayCaster(piece.vertices, piece.faces).first_hit(origins, directions).distance for piece in pieces]
-    return np.asarray(np.min(found, axis=0))
+    mesh, _ = _joined(pieces)
+    return EmbreeRayCaster(mesh.vertices, mesh.faces).first_hit(*camera.rays()).distance
+
+
+def _joined(pieces: Sequence[Piece]) -> tuple[TriangleMesh, NDArray[np.int64]]:
+    """The pieces as one mesh, and the piece of each of its faces."""
+    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = np.concatenate([piece.faces + at for piece, at in zip(pieces, starts[:-1], strict=True)])
+    mesh = TriangleMesh(np.concatenate([piece.vertices for piece in pieces]), faces.astype(np.int32))
+    return mesh, np.repeat(np.arange(len(pieces)), [len(piece.faces) for piece in pieces])
 
 
 def _pyramids(poses: Floats, corners: Floats) -> Floats:

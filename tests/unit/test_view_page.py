@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.plan.report import markdown
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell
@@ -126,6 +127,9 @@ def test_a_name_is_text_everywhere(run: RunRecord) -> None:
     assert _EVIL not in made
     assert made.lower().count("<script") == made.lower().count("</script") == 4
     data = data_of(made)
+    report = run_reader.report(run)
+    told = report.model_copy(update={"part": report.part.model_copy(update={"name": _EVIL})})
+    assert "<script" not in markdown(told)
     assert data["title"] == data["pieces"][-1]["name"] == data["surfaces"][0]["layers"][0]["names"][0] == _EVIL
 
 
