@@ -12,7 +12,7 @@ import sys
 import typer
 
 from cell import signals
-from cell.commands import check, cover, diff, emulate, export, place, plan, replay, scan, sensors, study, why
+from cell.commands import check, cover, diff, emulate, export, place, plan, replay, scan, sensors, study, view, why
 from cell.commands.failures import guarded
 
 app = typer.Typer(
@@ -27,6 +27,7 @@ app = typer.Typer(
 app.command(epilog=plan.EPILOG)(plan.plan)
 app.command(epilog=check.EPILOG)(check.check)
 app.command(epilog=sensors.EPILOG)(sensors.sensors)
+app.command(epilog=view.EPILOG)(view.view)
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=scan.EPILOG)(scan.scan)
 app.command(epilog=why.EPILOG)(why.why)

@@ -134,9 +134,7 @@ class _DrawingHere(picture_process.Drawing):
         self._sent = []
 
     def send(self, picture: str, path: Path, **arrays: Any) -> None:
-        from cell.plan import pictures
-
-        getattr(pictures, picture)(path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+        picture_process.draw(picture, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
         self._sent.append(path)
 
     def _wait(self) -> None:

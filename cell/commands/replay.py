@@ -1,5 +1,6 @@
 """`cell replay` as the command line gives it: options in, a table or one JSON object out."""
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,7 @@ EPILOG = (
     "cell replay sim_runs/trial\n\n"
     "cell replay sim_runs/trial --execution latest --view 3 --speed 0.5\n\n"
     "cell replay sim_runs/trial --tightest --picture tight.png\n\n"
-    "cell replay sim_runs/trial --picture tour.png --size 1600x1200\n\n"
+    "cell replay sim_runs/trial --picture tour.png --size 1600x1200 --camera -60,20 --hide fence\n\n"
     "Keys: space pause, left and right step from view to view, up and down speed, home start, end tightest moment.\n\n"
     "Exit codes: 0 done, 2 usage (also: no display and no EGL or OSMesa), 6 files or run folder, 70 bug, 130 Ctrl-C."
 )
@@ -40,6 +41,13 @@ def replay(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw one still of the whole tour; needs no display.")
     ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="AZ,EL", help="With --picture: camera's azimuth and elevation from the part, deg."),
+    ] = None,
+    hide: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="With --picture: leave out robot, post, a fixture, ...")
+    ] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of frames and picture in pixels.")] = "960x720",
 ) -> None:
     """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
@@ -51,8 +59,20 @@ def replay(
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise UsageError(f"--size {size} must be width x height in pixels, for instance --size 960x720")
     wanted = ReplayOptions(
-        execution, view, tightest, speed, frames, picture, fps, every, (int(width), int(height)), once
-    )
+        execution, view, tightest, speed, frames, picture, fps, every, (int(width), int(height)), once,
+        None if camera is None else _angles(camera), tuple(hide or ()),
+    )  # fmt: skip
     made = run_replay(run, wanted, Terminal())
     if made:
         sys.stdout.write(made + "\n")
+
+
+def _angles(text: str) -> tuple[float, float]:
+    """Azimuth and elevation of `--camera`."""
+    try:
+        azimuth, elevation = (float(angle) for angle in text.split(","))
+    except ValueError:
+        azimuth = elevation = math.nan
+    if not (abs(azimuth) <= 360 and abs(elevation) <= 89):
+        raise UsageError(f"--camera {text} must be azimuth,elevation in degrees, for instance --camera -60,20")
+    return azimuth, elevation

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -24,6 +25,7 @@ from planner.ports import Progress
 log = logging.getLogger("cell.narrator")
 
 _ROWS_SHOWN = 100
+_FRAME = 3  # characters between two columns of a table
 
 
 class Terminal:
@@ -92,17 +94,31 @@ class Terminal:
         """A result of names and values, under a title."""
         table = Table(title=escape(title), title_justify="left", show_header=False)
         table.add_column(style="bold")
-        table.add_column()
+        table.add_column(overflow="fold")
         for name, value in rows:
             table.add_row(name, escape(value))
         self._results.print(table)
 
     def grid(self, columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
-        """A result of rows and columns; a title makes lines between the rows."""
-        table = Table(*columns, title=title, title_justify="left", show_lines=title is not None)
-        for row in rows[:_ROWS_SHOWN]:
-            table.add_row(*(escape(value) for value in row))
-        self._results.print(table)
+        """A result of rows and columns; a title makes lines between the rows.
+
+        Nothing is cut: columns that do not fit beside each other stand below, the first one in front of them again.
+        """
+        cells = [[*column.split(), *(word for row in rows[:_ROWS_SHOWN] for word in row[i].split())]
+                 for i, column in enumerate(columns)]  # fmt: skip
+        widths = [max(map(cell_len, words), default=0) for words in cells]
+        groups = [[0]]
+        for column in range(1, len(columns)):
+            if 1 + sum(widths[i] + _FRAME for i in (*groups[-1], column)) > self._results.width and groups[-1] != [0]:
+                groups.append([0])
+            groups[-1].append(column)
+        for shown in groups:
+            table = Table(title=title, title_justify="left", show_lines=title is not None)
+            for column in shown:
+                table.add_column(escape(columns[column]), overflow="fold", min_width=widths[column])
+            for row in rows[:_ROWS_SHOWN]:
+                table.add_row(*(escape(row[column]) for column in shown))
+            self._results.print(table)
         if len(rows) > _ROWS_SHOWN:
             self.say(f"... and {len(rows) - _ROWS_SHOWN} rows more")
 

@@ -1,38 +1,56 @@
-"""The four pictures of a plan, sent to the process that draws them (`cell.plan.picture_process`)."""
+"""The pictures of a plan and its page, sent to the process that draws them (`cell.plan.picture_process`)."""
 
 import numpy as np
 
 from cell.part.workpiece import Workpiece
+from cell.plan.looks import HALF_PAGE
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.view_plan import ConnectedPlan
 from cell.robot.model import dimensions
 from cell.run.folder import RunFolder
+from cell.run.plan_json import PlanFile
+from cell.run.report_json import Report
+from cell.view.contents import NAME, plan_play
+from cell.view.page import second_half
 from cell.world.model import World
-from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
 from planner.values import Floats
+
+_STEPS = 12  # of the scanner's way between two via points
 
 
 def draw_views(
     drawing: Drawing,
     folder: RunFolder,
     part: Workpiece,
-    planning: TriangleMesh,
     problem: Problem,
     chosen: ConnectedPlan,
 ) -> None:
-    """What is known before the motion is timed: the part and its views, the cover curve, the candidates by verdict.
+    """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict.
 
     Args:
         drawing: where the pictures are drawn.
         folder: where they go.
         part: the part.
-        planning: its decimated copy.
         problem: the candidates.
         chosen: the views.
     """
     cover, world = chosen.cover, problem.world
+    drawing.send(
+        "part_and_views",
+        folder.path / "views.png",
+        T_object_poses=chosen.T_object_poses,
+        T_object_scanner=chosen.T_object_scanner,
+    )
+    via, steps = chosen.tour.via, np.linspace(0, 1, _STEPS)[None, :, None]
+    drawing.send(
+        "cell_with_arm",
+        folder.path / "cell.png",
+        q=chosen.tour.q,
+        T_base_scanner=chosen.T_base_scanner,
+        way_q=(via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, 6),
+    )
     drawing.send(
         "cover_curve",
         folder.path / "cover.png",
@@ -52,15 +70,6 @@ def draw_views(
         chosen=chosen.candidate,
         envelope=_envelope(world),
     )
-    drawing.send(
-        "part_and_views",
-        folder.path / "views.png",
-        vertices=planning.vertices,
-        faces=planning.faces,
-        views_per_face=problem.prediction.views_per_face(chosen.T_object_poses, len(planning.faces)),
-        T_object_scanner=chosen.T_object_scanner,
-        fov_rad=np.deg2rad(world.scene.scanner.opening_deg),
-    )
 
 
 def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
@@ -74,6 +83,13 @@ def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
         limit=motion.limits.velocity,
         stops=motion.via_t[motion.stops],
     )
+
+
+def finish_page(folder: RunFolder, report: Report, plan: PlanFile, motion: Motion) -> None:
+    """Add to the page what is known at the end: views, motion, numbers."""
+    half = folder.path / HALF_PAGE
+    folder.write_text(NAME, half.read_text(encoding="utf-8") + second_half(plan_play(report, plan.views, motion)))
+    half.unlink()
 
 
 def _envelope(world: World) -> Floats:

@@ -189,8 +189,8 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour, measured: Motion
     )
 
 
-def write_plan(folder: RunFolder, report: Report, chosen: ConnectedPlan, candidates: Viewpoints) -> None:
-    """`plan.json`: the views in visiting order, with what is known about the selection."""
+def write_plan(folder: RunFolder, report: Report, chosen: ConnectedPlan, candidates: Viewpoints) -> PlanFile:
+    """`plan.json`: the views in visiting order, with what is known about the selection; returns its content."""
     views = [
         PlanView(
             id=candidate,
@@ -204,7 +204,9 @@ def write_plan(folder: RunFolder, report: Report, chosen: ConnectedPlan, candida
         for stop, candidate in enumerate(chosen.candidate.tolist())
     ]
     said = {key: value for key, value in report if key in PlanFile.model_fields}
-    folder.write_json("plan.json", PlanFile(**said | {"views": views}).as_json())
+    plan = PlanFile(**said | {"views": views})
+    folder.write_json("plan.json", plan.as_json())
+    return plan
 
 
 def write_report(folder: RunFolder, report: Report) -> None:

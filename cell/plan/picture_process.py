@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,7 @@ from numpy.typing import ArrayLike
 from cell.run.folder import RunFolder
 
 _LENGTH = struct.Struct("<q")
+_MAKE_READY = "make_ready"
 
 
 class Drawing:
@@ -38,7 +40,7 @@ class Drawing:
         """Have a picture drawn.
 
         Args:
-            picture: function of `cell.plan.pictures`.
+            picture: function of `cell.plan.pictures` or `cell.plan.looks`.
             path: PNG to write.
             arrays: its arguments; numbers and words arrive as arrays without dimension.
         """
@@ -46,6 +48,11 @@ class Drawing:
         np.savez(content, allow_pickle=False, picture=np.array(picture), path=np.array(str(path)), **arrays)
         self._waiting.put(_LENGTH.pack(content.getbuffer().nbytes) + content.getvalue())
         self._sent.append(path)
+
+    def make_ready(self, folder: Path) -> None:
+        """Have the part and the cell of a run folder made ready, as soon as their files are there."""
+        self.send(_MAKE_READY, folder)
+        self._sent.remove(folder)
 
     def finish(self, folder: RunFolder) -> None:
         """Wait until all is drawn, and record it in the folder.
@@ -89,17 +96,25 @@ def beside() -> Iterator[Drawing]:
 def serve() -> None:
     """Draw what comes through stdin until it ends: the process of `beside`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the planner's; the pipe ends with it
-    from cell.plan import pictures  # matplotlib takes a second: that is why this is a process of its own
+    from cell.plan import looks, pictures  # noqa: F401  # they take seconds: before they are asked for
 
     forks = []
     while length := sys.stdin.buffer.read(_LENGTH.size):
-        content = sys.stdin.buffer.read(*_LENGTH.unpack(length))
-        fork = os.fork() if hasattr(os, "fork") else None  # Windows has none: one is drawn after the other
+        with np.load(io.BytesIO(sys.stdin.buffer.read(*_LENGTH.unpack(length))), allow_pickle=False) as content:
+            arguments = {name: content[name][()] for name in content.files}
+        picture, path = str(arguments.pop("picture")), Path(str(arguments.pop("path")))
+        # What is made ready stays for all; and Windows has no forks: there one is drawn after the other.
+        fork = os.fork() if hasattr(os, "fork") and picture != _MAKE_READY else None
         if not fork:
-            with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-                arguments = {name: stored[name][()] for name in stored.files}
-            getattr(pictures, str(arguments.pop("picture")))(Path(str(arguments.pop("path"))), **arguments)
+            draw(picture, path, **arguments)
         if fork == 0:
             os._exit(0)  # what a fork leaves to its parent need not be taken down
         forks += [fork] if fork else []
     sys.exit(any([os.waitpid(fork, 0)[1] for fork in forks]))  # a fork that failed has said why
+
+
+def draw(picture: str, path: Path, **arguments: Any) -> None:
+    """Draw one picture here; arguments as in `Drawing.send`."""
+    from cell.plan import looks, pictures  # matplotlib takes a second: that is why this is a process of its own
+
+    getattr(looks if hasattr(looks, picture) else pictures, picture)(path, **arguments)

@@ -3,90 +3,24 @@
 Every function takes arrays in SI units and writes one PNG; labels carry units. Equal input gives equal bytes.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from cell.view.palette import AXES, BETWEEN, BLUE, ORANGE, PURPLE, VERMILION
 from planner.reach.reach import Verdict
-from planner.surface.mesh import TriangleMesh, face_normals
 from planner.values import Floats
 
-_UNSEEN = "#b03a2e"
-_UNKNOWN = (0.75, 0.75, 0.75)
-_SEEN = ("#d4e6f1", "#a9cce3", "#7fb3d5", "#5499c7", "#2471a3", "#1a5276", "#154360")
 _VERDICT_COLOURS = {
-    Verdict.REACHABLE: "#2471a3",
-    Verdict.OUT_OF_REACH: "#b03a2e",
-    Verdict.JOINT_LIMIT: "#ca6f1e",
-    Verdict.COLLISION: "#7d3c98",
+    Verdict.REACHABLE: BLUE,
+    Verdict.OUT_OF_REACH: VERMILION,
+    Verdict.JOINT_LIMIT: ORANGE,
+    Verdict.COLLISION: PURPLE,
 }
-_LIGHT = np.array([0.35, -0.45, 0.82])
-
-
-def part_and_views(
-    path: Path,
-    *,
-    vertices: Floats,
-    faces: NDArray[np.int32],
-    views_per_face: Floats,
-    T_object_scanner: Floats,
-    fov_rad: ArrayLike,
-    numbers: Sequence[int] | None = None,
-) -> None:
-    """The part coloured by how many views measure each planning face, from two sides, and the views round it.
-
-    Args:
-        path: PNG to write.
-        vertices: (P, 3) of the planning mesh [m], object frame.
-        faces: (F, 3) its triangles.
-        views_per_face: (F,) number of views that measure the face, averaged over its samples; NaN (grey) without any.
-        T_object_scanner: (n, 4, 4) views in visiting order.
-        fov_rad: horizontal and vertical field of view [rad].
-        numbers: (n,) of the views; None counts from 1.
-    """
-    figure = Figure(figsize=(15.0, 5.6), dpi=110, layout="constrained")
-    most = len(_SEEN)
-    colours = ListedColormap([_UNSEEN, *_SEEN])
-    norm = BoundaryNorm(np.arange(-0.5, most + 1), most + 1)
-    # A face of which some sample is measured is not red: rounding up, the picture shows where nothing at all is seen.
-    shade = colours(norm(np.clip(np.ceil(np.nan_to_num(views_per_face)), 0, most)))
-    shade[np.isnan(views_per_face), :3] = _UNKNOWN
-    light = 0.62 + 0.38 * np.clip(face_normals(TriangleMesh(vertices, faces)) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
-    shade[:, :3] *= light[:, None]
-    triangles = vertices[faces] * 1000.0
-    positions = T_object_scanner[:, :3, 3] * 1000.0
-    # One view has no middle of its own; its frustum is as long as its distance from the part asks for.
-    about = T_object_scanner[:, :3, 3].mean(axis=0) if len(positions) > 1 else triangles.mean(axis=(0, 1)) / 1000.0
-    centre = triangles.mean(axis=(0, 1))
-    for index, (azimuth, title) in enumerate(
-        ((-60, "from the front right"), (120, "from the back left"), (-60, "views"))
-    ):
-        axes = figure.add_subplot(1, 3, index + 1, projection="3d")
-        axes.add_collection3d(Poly3DCollection(triangles, facecolors=shade, edgecolors="none", antialiased=False))
-        shown = triangles.reshape(-1, 3)
-        if title == "views":
-            lines = Line3DCollection(_frustums(T_object_scanner, fov_rad, about), colors="#444444", linewidths=0.7)
-            axes.add_collection3d(lines)
-            labels = positions + 0.1 * (positions - centre)  # outward, clear of the frustum
-            for number, place in zip(range(1, len(positions) + 1) if numbers is None else numbers, labels, strict=True):
-                axes.text(*place, str(number), fontsize=8, color="#111111", ha="center", va="center")
-            shown = np.concatenate([shown, positions])
-        _equal_box(axes, shown)
-        axes.view_init(elev=22, azim=azimuth)
-        axes.set_title(title, fontsize=10)
-    bar = figure.colorbar(ScalarMappable(norm, colours), ax=figure.axes, shrink=0.75, ticks=range(most + 1))
-    bar.ax.set_yticklabels([str(k) for k in range(most)] + [f"{most} or more"])
-    bar.set_label("views that measure the face")
-    _save(figure, path)
 
 
 def cover_curve(path: Path, *, marginal_area: Floats, coverable: float, total: float, lower_bound: int) -> None:
@@ -102,9 +36,9 @@ def cover_curve(path: Path, *, marginal_area: Floats, coverable: float, total: f
     figure = Figure(figsize=(6.4, 4.2), dpi=110, layout="constrained")
     axes = figure.add_subplot()
     share = 100.0 * np.concatenate([[0.0], np.cumsum(marginal_area)]) / total
-    axes.plot(range(len(share)), share, "o-", color="#2471a3", label="covered by the first n views")
-    axes.axhline(100.0 * coverable / total, color="#ca6f1e", ls="--", lw=1, label="coverable by reachable candidates")
-    axes.axvline(lower_bound, color="#7d3c98", ls=":", lw=1.5, label=f"lower bound: {lower_bound} views")
+    axes.plot(range(len(share)), share, "o-", color=BLUE, label="covered by the first n views")
+    axes.axhline(100.0 * coverable / total, color=ORANGE, ls="--", lw=1, label="coverable by reachable candidates")
+    axes.axvline(lower_bound, color=PURPLE, ls=":", lw=1.5, label=f"lower bound: {lower_bound} views")
     axes.set(xlabel="number of views", ylabel="covered area [% of surface]", ylim=(0, 103), xlim=(0, None))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
@@ -176,8 +110,8 @@ def joint_motion(path: Path, *, t: Floats, q: Floats, qd: Floats, limit: Floats,
     figure = Figure(figsize=(10.5, 6.0), dpi=110, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     for joint in range(6):
-        upper.plot(t, np.degrees(q[:, joint]), lw=1.2, label=f"A{joint + 1}")
-        lower.plot(t, 100.0 * qd[:, joint] / limit[joint], lw=1.0)
+        upper.plot(t, np.degrees(q[:, joint]), lw=1.2, color=AXES[joint], label=f"A{joint + 1}")
+        lower.plot(t, 100.0 * qd[:, joint] / limit[joint], lw=1.0, color=AXES[joint])
     for axes in (upper, lower):
         for stop in stops:
             axes.axvline(stop, color="#bbbbbb", lw=0.8, zorder=0)
@@ -212,17 +146,17 @@ def coverage_over_views(
     figure = Figure(figsize=(7.2, 6.4), dpi=110, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     n = n_views
-    upper.fill_between(n, covered, bound, color="#f5b7b1", lw=0, label="not excluded by the bound")
-    upper.plot(n, bound, "-", color="#b03a2e", lw=1, label="no views of this number measure more")
-    upper.plot(n, covered, "o-", color="#2471a3", ms=4, lw=1.2, label="best views found")
+    upper.fill_between(n, covered, bound, color=BETWEEN, lw=0, label="not excluded by the bound")
+    upper.plot(n, bound, "-", color=VERMILION, lw=1, label="no views of this number measure more")
+    upper.plot(n, covered, "o-", color=BLUE, ms=4, lw=1.2, label="best views found")
     upper.plot([plan_views], [plan], "*", color="#111111", ms=11, label="the plan")
     upper.set(ylabel="measured [% of what can be measured]", ylim=(0, 103), xlim=(float(n[0]), float(max(n[-1], 1))))
     upper.legend(loc="lower right", fontsize=8)
     floor = 100 * _smallest(1 - np.concatenate((covered, bound)) / 100)
     missing, open_still = np.maximum(100 - covered, floor), np.maximum(100 - bound, floor)
-    lower.semilogy(n, missing, "o-", color="#2471a3", ms=4, lw=1.2)
-    lower.semilogy(n, open_still, "-", color="#b03a2e", lw=1)
-    lower.fill_between(n, open_still, missing, color="#f5b7b1", lw=0)
+    lower.semilogy(n, missing, "o-", color=BLUE, ms=4, lw=1.2)
+    lower.semilogy(n, open_still, "-", color=VERMILION, lw=1)
+    lower.fill_between(n, open_still, missing, color=BETWEEN, lw=0)
     lower.semilogy([plan_views], [max(100 - plan, floor)], "*", color="#111111", ms=11)
     lower.set(xlabel="number of views", ylabel=f"not measured [%]\n(all measured: {floor:.2g})")
     lower.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -235,30 +169,6 @@ def _smallest(missing: Floats) -> float:
     """Half of the smallest share that is missing anywhere, where the logarithmic axis ends; 0.1 % without any."""
     missing = missing[missing > 1e-9]
     return float(missing.min()) / 2 if len(missing) else 1e-3
-
-
-def _frustums(T_object_scanner: Floats, fov_rad: ArrayLike, about: Floats) -> Floats:
-    """(n * 8, 2, 3) line segments of small pyramids [mm]: four edges and the base of each view."""
-    size = 0.18 * np.median(np.linalg.norm(T_object_scanner[:, :3, 3] - about, axis=1))
-    h, v = np.tan(np.asarray(fov_rad) / 2.0)
-    corners = max(float(size), 1e-3) * np.array([[-h, -v, 1], [h, -v, 1], [h, v, 1], [-h, v, 1]])
-    rotation, origin = T_object_scanner[:, :3, :3], T_object_scanner[:, None, :3, 3]
-    base = (np.einsum("nij,kj->nki", rotation, corners) + origin) * 1000.0
-    apex = np.broadcast_to(origin * 1000.0, base.shape)
-    edges = np.stack([apex, base], axis=2)
-    rims = np.stack([base, np.roll(base, -1, axis=1)], axis=2)
-    segments: Floats = np.concatenate([edges, rims], axis=1).reshape(-1, 2, 3)
-    return segments
-
-
-def _equal_box(axes: Axes, points: Floats) -> None:
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, half = (low + high) / 2, (high - low).max() / 2
-    for name, value in zip("xyz", middle, strict=True):
-        getattr(axes, f"set_{name}lim")(value - half, value + half)
-        getattr(axes, f"set_{name}label")(f"{name} [mm]", fontsize=8)
-    axes.tick_params(labelsize=7)
-    axes.set_box_aspect((1, 1, 1))  # type: ignore[arg-type]  # the 3D axes' signature differs from Axes'
 
 
 def _save(figure: Figure, path: Path) -> None:

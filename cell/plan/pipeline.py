@@ -20,7 +20,7 @@ from cell.plan import curve as curves
 from cell.plan import files as plan_files
 from cell.plan import picture_process, promise, steps
 from cell.plan import request as requests
-from cell.plan.drawing import draw_motion, draw_views
+from cell.plan.drawing import draw_motion, draw_views, finish_page
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
 from cell.plan.summary import plan_report
@@ -85,19 +85,21 @@ def _steps(run: Run, job: Job) -> int:
     """Steps 2 to 9 and the report; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface, candidates = steps.sample_surface(run, job)
     cell = steps.compile_cell(run, job, surface)
+    run.drawing.make_ready(run.folder.path)
     reached = steps.reach_candidates(run, job, cell, candidates)
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
     problem = steps.ask(run, job, cell, measured, prediction)
     chosen = steps.connect(run, problem)
-    draw_views(run.drawing, run.folder, job.part, surface.planning, problem, chosen)
+    draw_views(run.drawing, run.folder, job.part, problem, chosen)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     promised, curve = _further(run, problem, chosen)
     with run.step("report"):
         report = plan_report(job, surface.planning, problem, chosen, clearance, motion, promised, curve)
-        plan_files.write_plan(run.folder, report, chosen, problem.candidates)
+        plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)
         run.drawing.finish(run.folder)
+        finish_page(run.folder, report, plan_file, motion)
     return 3 if _below(run.narrator, report) else 0
 
 

@@ -1,5 +1,6 @@
 """The plan's report: the page that a person reads, made from the value in report.json. It holds no clock value."""
 
+import html
 from collections.abc import Iterable
 
 from cell.plan import request_report
@@ -13,13 +14,15 @@ def markdown(report: Report) -> str:
     """The report page; reads on its own, with its pictures beside it."""
     part, coverage = report.part, report.coverage
     lines = [
-        f"# View plan of {part.name}",
+        f"# View plan of {html.escape(part.name)} ([look at it](view.html))",
         "",
         f"{report.n_views} views measure {_percent(coverage.visible)} of the surface, "
         f"{_percent(coverage.visible_of_coverable)} of what the reachable candidates can measure "
         f"({_percent(coverage.coverable)}). {_sentence(report.status)}",
         "",
-        "![The part and its views](views.png)",
+        "![The cell, the arm at one of the views](cell.png)",
+        "",
+        "![The part by the number of views that measure it, and the views](views.png)",
         "",
         *_facts(report),
         "",
@@ -42,6 +45,11 @@ def markdown(report: Report) -> str:
         "",
         *_of_sweeps(report.settings),
         "![Joint motion](motion.png)",
+        "",
+        "## What next",
+        "",
+        "`cell scan RUN` executes the plan, `cell why RUN` says why the rest of the surface stays open, "
+        "`cell view RUN` opens the page of this folder.",
         "",
         "## What the numbers mean",
         "",
@@ -85,7 +93,8 @@ def _facts(report: Report) -> list[str]:
     return [
         "| | |",
         "|---|---|",
-        f"| part | {part.name}: {part.faces:,} faces, {_times(part.extents_mm)} mm, {part.area_mm2:,.0f} mm² |",
+        f"| part | {html.escape(part.name)}: {part.faces:,} faces, {_times(part.extents_mm)} mm, "
+        f"{part.area_mm2:,.0f} mm² |",
         f"| planning mesh | {part.planning_faces:,} faces |",
         f"| placement of its centre in base | {_list(settings.placement_mm)} mm, "
         f"A B C {_list(settings.placement_abc_deg)} deg |",

@@ -95,7 +95,7 @@ def standing_triangles(
         elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
             continue  # the part
         else:
-            vertices, faces = _shape(model, data, int(geom))
+            vertices, faces = shape_triangles(model, data, int(geom))
         pieces.append((name, vertices, faces))
     pieces.append(("floor", *floor_square(floor)))
     to_object = np.linalg.inv(T_base_object)
@@ -137,7 +137,9 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     mujoco.mj_kinematics(world.model, data)
     names = (*LINKS, "bracket") if ends is None else (*LINKS, "bracket", "housing")
     pieces = [
-        Occluder(name, *_shape(world.model, data, geom)) for geom, name in enumerate(world.entities) if name in names
+        Occluder(name, *shape_triangles(world.model, data, geom))
+        for geom, name in enumerate(world.entities)
+        if name in names
     ]
     if ends is None:
         return pieces
@@ -160,7 +162,7 @@ def _holds_any(piece: Occluder, points: Floats) -> bool:
     return bool((np.einsum("ij,nij->ni", normals, points[:, None] - a) <= 1e-6).all(axis=1).any())
 
 
-def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, NDArray[np.int32]]:
+def shape_triangles(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, NDArray[np.int32]]:
     """A box or cylinder of the model as triangles, base frame."""
     import mujoco
 

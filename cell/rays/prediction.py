@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
-from planner.measurability.matrix import measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
@@ -83,12 +82,3 @@ class Prediction:
         """Coverable share of the surface, what a plan's own poses measure included (they differ by micrometres)."""
         either: NDArray[np.bool_] = self.coverable.covered | visible.covered
         return float(self.samples.areas[either].sum() / self.samples.areas.sum())
-
-    def views_per_face(self, T_object_scanner: Floats, faces: int) -> Floats:
-        """(faces,) views (n, K, 4, 4) [m] that measure a planning face, averaged over its samples; NaN without any."""
-        seen = measured(T_object_scanner, self.samples, self.scanner, self.casters, each=True).sum(axis=1)
-        of_face = self.samples.planning_face
-        number = np.bincount(of_face, minlength=faces)
-        total = np.bincount(of_face, weights=seen, minlength=faces)
-        average: Floats = np.divide(total, number, out=np.full(faces, np.nan), where=number > 0)
-        return average

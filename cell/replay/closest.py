@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.replay import marks
-from cell.replay.timeline import Timeline
 from cell.run.plan_json import PlanFile
+from cell.run.timeline import Timeline
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:

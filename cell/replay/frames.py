@@ -1,4 +1,4 @@
-"""Replay as pictures: numbered PNG frames, or one still of the whole tour. Drawn off-screen, no display needed."""
+"""Replay as numbered PNG frames, drawn off-screen, no display needed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError
-from cell.replay.closest import close_camera
 from cell.replay.offscreen import Image, OffScreen
 from cell.replay.show import Show, show_what_is_seen
 from planner.ports import Progress
@@ -88,29 +87,6 @@ def write_frames(
             if progress is not None:
                 progress(done, len(frames))
     return len(frames)
-
-
-def write_picture(show: Show, path: Path, size: tuple[int, int], t: float | None = None) -> None:
-    """Draw one still: the whole tour with every view, the arm at one moment.
-
-    Args:
-        show: what is played.
-        path: PNG file to write.
-        size: (width, height) [pixels].
-        t: the moment [s]; None takes a stop at which arm and part stand side by side.
-
-    Raises:
-        UsageError: if neither EGL nor OSMesa is there.
-        FileError: if the file cannot be written.
-    """
-    with OffScreen(show.theatre.model, size, samples=8) as screen:
-        show_what_is_seen(screen.option)
-        moment = show.best_stop() if t is None else t
-        camera = show.camera(size[0] / size[1], [moment])
-        show.pose(moment)
-        if show.closest is not None and moment == show.closest.time:
-            camera = close_camera(show.theatre.model, show.data, show.closest)
-        _save(screen.picture(show.data, camera, lambda scene: show.draw_tour(scene, moment)), path)
 
 
 def _save(picture: Image, path: Path) -> None:

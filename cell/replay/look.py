@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.robot import model as robot
+from cell.view.palette import LOOKS, Look, look_of
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
@@ -21,35 +22,28 @@ VIEW_FACES = 200_000
 
 _IS_PART = re.compile(r"part(_\d+)?")
 _VISUAL_GROUP, _ROBOT_GROUP, _HIDDEN_GROUP = 1, 3, 4
-_DARK = ("motor", "feet", "turntable", "flange", "collar", "front")  # pieces that are black on the machine
-_LOOK = {  # colour, specular, shininess
-    "orange": ([0.95, 0.33, 0.02, 1], 0.35, 0.45),
-    "anthracite": ([0.13, 0.13, 0.145, 1], 0.4, 0.4),
-    "aluminium": ([0.66, 0.68, 0.71, 1], 0.6, 0.6),
-    "painted": ([0.36, 0.39, 0.43, 1], 0.15, 0.2),
-    "fixture": ([0.33, 0.47, 0.62, 1], 0.2, 0.3),
-    "surface": ([0.84, 0.80, 0.72, 1], 0.25, 0.35),
-}
+_SHINE: dict[Look, tuple[float, float]] = {  # specular, shininess
+    "orange": (0.35, 0.45), "anthracite": (0.4, 0.4), "aluminium": (0.6, 0.6), "painted": (0.15, 0.2),
+    "fixture": (0.2, 0.3), "surface": (0.25, 0.35),
+}  # fmt: skip
 
 
 def paint(spec: mujoco.MjSpec) -> None:
     """Give every shape its material, and the robot's boxes their look."""
     import mujoco
 
-    for name, (rgba, specular, shininess) in _LOOK.items():
-        spec.add_material(name=name, rgba=rgba, specular=specular, shininess=shininess)
+    for name, (specular, shininess) in _SHINE.items():
+        spec.add_material(name=name, rgba=[*LOOKS[name], 1], specular=specular, shininess=shininess)
     links = {geom.name for body in spec.bodies if body.name in robot.LINKS for geom in body.geoms}
-    special = {"housing": "anthracite", "bracket": "aluminium", "pedestal": "painted", "post": "aluminium"}
     for geom in list(spec.geoms):
+        look = look_of("part" if _IS_PART.fullmatch(geom.name) else geom.name, of_robot=geom.name in links)
+        if look == "floor":
+            continue
+        geom.material, geom.rgba = look, [*LOOKS[look], 1]
         if geom.name in links:
             geom.group = _ROBOT_GROUP
-            geom.material = "anthracite" if any(word in geom.name for word in _DARK) else "orange"
             if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
                 _chamfer(spec, geom)
-        elif geom.name != "floor":
-            geom.material = special.get(geom.name, "surface" if _IS_PART.fullmatch(geom.name) else "fixture")
-        if geom.material:
-            geom.rgba = _LOOK[geom.material][0]
 
 
 def part_pieces(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
@@ -98,6 +92,8 @@ def light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
     floor.size = [0.0, 0.0, 0.1]  # drawn to the horizon; a plane is endless to collisions anyway
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.40] * 3, [0.22] * 3
     spec.visual.headlight.specular = [0.05] * 3
+    for lamp in list(spec.lights):
+        spec.delete(lamp)
     aim = np.array([0.5 * centre[0], 0.5 * centre[1], 0.4])
     for place, diffuse, specular, shadows in (
         ([1.6, -2.6, 4.2], [0.62, 0.61, 0.58], 0.3, True),

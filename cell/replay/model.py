@@ -123,7 +123,7 @@ def dress(
     add_mesh(spec, "glyph", _pyramid(GLYPH_SHARE * corners.vertices[4:]))
     for number, points in enumerate(clouds):
         if len(points):
-            add_mesh(spec, f"cloud_{number}", _specks(points, 0.010 * radius))
+            add_mesh(spec, f"cloud_{number}", specks(points, 0.010 * radius))
     with run_reader.compiles(run):
         model = spec.compile()
     mesh_of = {model.mesh(number).name: number for number in range(model.nmesh)}
@@ -171,7 +171,7 @@ def _pyramid(base: Floats) -> TriangleMesh:
     return TriangleMesh(np.concatenate([np.zeros((1, 3)), base]), np.array(faces))
 
 
-def _specks(points: Floats, size: float) -> TriangleMesh:
+def specks(points: Floats, size: float) -> TriangleMesh:
     """A small octahedron [m] at each point, thinned evenly to POINTS_SHOWN."""
     shown = points[np.linspace(0, len(points) - 1, min(len(points), POINTS_SHOWN)).astype(np.int64)]
     star = size * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)

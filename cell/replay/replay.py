@@ -13,16 +13,18 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
-from cell.replay import timeline as replay_timeline
 from cell.replay.closest import of_plan
-from cell.replay.frames import require_empty, write_frames, write_picture
+from cell.replay.frames import require_empty, write_frames
 from cell.replay.model import dress
 from cell.replay.offscreen import require_backend
 from cell.replay.show import Show
-from cell.replay.timeline import Timeline
+from cell.replay.still import Still, write_picture
 from cell.run import reader as run_reader
+from cell.run import timeline as replay_timeline
 from cell.run.executions import read_execution
 from cell.run.record import RunRecord, open_run
+from cell.run.timeline import Timeline
+from cell.view.pieces import cell_of_run
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,8 @@ class ReplayOptions:
         speed: seconds of the show for each second.
         frames: folder for numbered pictures; None opens the viewer.
         picture: file for one still of the whole tour; None draws none.
+        camera: azimuth and elevation of its camera as seen from the part [deg]; None is beside part and arm.
+        hide: names of what it leaves out.
         fps: frames for each second of film.
         every: of so many frames one is drawn.
         size: (width, height) of pictures [pixels].
@@ -52,6 +56,8 @@ class ReplayOptions:
     every: int = 1
     size: tuple[int, int] = (960, 720)
     once: bool = False
+    camera: tuple[float, float] | None = None
+    hide: tuple[str, ...] = ()
 
 
 def replay(
@@ -80,21 +86,23 @@ def replay(
     """
     _check(options)
     drawing = options.frames is not None or options.picture is not None
-    if drawing:  # both are asked before the work, which takes seconds
+    if options.frames is not None:  # asked before the work, which takes seconds
         require_backend()
-        if options.frames is not None:
-            require_empty(options.frames)
-    else:
+        require_empty(options.frames)
+    if not drawing:
         from cell.replay.viewer import play, require_display
 
         require_display()
     with narrator.stage("set up the replay"):
-        show = load_show(open_run(folder), options.execution, options.size, narrator)
+        run = open_run(folder)
+        show = load_show(run, options.execution, options.size, narrator)
     start = _tightest(show) if options.tightest else _start(show.timeline, options.view)
     made, chosen = [], options.view is not None or options.tightest
     if options.picture is not None:
         with narrator.stage("draw the picture"):
-            write_picture(show, options.picture, options.size, start if chosen else None)
+            moment = start if chosen else None
+            still = _still(run, show, options.execution)
+            write_picture(still, options.picture, options.size, moment, options.camera, options.hide)
         made.append(f"picture in {options.picture}")
     if options.frames is not None:
         with narrator.stage("draw the frames") as progress:
@@ -155,6 +163,13 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
     return Show(theatre, timeline, theatre.T_base_object @ candidates.T_object_scanner[:, 0], reachable)
 
 
+def _still(run: RunRecord, show: Show, execution: str | None) -> Still:
+    """What a still is drawn of."""
+    scans = () if execution is None else read_execution(run, execution).scans
+    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
+    return Still(show, cell, part, [scan.points for scan in scans])
+
+
 def _start(timeline: Timeline, view: int | None) -> float:
     if view is None:
         return 0.0
@@ -190,5 +205,7 @@ def _check(options: ReplayOptions) -> None:
         raise UsageError("--tightest and --view both say where to begin; give one of them")
     if options.every < 1:
         raise UsageError(f"--every {options.every} must be 1 (each frame) or more")
+    if options.picture is None and (options.camera is not None or options.hide):
+        raise UsageError("--camera and --hide are for a still; give --picture FILE.png as well")
     if options.picture is not None and options.picture.suffix.lower() != ".png":
         raise UsageError(f"--picture {options.picture} must end in .png")

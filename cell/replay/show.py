@@ -10,8 +10,8 @@ import numpy as np
 from cell.replay import marks
 from cell.replay.closest import Closest, add_closest
 from cell.replay.model import Theatre
-from cell.replay.timeline import Timeline
 from cell.robot import model as robot
+from cell.run.timeline import Timeline
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
@@ -109,22 +109,6 @@ class Show:
         if self.closest is not None and self.closest.shown_at(t):
             add_closest(scene, self.closest)
 
-    def draw_tour(self, scene: mujoco.MjvScene, t: float) -> None:
-        """All at once: path, every view, all points; of the moment: the frustum, and the tightest pair if it is then.
-
-        The pair belongs to one pose of the arm: with the arm elsewhere it would hang in the air.
-        """
-        self.draw_still(scene)
-        present = self._row_at(t)
-        for row, T in enumerate(self.T_base_scanner):
-            if row != present:
-                marks.add_glyph(scene, self.theatre, T)
-        marks.add_clouds(scene, self.theatre, range(len(self.theatre.cloud_mesh)), None)
-        if present is not None:
-            marks.add_frustum(scene, self.theatre, self.T_base_scanner[present])
-        if self.closest is not None and np.allclose(self.timeline.at(t), self.timeline.at(self.closest.time)):
-            add_closest(scene, self.closest)
-
     def _row_at(self, t: float) -> int | None:
         """Row of the stop at which the show rests; its number may be another one where views are missing."""
         stop = self.timeline.stop_at(t)
@@ -178,16 +162,6 @@ class Show:
         camera.lookat[:] = middle[0] * right + middle[1] * up + middle[2] * forward
         camera.distance = distance
         return camera
-
-    def best_stop(self) -> float:
-        """A time at which a still shows the arm beside the part: the stop whose scanner is farthest to the side."""
-        if not self.timeline.stops:
-            return 0.0
-        azimuth = np.arctan2(self.theatre.centre[1], self.theatre.centre[0]) + np.radians(_BESIDE_DEG)
-        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        aside = np.abs((self.T_base_scanner[:, :3, 3] - self.theatre.centre) @ right)
-        height = self.T_base_scanner[:, 2, 3] - self.theatre.centre[2]
-        return self.timeline.stops[int(np.argmax(aside + height))].begin
 
     def _extent(self, times: Sequence[float] | None) -> Floats:
         """(N, 3) points that belong in the picture: the robot's shapes at each stop, the part, the path."""

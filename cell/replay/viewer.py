@@ -14,7 +14,7 @@ from typing import Any
 
 from cell.errors import UsageError
 from cell.replay.show import Show, show_what_is_seen
-from cell.replay.timeline import Timeline
+from cell.run.timeline import Timeline
 
 REFRESH = 1 / 60
 """Pause between two pictures [s]."""

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cell.run import ply
 from cell.run.execution_json import ExecutedCoverage, ExecutedDeviation, ExecutionReport
 from cell.run.json_table import parsed
@@ -51,6 +54,14 @@ class ExecutedRun:
             return None
         with understood(self.folder / "mesh.ply"):
             return ply.mesh(artefact(self.record, "mesh.ply"))
+
+    @cached_property
+    def closed(self) -> NDArray[np.bool_]:
+        """(F,) which faces of the surface close holes: invented, not measured; none without a surface."""
+        if not self.record.has("mesh.ply"):
+            return np.zeros(0, dtype=np.bool_)
+        with understood(self.folder / "mesh.ply"):
+            return ply.elements(artefact(self.record, "mesh.ply"))["face"]["closed"] > 0
 
     @cached_property
     def points(self) -> Floats:

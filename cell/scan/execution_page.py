@@ -1,5 +1,6 @@
 """The page of an execution, made from its report.json, and its table for a terminal. It holds no clock value."""
 
+import html
 from collections.abc import Sequence
 
 from cell.run.execution_json import ExecutionReport
@@ -27,7 +28,7 @@ def markdown(summary: ExecutionReport) -> str:
     Args:
         summary: the execution's report.json.
     """
-    lines = [f"# Scan of {summary.part.name}", "", _opening(summary), ""]
+    lines = [f"# Scan of {html.escape(summary.part.name)} ([look at it](view.html))", "", _opening(summary), ""]
     if not summary.complete:
         lines += ["**Not complete.** " + _missing(summary), ""]
     if summary.n_views:
@@ -137,7 +138,7 @@ def _table(summary: ExecutionReport) -> list[str]:
     return [
         "| | |",
         "|---|---|",
-        f"| part | {summary.part.name}: {summary.part.faces:,} faces |",
+        f"| part | {html.escape(summary.part.name)}: {summary.part.faces:,} faces |",
         f"| views | {summary.n_views} of the plan's {summary.n_views_planned}{view} |",
         f"| points | {summary.n_points:,} |",
         f"| scanner | {settings.scanner}{grid}, {settings.rays_per_scan:,} rays a scan |",

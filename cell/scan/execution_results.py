@@ -18,8 +18,9 @@ from cell.run.cell import RunCell
 from cell.run.executions import RecordedExecution, RecordedScan
 from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import file_bytes, understood
+from cell.view.contents import of_views
+from cell.view.surface import Surface
 from planner.measurability import coverage
-from planner.measurability import matrix as measurability
 from planner.ports import Rejection
 from planner.surface.closest import NearestSurface
 from planner.surface.sample import SurfaceSamples
@@ -196,7 +197,7 @@ class Achieved:
         radius: of sampled coverage [m].
         adds: (n,) what each scan adds to visible coverage, in driving order.
         largest_first: (n,) what each adds when the one that adds most comes first.
-        views_per_face: (F,) number of scans that measure a planning face, averaged over its samples.
+        surface: what the scans measure of the held-out samples.
     """
 
     visible: float
@@ -205,7 +206,7 @@ class Achieved:
     radius: float
     adds: Floats
     largest_first: Floats
-    views_per_face: Floats
+    surface: Surface
 
 
 def achieved(
@@ -225,15 +226,13 @@ def achieved(
         plan_seed: seed of the plan, from which its held-out samples were drawn.
     """
     samples = held_out(cell.reference, cell.planning, plan_seed)
-    measured = _measured([scan.T_true_poses for scan in scans], samples, cell)
+    surface = of_views(cell, samples, [scan.T_true_poses for scan in scans])
+    measured = surface.seen
     predicted = plan.coverage.visible
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
         poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
-        predicted = _share(_measured(poses, samples, cell), samples)
+        predicted = _share(of_views(cell, samples, poses).seen, samples)
     radius = coverage.sampling_radius(cell.reference)
-    faces = len(cell.planning.faces)
-    n_samples = np.bincount(samples.planning_face, minlength=faces)
-    total = np.bincount(samples.planning_face, weights=measured.sum(axis=1), minlength=faces)
     order = _largest_first(measured)
     return Achieved(
         visible=_share(measured, samples),
@@ -242,16 +241,8 @@ def achieved(
         radius=radius,
         adds=_added(measured),
         largest_first=_added(measured[:, order]),
-        views_per_face=np.divide(total, n_samples, out=np.full(faces, np.nan), where=n_samples > 0),
+        surface=surface,
     )
-
-
-def _measured(poses: Sequence[Floats], samples: SurfaceSamples, cell: RunCell) -> NDArray[np.bool_]:
-    """(S, n) which sample is measured by which view, each with (K, 4, 4) poses."""
-    if not poses:
-        return np.zeros((len(samples), 0), dtype=np.bool_)
-    casters = (cell.part_caster, cell.occluder_caster)
-    return measurability.measured(np.stack(poses), samples, cell.scanner, casters, each=True)
 
 
 def _share(measured: NDArray[np.bool_], samples: SurfaceSamples) -> float:

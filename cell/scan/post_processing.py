@@ -5,6 +5,7 @@ an execution that was stopped, is made by the same lines.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,12 @@ from cell.reconstruction.reconstruct import reconstruct
 from cell.run import process
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
+from cell.run.executed import ExecutedRun
 from cell.run.execution_json import ExecutedMotion, ExecutionReport
 from cell.run.executions import RecordedExecution, read_execution
+from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
-from cell.run.record import open_finished, understood
+from cell.run.record import RunRecord, open_finished, understood
 from cell.scan import execution_page
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
@@ -28,6 +31,10 @@ from cell.scan.execution_summary import Results, execution_report, settings_of
 from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome, Work
+from cell.view import contents
+from cell.view.contents import NAME
+from cell.view.pictures import part_and_views
+from cell.view.surface import canvas_of
 from planner.surface.closest import NearestSurface
 from planner.timing.motion import Motion
 
@@ -115,7 +122,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         summary = execution_report(cell, plan, settings_of(cell, recorded.manifest.options, seed), found, stops, times)
         folder.write_json("report.json", summary.as_json())
         folder.write_text("report.md", execution_page.markdown(summary))
-        _draw(folder, cell, plan, found)
+        _draw(work, cell, plan, recorded, summary, found)
     return summary
 
 
@@ -125,32 +132,33 @@ def _options(recorded: RecordedExecution) -> ScanOptions:
         return ScanOptions.begun(recorded.manifest.options)
 
 
-def _draw(folder: ExecutionFolder, cell: RunCell, plan: PlanFile, found: Results) -> None:
-    """Part and views, the cover curve, the deviation: as far as there is a scan and a surface."""
+def _draw(
+    work: Work, cell: RunCell, plan: PlanFile, recorded: RecordedExecution, summary: ExecutionReport, found: Results
+) -> None:
+    """The page, part and views, the cover curve, the deviation: as far as there is a scan and a surface."""
     from cell.reconstruction import deviation_picture
 
+    run, folder = work.run, work.folder
     if found.model.mesh is None or found.deviation is None:
         folder.remove("deviation.png")
     else:
         deviation_picture.draw(folder.path / "deviation.png", found.model.mesh, found.deviation)
         folder.adopt("deviation.png")
     scans, reached = found.scans, found.achieved
+    canvas = canvas_of(cell.reference, reached.surface.samples)
+    used = replace(recorded, scans=tuple(scan for scan in recorded.scans if scan.name in _names(scans)))
+    done = ExecutedRun(RunRecord(folder.path, Manifest()), summary)  # its manifest is not written yet
+    folder.write_text(NAME, contents.execution_page(run, used, done, (canvas, reached.surface)))
     if not scans:
         folder.remove("views.png")
         folder.remove("cover.png")
         return
     from cell.plan import pictures
 
-    poses = np.stack([scan.T_true for scan in scans])
-    pictures.part_and_views(
-        folder.path / "views.png",
-        vertices=cell.planning.vertices,
-        faces=cell.planning.faces,
-        views_per_face=reached.views_per_face,
-        T_object_scanner=poses,
-        fov_rad=np.radians(cell.scanner_keys.opening_deg),
-        numbers=[scan.stop for scan in scans],
-    )
+    part_and_views(
+        folder.path / "views.png", canvas, reached.surface, np.stack([scan.T_true for scan in scans]),
+        np.radians(cell.scanner_keys.opening_deg), [scan.stop for scan in scans],
+    )  # fmt: skip
     pictures.cover_curve(
         folder.path / "cover.png", marginal_area=reached.largest_first, coverable=plan.coverage.coverable, total=1.0,
         lower_bound=plan.lower_bound,
@@ -159,10 +167,15 @@ def _draw(folder: ExecutionFolder, cell: RunCell, plan: PlanFile, found: Results
     folder.adopt("cover.png")
 
 
+def _names(scans: Sequence[ExecutedScan]) -> set[str]:
+    """Files of scans."""
+    return {scan_name(scan.stop) for scan in scans}
+
+
 def _adopt(folder: ExecutionFolder, scans: Sequence[ExecutedScan]) -> None:
     """Scans of a killed execution get their sha256 in the manifest, as those of a finished one have."""
-    for scan in scans:
-        folder.adopt(f"scans/{scan_name(scan.stop)}")
+    for name in sorted(_names(scans)):
+        folder.adopt(f"scans/{name}")
 
 
 def exit_code_of(summary: ExecutionReport, cell: RunCell) -> int:

@@ -250,6 +250,7 @@ def sentences(found: Found) -> list[str]:
         f"{_within(found.lost_mm)} of the best a twentieth of its coverage is lost; "
         f"{_within(found.unreached_mm).lower()} nothing can be reached any more."
     )
+    said.append(f"Plan there: `cell plan PART {place_option(best)}`, with the options of this search.")
     said.append(f"Looked at {found.n_places} places; another seed looks at others.")
     return said
 

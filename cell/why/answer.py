@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.view.surface import Canvas, Surface
 from cell.why.search import Named
-from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import Ints
 from planner.why.reasons import Reason
@@ -65,28 +65,36 @@ class Answer:
     """All that `cell why` found.
 
     Attributes:
-        samples: held-out samples of the reference.
-        covered: (S,) what the plan measures.
+        canvas: the reference, ready to be coloured.
+        surface: its held-out samples, and what the plan measures of them.
         diagnosis: of the open samples.
         open_rows: (n,) the open samples.
         groups: largest area first.
         rest: the open samples that no reachable candidate measures.
         overall: changes that gain most of `rest`, verified on all of it.
         tried: (change, share of the area of `rest` that it gains, from representatives) of everything that was tried.
-        planning: the planning mesh.
         part_name: for titles.
     """
 
-    samples: SurfaceSamples
-    covered: NDArray[np.bool_]
+    canvas: Canvas
+    surface: Surface
     diagnosis: Diagnosis
     open_rows: Ints
     groups: tuple[Group, ...]
     rest: Ints
     overall: tuple[Named, ...]
     tried: tuple[tuple[WhatIf, float], ...]
-    planning: TriangleMesh
     part_name: str
+
+    @property
+    def samples(self) -> SurfaceSamples:
+        """Held-out samples of the reference."""
+        return self.surface.samples
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """(S,) what the plan measures."""
+        return np.asarray(self.surface.seen.any(axis=1))
 
     def share(self, rows: NDArray[Any]) -> float:
         """Area of some samples over the area of all."""

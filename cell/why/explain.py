@@ -22,6 +22,8 @@ from cell.run.cell import read_cell, taken_as_triangles, world_of
 from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import RunRecord, open_finished, understood
 from cell.run.why_json import WhyReport
+from cell.view.contents import of_views
+from cell.view.surface import canvas_of
 from cell.why import files as why_files
 from cell.why.answer import Answer, Group, Patch
 from cell.why.changes import Changes
@@ -82,8 +84,8 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         samples = held_out(cell.reference, cell.planning, run.seed, count)
         targets = Targets.of(samples.points, samples.normals)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
-        covered = coverage.visible(views, samples, scanner, (part_caster, occluder_caster)).covered
-        rows = np.flatnonzero(~covered)
+        surface = of_views(cell, samples, list(views))
+        rows = np.flatnonzero(~surface.seen.any(axis=1))
     with narrator.stage("reasons") as progress:
         diagnosis = why.diagnose(
             targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
@@ -110,7 +112,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         for group, of_group, of_patch in zip(open_groups, found.of_group, found.of_patch, strict=True)
     )  # fmt: skip
     return Answer(
-        samples, covered, diagnosis, rows, groups, found.rest, found.overall, found.tried, cell.planning,
+        canvas_of(cell.reference, samples), surface, diagnosis, rows, groups, found.rest, found.overall, found.tried,
         cell.scene.part.name,
     )  # fmt: skip
 

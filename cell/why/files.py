@@ -1,4 +1,4 @@
-"""What `cell why` writes and prints: why.json, why.ply and why.png in `why/` of the run folder, and the table.
+"""What `cell why` writes and prints: why.json, why.ply, why.png and view.html in `why/` of the run, and the table.
 
 The plan's own files stay as they are; an older `why/` is replaced.
 """
@@ -14,6 +14,7 @@ from cell.errors import FileError
 from cell.run.folder import SCHEMA, json_text
 from cell.run.record import RunRecord
 from cell.run.why_json import NamedChange, OpenPatch, OpenSamples, TriedChange, WhyReport
+from cell.view import contents
 from cell.why import picture
 from cell.why.answer import Answer, Group, Patch
 from cell.why.search import Named
@@ -61,6 +62,10 @@ def write(run: RunRecord, answer: Answer, report: WhyReport) -> Path:
         (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
         (part / "why.ply").write_bytes(picture.ply(answer))
         picture.draw(part / "why.png", answer)
+        reasons = [(group.rows, group.title) for group in answer.groups]
+        (part / contents.NAME).write_text(
+            contents.why_page(run, answer.canvas, answer.surface, reasons), encoding="utf-8"
+        )
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
     except OSError as error:

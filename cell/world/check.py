@@ -6,8 +6,10 @@ import numpy as np
 
 from cell import scanners
 from cell.part import workpiece
+from cell.part.workpiece import Workpiece
 from cell.robot.model import AXES, dimensions
-from cell.scene.resolve import resolve
+from cell.scanners import ScannerPlugin
+from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world
@@ -123,21 +125,52 @@ class CheckResult:
         ]
 
 
-def check_scene(scene: Scene) -> CheckResult:
-    """Load the part, compile the scene and look at it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Compiled:
+    """A scene made into what is looked at.
+
+    Attributes:
+        scene: that was compiled.
+        part: its part.
+        settings: what it leaves open, settled for the part.
+        scanner: the sensor's law.
+        world: the model.
+    """
+
+    scene: Scene
+    part: Workpiece
+    settings: Settings
+    scanner: ScannerPlugin
+    world: World
+
+
+def compiled(scene: Scene) -> Compiled:
+    """Load the part and compile the scene.
 
     Args:
         scene: a scene that `load_scene` accepted.
 
     Raises:
         FileError: if the part or a fixture cannot be read.
-        SceneError: if there is nothing to compile; what can be compiled but not be is in `problems`.
+        SceneError: if there is nothing to compile.
     """
     part = workpiece.load(scene.part.source, scene.part.units)
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
     baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
     world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm)
+    return Compiled(scene, part, settings, scanner, world)
+
+
+def check_scene(scene: Scene) -> CheckResult:
+    """Load the part, compile the scene and look at it; see `compiled`. What can be compiled but not be is told."""
+    return checked(compiled(scene))
+
+
+def checked(cell: Compiled) -> CheckResult:
+    """Look at a compiled scene; what cannot be is in `problems`."""
+    scene, part, settings, world = cell.scene, cell.part, cell.settings, cell.world
+    baseline_mm = scanners.baseline_mm(settings.scanner, cell.scanner)
     checker = MujocoCollisionChecker(world)
     contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
     distance, nearest = checker.distance(world.home[None])

@@ -3,6 +3,9 @@
 MuJoCo writes six digits, which moves the flange of this arm by micrometres and turns the home pose by 4e-6 rad. So its
 text is taken for the structure, and every length, angle and mesh in it is written again from the specification, with
 all digits of a float64.
+
+Whoever opens it in MuJoCo's viewer sees the cell: the arm's shapes are in a visible group, there is a light, and the
+arm stands at home: that is its reference configuration (`ref`), which changes no pose at any joint angles.
 """
 
 from pathlib import Path
@@ -12,11 +15,13 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cell.robot.model import AXES, LINKS
 from cell.world.model import World
 from cell.world.shapes import quaternion
 from planner.values import readonly
 
 FILE_NAME = "cell.xml"
+_VISIBLE_GROUP = 1
 
 
 def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = None) -> tuple[str, ...]:
@@ -36,6 +41,7 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
     spec = world.spec.copy()
     spec.body("object").pos, spec.body("object").quat = T[:3, 3], quaternion(T[:3, :3])
     spec.body("post").pos = world.post_top(T)
+    _for_the_eye(spec, world)
     home = spec.key("home")
     home.qpos = world.home
     home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
@@ -49,6 +55,26 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
     ElementTree.indent(root)
     (folder / FILE_NAME).write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
     return (FILE_NAME,)
+
+
+def _for_the_eye(spec: Any, world: World) -> None:
+    """Robot shapes in a visible group, a light from above, home as the configuration in which a viewer begins."""
+    import mujoco
+
+    for link in LINKS:
+        for geom in spec.body(link).geoms:
+            geom.group = _VISIBLE_GROUP
+    spec.worldbody.add_light(
+        name="lamp", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 4], dir=[0.3, 0.4, -0.87]
+    )
+    for axis, angle in zip(AXES, world.home, strict=True):
+        joint = spec.joint(axis)
+        # The body is given as it stands at the reference angle: turned about its own joint.
+        turned, turn = np.empty(4), np.empty(4)
+        mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis), float(angle))
+        mujoco.mju_mulQuat(turned, np.asarray(joint.parent.quat), turn)
+        joint.parent.quat = turned
+        joint.ref = np.degrees(angle) if spec.compiler.degree else angle
 
 
 def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
@@ -67,7 +93,12 @@ def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
     elif element.tag == "site":
         exact = {"pos": model.site(name).pos, "quat": model.site(name).quat}
     elif element.tag == "joint":
-        exact = {"range": model.joint(name).range, "axis": model.joint(name).axis, "pos": model.joint(name).pos}
+        exact = {
+            "ref": model.joint(name).qpos0,
+            "range": model.joint(name).range,
+            "axis": model.joint(name).axis,
+            "pos": model.joint(name).pos,
+        }
     elif element.tag == "key":
         exact = {"qpos": spec.key(name).qpos}
     elif element.tag == "mesh":

@@ -18,7 +18,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 CONTRACT = {
     "manifest.json", "run.log", "scene.toml", "scene.resolved.json", "reference.ply", "planning.ply", "cell.xml",
     "viewpoints.npz", "reach.npz", "measurability.npz", "plan.json", "motion.npz", "report.md", "report.json",
-    "views.png", "cover.png", "reach.png", "motion.png",
+    "view.html", "cell.png", "views.png", "cover.png", "reach.png", "motion.png",
 }  # fmt: skip
 
 

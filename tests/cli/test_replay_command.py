@@ -130,8 +130,7 @@ def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, scr
 @draws
 def test_marks_are_drawn_over_the_model(show: Show, screen: OffScreen) -> None:
     """Path, frustum and the caption change pixels; the frustum is translucent teal over the part."""
-    stop = show.timeline.stop_at(show.best_stop())
-    assert stop is not None
+    stop = show.timeline.stops[0]
     show.pose(stop.begin)
     camera = show.camera(_SIZE[0] / _SIZE[1])
     bare = screen.picture(show.data, camera).astype(int)
@@ -183,9 +182,9 @@ def test_a_contact_is_named_and_marked(show: Show) -> None:
 
 
 @draws
-def test_frames_and_picture_through_the_command_line(planned: Path, tmp_path: Path, run_cell: Run) -> None:
+def test_frames_through_the_command_line(planned: Path, tmp_path: Path, run_cell: Run) -> None:
     """Frames are numbered PNGs of the asked size that differ; a folder with frames is refused."""
-    arguments = ("replay", str(planned), "--frames", "film", "--every", "90", "--size", "320x240", "--picture", "p.png")
+    arguments = ("replay", str(planned), "--frames", "film", "--every", "90", "--size", "320x240")
     done = run_cell(*arguments, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     frames = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "film").glob("frame_*.png"))]
@@ -194,9 +193,29 @@ def test_frames_and_picture_through_the_command_line(planned: Path, tmp_path: Pa
     assert {frame.shape for frame in frames} == {(240, 320, 3)}
     assert all(_orange(frame).sum() > 800 for frame in frames)
     assert all((one[40:] != other[40:]).any() for one, other in itertools.pairwise(frames[:-1]))
-    assert _orange(np.asarray(Image.open(tmp_path / "p.png"))).sum() > 2000
     with pytest.raises(FileError, match="film holds frames already"):
         replay(planned, ReplayOptions(frames=tmp_path / "film"), Terminal())
+
+
+def test_a_still_needs_no_opengl_and_leaves_out_what_it_is_told(
+    planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without EGL and OSMesa: the same bytes twice; without the robot no orange; from elsewhere another picture."""
+    monkeypatch.setenv("MUJOCO_GL", "off")
+
+    def drawn(*options: str) -> NDArray[np.uint8]:
+        done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", *options, cwd=tmp_path)
+        assert (done.returncode, done.stderr) == (0, "")
+        return np.asarray(Image.open(tmp_path / "p.png"))
+
+    first = drawn()
+    assert _orange(first).sum() > 2000
+    np.testing.assert_array_equal(drawn(), first)
+    assert _orange(drawn("--hide", "robot")).sum() < 300
+    assert (drawn("--camera", "120,35") != first).any(axis=2).mean() > 0.3
+    for wrong, words in ((("--hide", "fence"), "it has: post, pedestal"), (("--camera", "up"), "azimuth,elevation")):
+        done = run_cell("replay", planned, "--picture", "x.png", *wrong, cwd=tmp_path)
+        assert (done.returncode, words in done.stderr) == (2, True), done.stderr
 
 
 @draws
@@ -238,7 +257,6 @@ def test_an_execution_shows_its_points(
         replay(folder, ReplayOptions("latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Terminal())
 
 
-@draws
 def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, run_cell: Run) -> None:
     """A run that ended before it had a motion says so, and its picture shows the arm and the candidates."""
     folder = Path(shutil.copytree(planned, tmp_path / "run.part"))
@@ -253,7 +271,7 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
     assert "candidate viewpoints" in done.stderr
     picture = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
     assert _orange(picture.astype(np.uint8)).sum() > 1000
-    green = (picture[..., 1] > picture[..., 0] + 60) & (picture[..., 1] > picture[..., 2] + 30)
+    green = (picture[..., 1] > picture[..., 0] + 60) & (picture[..., 1] > picture[..., 2] + 20)
     assert green.sum() > 50  # reachable ones
     (folder / "cell.xml").unlink()
     options = ReplayOptions(picture=tmp_path / "q.png")
@@ -271,7 +289,7 @@ def test_without_a_display_and_without_a_renderer_a_sentence_says_what_to_do(
         monkeypatch.delenv(name, raising=False)
     done = run_cell("replay", planned, cwd=tmp_path)
     monkeypatch.setenv("MUJOCO_GL", "off")  # read once in a process
-    process = start_cell("replay", planned, "--picture", "p.png", cwd=tmp_path)
+    process = start_cell("replay", planned, "--frames", "film", cwd=tmp_path)
     _, errors = process.communicate(timeout=60)
     for code, told, words in (
         (done.returncode, done.stderr, "--frames DIR"),

@@ -16,8 +16,11 @@ from cell.replay.closest import add_closest, close_camera
 from cell.replay.offscreen import PACKAGES, OffScreen, backend
 from cell.replay.replay import ReplayOptions, load_show, replay
 from cell.replay.show import Show, show_what_is_seen
+from cell.replay.still import Still, write_picture
 from cell.replay.viewer import Player
+from cell.run import reader as run_reader
 from cell.run.record import open_run
+from cell.view.pieces import cell_of_run
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -76,30 +79,25 @@ def test_both_points_and_the_line_are_in_the_picture(show: Show) -> None:
     assert red[_SIZE[1] // 2 - 40 : _SIZE[1] // 2 + 40, _SIZE[0] // 2 - 40 : _SIZE[0] // 2 + 40].sum() > 20
 
 
-@draws
-def test_a_picture_of_another_moment_does_not_have_the_pair(show: Show) -> None:
+def test_a_picture_of_another_moment_does_not_have_the_pair(planned: Path, show: Show, tmp_path: Path) -> None:
     """With the arm elsewhere it would hang in the air: the tour is the same picture with and without."""
     assert show.closest is not None
-    bare = Show(show.theatre, show.timeline)
+    run = open_run(planned)
+    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
     away = max((stop.begin for stop in show.timeline.stops), key=lambda t: abs(t - show.closest.time))
-    with OffScreen(show.theatre.model, _SIZE) as screen:
-        pictures = {}
-        for moment in (away, show.closest.time):
-            show.pose(moment)
-            camera = show.camera(_SIZE[0] / _SIZE[1], [moment])
-            for name, drawn in (("with", show), ("bare", bare)):
-                pictures[name, moment] = screen.picture(
-                    show.data, camera, lambda scene, drawn=drawn, moment=moment: drawn.draw_tour(scene, moment)
-                )
+    pictures = {}
+    for moment in (away, show.closest.time):
+        for drawn in (show, Show(show.theatre, show.timeline)):
+            write_picture(Still(drawn, cell, part, ()), tmp_path / "p.png", _SIZE, moment, (-60.0, 20.0))
+            pictures[drawn is show, moment] = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
     changed = {
-        moment: int((np.abs(pictures["with", moment].astype(int) - pictures["bare", moment]) > 25).any(axis=2).sum())
+        moment: int((np.abs(pictures[True, moment] - pictures[False, moment]) > 25).any(axis=2).sum())
         for moment in (away, show.closest.time)
     }
     assert changed[away] == 0
     assert changed[show.closest.time] > 20
 
 
-@draws
 def test_the_command_draws_it(planned: Path, tmp_path: Path, run_cell: Run) -> None:
     """`--tightest --picture` is another picture than that of the tour; with --view it is refused."""
     done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
@@ -112,7 +110,6 @@ def test_the_command_draws_it(planned: Path, tmp_path: Path, run_cell: Run) -> N
     assert "--tightest and --view both say where to begin" in done.stderr
 
 
-@draws
 def test_a_run_that_does_not_know_it_says_so(planned: Path, tmp_path: Path) -> None:
     """An older run is shown as before, without; asked for, it is refused; a damaged entry is named."""
     folder = Path(shutil.copytree(planned, tmp_path / "run"))

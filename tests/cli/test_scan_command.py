@@ -32,8 +32,8 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 Start = Callable[..., "subprocess.Popen[str]"]
 
 CONTRACT = {
-    "manifest.json", "events.jsonl", "cloud.ply", "mesh.ply", "report.json", "report.md", "views.png", "cover.png",
-    "deviation.png",
+    "manifest.json", "events.jsonl", "cloud.ply", "mesh.ply", "report.json", "report.md", "view.html",
+    "views.png", "cover.png", "deviation.png",
 }  # fmt: skip
 
 

@@ -85,8 +85,8 @@ def test_the_report_tells_the_time_that_the_arm_took(scanned: Path) -> None:
 
 def test_replay_shows_the_reported_stops(scanned: Path) -> None:
     """The timeline of the execution rests at the reported axes."""
-    from cell.replay.timeline import of_execution
     from cell.run.executions import read_execution
+    from cell.run.timeline import of_execution
 
     record = open_run(scanned)
     motion = run_reader.motion(record)

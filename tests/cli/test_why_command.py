@@ -18,7 +18,8 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, t
     assert done.stderr == ""
     assert "stay open" in done.stdout
     assert "files: run/why" in done.stdout
-    assert sorted(path.name for path in (tmp_path / "run" / "why").iterdir()) == ["why.json", "why.ply", "why.png"]
+    written = sorted(path.name for path in (tmp_path / "run" / "why").iterdir())
+    assert written == ["view.html", "why.json", "why.ply", "why.png"]
 
 
 @pytest.mark.usefixtures("blank_pictures")
@@ -49,9 +50,9 @@ def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_pat
 
 @pytest.mark.usefixtures("blank_pictures")
 def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """One sample, which this plan measures: no reason, no change, and still the three files."""
+    """One sample, which this plan measures: no reason, no change, and still the four files."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "nothing stays open" in done.stdout
-    assert len(list((tmp_path / "run" / "why").iterdir())) == 3
+    assert len(list((tmp_path / "run" / "why").iterdir())) == 4

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.replay import timeline as replay_timeline
 from cell.replay.frames import frame_times
 from cell.replay.viewer import SPEEDS, Player
+from cell.run import timeline as replay_timeline
 from cell.run.executions import RecordedExecution, RecordedScan
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime

@@ -178,6 +178,15 @@ def test_cell_xml_is_the_checked_cell(world: World, tmp_path: Path) -> None:
     np.testing.assert_array_equal(model.mesh_vert, world.model.mesh_vert)
 
 
+def test_cell_xml_opens_with_the_robot_at_home_in_the_light(world: World, tmp_path: Path) -> None:
+    """What MuJoCo's viewer shows at first: visible groups only (0 to 2), the first state of a model, its own lights."""
+    write_mjcf(world, tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
+    np.testing.assert_array_equal(mujoco.MjData(model).qpos, world.home)
+    assert (model.geom_group <= 2).all()
+    assert model.nlight == 1
+
+
 def test_cell_xml_has_the_same_bytes_twice(world: World, tmp_path: Path) -> None:
     """Equal inputs give equal files."""
     write_mjcf(world, tmp_path)

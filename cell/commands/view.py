@@ -1,0 +1,55 @@
+"""`cell view` as the command line gives it: a page in the browser."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.errors import UsageError
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell view sim_runs/trial\n\n"
+    "cell view sim_runs/trial/executions/0001 --out scan.html --no-open\n\n"
+    "cell view my_cell.toml --watch\n\n"
+    "A run is never changed: where its folder has no page, or --out is given, the page is written elsewhere. The file "
+    "needs no server and no network.\n\n"
+    "Exit codes: 0 done, 2 usage or scene, 6 files or run folder, 70 bug, 130 Ctrl-C."
+)
+
+
+def view(
+    what: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[SCENE | RUN | EXECUTION]",
+            help="Scene file, run folder, or executions/<id> of one. Default: the built-in scene.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Where to write the page. Default: a temporary file.")
+    ] = None,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser, print the path.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Draw a scene again whenever its file is saved; ends with Ctrl-C.")
+    ] = False,
+) -> None:
+    """See a scene, a plan or an execution in the browser: one file with robot, part, views and motion in it."""
+    from cell.commands.terminal import Terminal
+    from cell.view import looking
+
+    terminal = Terminal()
+
+    def opened(path: Path) -> None:
+        if not no_open and not looking.open_browser(path):
+            terminal.note("no browser could be opened; open the file in one")
+        terminal.say(str(path))
+
+    if watch and (what is None or what.is_dir()):
+        raise UsageError("--watch draws a scene file again when it is saved; give one: cell view my_cell.toml --watch")
+    if watch and what is not None:
+        looking.watch(what, out, terminal, opened, time.sleep)
+    else:
+        opened(looking.page_of(what, out, terminal))

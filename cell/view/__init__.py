@@ -1,0 +1,1 @@
+"""What a person looks at: pictures drawn by rays, and the page of a run that opens in any browser."""

@@ -1,0 +1,237 @@
+"""What the page of a run, of an execution and of `cell why` holds, read from their folders. Metres, radians.
+
+A plan's page is made of the same pieces while the plan is made (`cell.plan.drawing`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cell.rays.prediction import held_out
+from cell.run import reader as run_reader
+from cell.run import timeline as timelines
+from cell.run.cell import RunCell, read_cell
+from cell.run.executed import ExecutedRun
+from cell.run.executions import RecordedExecution
+from cell.run.plan_json import PlanView
+from cell.run.record import RunRecord
+from cell.run.report_json import Report
+from cell.run.scene_json import ScannerKeys
+from cell.view.packed import POINTS, Layer, stepped
+from cell.view.page import Play, Shown, Stage, View, html_of, thinned
+from cell.view.palette import REASONS
+from cell.view.pictures import group_names, group_numbers
+from cell.view.pieces import Cell, cell_of_run
+from cell.view.surface import Canvas, Surface, canvas_of, surface_of
+from planner.surface.closest import NearestSurface
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
+from planner.timing.motion import Motion
+from planner.values import Floats, Ints
+
+NAME = "view.html"
+"""The page's file beside a report.md."""
+
+_NOTES = {
+    "spacing": "the larger distance between neighbouring points, of the view in which it is smallest",
+    "sigma": "expected standard deviation of a point along its ray, of the view in which it is smallest",
+}
+_TITLES = {"spacing": "Spacing of points", "sigma": "Expected standard deviation"}
+
+
+def run_page(run: RunRecord) -> str:
+    """The page of a plan; a run that did not finish is shown as far as it got: the cell, the arm at home."""
+    scene, title = run_reader.scene(run), "View plan of {}"
+    cell = cell_of_run(run, scene)
+    if not run.finished:
+        part = Shown("part", thinned(run_reader.mesh(run, "reference.ply")))
+        stage = Stage(title.format(scene.part.name), cell, [part])
+        return html_of(stage, Play(problems=[f"this run {run.ended}"], inside=0))
+    plan = run_reader.plan(run)
+    canvas, surface = measured(run, read_cell(run), [view.T_object_poses for view in plan.views])
+    stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface)])
+    return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run)))
+
+
+def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[tuple[Ints, str]]) -> str:
+    """The page of `cell why`: the plan's, the part coloured by the reasons why it stays open.
+
+    Args:
+        run: the plan's folder.
+        canvas: the part.
+        surface: what the plan measures of it.
+        groups: rows of the surface's samples that stay open for a reason, and its name; largest first.
+    """
+    scene, plan = run_reader.scene(run), run_reader.plan(run)
+    number = group_numbers(len(surface.samples), [rows for rows, _ in groups])
+    share = 100 * np.bincount(number, minlength=len(REASONS) + 1)[1:] / max(len(number), 1)
+    named = zip(group_names([name for _, name in groups]), share, strict=False)
+    names = tuple(f"{name} ({percent:.2f} %)" for name, percent in named)
+    layer = Layer("Why it stays open", "reasons", number.astype(np.uint8), canvas.note, names=names)
+    stage = Stage(f"Why {scene.part.name} stays open", cell_of_run(run, scene), [part_of(canvas, surface, [layer])])
+    return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1))
+
+
+def execution_page(
+    run: RunRecord, recorded: RecordedExecution, done: ExecutedRun, known: tuple[Canvas, Surface] | None = None
+) -> str:
+    """The page of an execution: what it measured, by how much that deviates, its points, the arm as it was reported.
+
+    Args:
+        run: the run that was executed.
+        recorded: the scans.
+        done: the report on them.
+        known: the part, and what the scans measure of it, in their order; None measures it.
+    """
+    scene = run_reader.scene(run)
+    cell = cell_of_run(run, scene)
+    if known is None:
+        stored = [scan.stored for scan in recorded.scans]
+        poses = [each.get("sweep_T_object_scanner_true", each["T_object_scanner_true"][None]) for each in stored]
+        grid = done.report.settings.resolution_deg
+        known = measured(run, read_cell(run, grid[0] if grid else None), poses)
+    shown = [part_of(*known)]
+    if done.mesh is not None:
+        shown.append(_deviating(done.mesh, run_reader.mesh(run, "reference.ply"), done))
+    points = done.points if recorded.scans else None
+    return html_of(Stage(f"Scan of {scene.part.name}", cell, shown), _execution_play(run, recorded, done, cell, points))
+
+
+def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, Surface]:
+    """The part, and what some views measure of its held-out samples.
+
+    Args:
+        run: the plan.
+        cell: its part and surroundings.
+        poses: (K, 4, 4) of each view [m], object frame.
+    """
+    samples = held_out(cell.reference, cell.planning, run.seed)
+    return canvas_of(cell.reference, samples), of_views(cell, samples, poses)
+
+
+def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) -> Surface:
+    """What some views measure of samples; arguments as in `measured`."""
+    stacked = np.stack(poses) if len(poses) else np.zeros((0, 1, 4, 4))
+    casters, angle = (cell.part_caster, cell.occluder_caster), resolution_deg(cell.scanner_keys)
+    return surface_of(samples, stacked, cell.scanner, casters, angle)
+
+
+def resolution_deg(keys: ScannerKeys) -> float | None:
+    """Larger angle between neighbouring rays [deg]; None of a scanner that has no such grid."""
+    grid = keys.pair("resolution_deg")
+    return None if grid is None else max(grid)
+
+
+def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Shown:
+    """The part with its colourings.
+
+    Args:
+        canvas: the part.
+        surface: what views measure of it.
+        first: colourings that come before the others, values of the samples.
+    """
+    own = canvas.at_vertices()
+    layers = [replace(layer, values=layer.values[own]) for layer in first]
+    bits = np.packbits(surface.seen[own], axis=1, bitorder="little")
+    layers.append(Layer("Number of views", "views", bits.reshape(len(own), -1), canvas.note))
+    for name in sorted(surface.layers):
+        values = surface.layers[name]
+        known = values[np.isfinite(values)]
+        limits = (0.0, round(float(np.quantile(known, 0.98)), 6) if len(known) else 1.0)
+        layers.append(stepped(values[own], _TITLES[name], "length", limits, _NOTES[name]))
+    return Shown("part", canvas.mesh, layers)
+
+
+def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside: int = 0) -> Play:
+    """Views, motion and numbers of a plan.
+
+    Args:
+        report: report.json.
+        views: in visiting order.
+        motion: the plan's.
+        inside: as in `Play`.
+    """
+    timeline = timelines.of_plan(motion, rest=0.0)
+    at = {stop.candidate: stop.begin for stop in timeline.stops}
+    said = [
+        View(number, view.T_base_scanner, at.get(view.id, 0.0), [
+            ("view", f"{number}, candidate {view.id}"),
+            ("adds", f"{_percent(own.adds)} of the surface"),
+            ("A1 to A6", f"{', '.join(f'{angle:g}' for angle in view.q_deg)} deg"),
+            ("roll", f"{view.roll_deg:g} deg"),
+            ("clearance", _mm(own.clearance_on_the_way_mm) + " on the way"),
+        ])
+        for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
+    ]  # fmt: skip
+    coverage, moves = report.coverage, report.motion
+    rows = [
+        ("views", f"{report.n_views} ({report.status})"),
+        ("lower bound", f"{report.lower_bound} for these candidates and samples"),
+        ("visible coverage", f"{_percent(coverage.visible)} of the surface"),
+        ("coverable", f"{_percent(coverage.coverable)} by reachable candidates"),
+        ("motion", f"{moves.duration_s:.1f} s from home to home"),
+        ("nearest", f"{_mm(moves.minimum_clearance_mm)} ({moves.between})" if moves.between else "nothing near"),
+        ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),
+    ]
+    then = ["cell scan RUN", "cell why RUN", "cell export RUN"]
+    return Play(said, (timeline.t, timeline.q), rows=rows, next=then, inside=inside)
+
+
+def _execution_play(
+    run: RunRecord, recorded: RecordedExecution, done: ExecutedRun, cell: Cell, points: Floats | None
+) -> Play:
+    """Scans, motion and numbers of an execution."""
+    planned = run_reader.motion(run) if run.has("motion.npz") else None
+    timeline = timelines.of_execution(recorded, planned, cell.arm.home, rest=0.0)
+    report, deviation = done.report, done.report.deviation
+    of_stop = {view.stop: view for view in report.views}
+    said = []
+    for stop, scan in zip(timeline.stops, recorded.scans, strict=True):
+        pose, own = cell.arm.links(scan.q_reported)[-1] @ cell.arm.T_link_scanner, of_stop.get(stop.number)
+        told = [("view", f"{stop.number}, candidate {stop.candidate}")]
+        if own is not None:
+            told += [("adds", f"{_percent(own.adds)} of the surface"), ("points", f"{own.points:,}")]
+        told.append(("A1 to A6", f"{', '.join(f'{angle:.4f}' for angle in np.degrees(scan.q_reported))} deg"))
+        said.append(View(stop.number, pose, stop.begin, told))
+    rows = [
+        ("views", f"{report.n_views} of {report.n_views_planned}"),
+        ("points", f"{report.n_points:,}"),
+        ("visible coverage", f"{_percent(report.coverage.visible)}, predicted {_percent(report.coverage.predicted)}"),
+        ("sampled coverage", _percent(report.coverage.sampled)),
+    ]
+    if deviation is not None:
+        rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
+    notes = list(timeline.notes)
+    if points is not None and len(points) > POINTS:
+        notes.append(_thinned(POINTS, len(points), "points"))
+    then = ["cell replay RUN --execution EXECUTION", "cell scan RUN"]
+    return Play(said, (timeline.t, timeline.q), points, rows, notes=notes, next=then, inside=2)
+
+
+def _deviating(mesh: TriangleMesh, reference: TriangleMesh, done: ExecutedRun) -> Shown:
+    """The measured surface by its distance from the part."""
+    small = thinned(mesh)
+    values = 1000 * NearestSurface(reference).signed(small.vertices)
+    note = "outside the part is positive"
+    if small is mesh:
+        values[np.setdiff1d(mesh.faces[done.closed], mesh.faces[~done.closed])] = np.nan
+    else:
+        note += f"; {_thinned(len(small.faces), len(mesh.faces), 'faces')}, those that close holes not marked"
+    known = np.abs(values[np.isfinite(values)])
+    limit = round(1.5 * float(np.quantile(known, 0.95)), 6) if len(known) else 1.0
+    return Shown("surface", small, [stepped(values, "Deviation", "signed", (-limit, limit), note)])
+
+
+def _thinned(shown: int, of: int, what: str) -> str:
+    return f"drawn with {shown:,} of {of:,} {what}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
+
+
+def _mm(length: float | None) -> str:
+    return "more than 300 mm" if length is None else f"{length:.1f} mm"

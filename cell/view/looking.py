@@ -1,0 +1,145 @@
+"""`cell view`: the page of a scene, a run or an execution, written where nothing is changed, opened in a browser."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+
+from cell import scanners
+from cell.errors import CellError, FileError, UsageError
+from cell.narrator import Narrator
+from cell.run.executed import open_execution
+from cell.run.executions import FOLDER, read_execution
+from cell.run.record import open_run
+from cell.run.scene_json import ScannerKeys
+from cell.scene.scene import Scene, load_scene
+from cell.view.contents import NAME, execution_page, run_page
+from cell.view.page import Play, Shown, Stage, html_of, thinned
+from cell.view.pieces import cell_of_world
+from cell.world.check import checked, compiled
+
+_DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
+_LOOK_S = 0.3  # between two looks at a file that is watched
+_WITHOUT_PART = "the page shows the last scene that could be read"
+
+
+def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
+    """The page of a scene file, a run or an execution; the one that lies in its folder where none else is asked for.
+
+    Args:
+        what: scene file, run folder, or folder of an execution; None is the built-in scene.
+        out: file to write; None writes a temporary one.
+        narrator: is told what goes on.
+
+    Raises:
+        CellError: if it cannot be read or written.
+    """
+    if what is not None and what.is_dir() and out is None and (what / NAME).is_file():
+        return what / NAME
+    with narrator.stage("draw the page"):
+        if what is None or not what.is_dir():
+            text = html_of(*scene_page(load_scene(what)))
+        elif what.absolute().parent.name == FOLDER:
+            run = open_run(what.absolute().parent.parent)
+            text = execution_page(run, read_execution(run, what.absolute().name), open_execution(what))
+        else:
+            text = run_page(open_run(what))
+        return write(text, out)
+
+
+def scene_page(scene: Scene, watched: str = "") -> tuple[Stage, Play]:
+    """The cell as a scene file describes it, the arm at home, beside what `cell check` says.
+
+    Args:
+        scene: checked.
+        watched: stamp of a page that is written again and again.
+
+    Raises:
+        CellError: if it does not compile.
+    """
+    made = compiled(scene)
+    result = checked(made)
+    keys = ScannerKeys(**scanners.described(scene.scanner.type, made.scanner))
+    far = (keys.pair("range_mm") or _DRAWN_RANGE_MM)[1] / 1000
+    cell = cell_of_world(made.world, keys.opening_deg, far)
+    stage = Stage(f"Cell with {made.part.name}", cell, [Shown("part", thinned(made.part.reference))], watched)
+    return stage, Play(rows=result.rows(), problems=result.problems)
+
+
+def write(text: str, out: Path | None) -> Path:
+    """Write a page; None takes a temporary folder.
+
+    Raises:
+        UsageError: if it would lie in a folder of a run.
+        FileError: if it cannot be written.
+    """
+    path = Path(tempfile.mkdtemp(prefix="cell-view-")) / NAME if out is None else out
+    if (path.parent / "manifest.json").is_file():
+        raise UsageError(f"--out {path} is in a finished folder, and these are never changed; choose another place")
+    beside = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)  # a browser never reads half a page
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}") from error
+    return path
+
+
+def watch(
+    file: Path, out: Path | None, narrator: Narrator, opened: Callable[[Path], None], wait: Callable[[float], None]
+) -> None:
+    """Draw a scene file again whenever it is saved, until the wait is interrupted.
+
+    What is wrong with it stands in the page beside the last cell that could be drawn.
+
+    Args:
+        file: the scene file.
+        out: file to write; None writes a temporary one.
+        narrator: is told what is wrong.
+        opened: called with the page when it is there.
+        wait: lets seconds pass.
+
+    Raises:
+        CellError: if the scene cannot be drawn when it is read for the first time.
+    """
+    path, before, stage = out, "", None
+    while True:
+        stamp = _stamp(file)
+        if stamp != before:
+            try:
+                stage, play = scene_page(load_scene(file), stamp)
+            except CellError as error:
+                if stage is None:
+                    raise
+                narrator.note(str(error))
+                stage = Stage(stage.title, stage.cell, stage.surfaces, stamp)
+                play = Play(problems=[str(error)], notes=[_WITHOUT_PART])
+            first, path = path is None or not before, write(html_of(stage, play), path)
+            path.with_name(path.name + ".stamp.js").write_text(f"drawn({stamp!r});\n", encoding="utf-8")
+            if first:
+                opened(path)
+            before = stamp
+        wait(_LOOK_S)
+
+
+def _stamp(file: Path) -> str:
+    """Changes whenever a file is saved; "none" while an editor has taken it away."""
+    try:
+        found = file.stat()
+    except OSError:
+        return "none"
+    return f"{found.st_mtime_ns}-{found.st_size}"
+
+
+def open_browser(path: Path) -> bool:
+    """Open a page in the user's browser; False where there is none that could show it."""
+    has_screen = sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    try:
+        return has_screen and webbrowser.open(path.absolute().as_uri())
+    except webbrowser.Error:
+        return False

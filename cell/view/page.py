@@ -1,0 +1,229 @@
+"""The page: one HTML file with three.js, the cell, the part, views and motion in it; no address outside, no server.
+
+three.js is the one that trimesh carries for its own viewer. Geometry is quantised to 1/65535 of its extent and thinned
+to what an eye can tell. Nothing that a user named is ever taken for markup: text goes through JSON whose `<` is escaped
+and through `textContent`. Equal values give equal bytes. Base frame, metres.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from cell.errors import CellError
+from cell.view import palette
+from cell.view.packed import Layer, packed_layer, packed_mesh, packed_motion, packed_points, rounded
+from cell.view.pieces import Cell
+from cell.view.surface import FACES
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+
+_OWN_START = "var camera,controls,scene,renderer,tracklight;"  # where trimesh's own viewer begins, behind three.js
+_GLYPH = 0.16  # of a frustum's length: a view's small pyramid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A surface with its layers, object frame [m]."""
+
+    name: str
+    mesh: TriangleMesh
+    layers: Sequence[Layer] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A view that can be clicked.
+
+    Attributes:
+        number: in visiting order, from 1.
+        T_base_scanner: (4, 4) [m].
+        time: of the motion, at which the scanner is there [s].
+        rows: what is said of it.
+    """
+
+    number: int
+    T_base_scanner: Floats
+    time: float
+    rows: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """What does not move: all that is dear to make, so that it can be made before the rest is known.
+
+    Attributes:
+        title: heading.
+        cell: robot and surroundings.
+        surfaces: part, and what was measured of it; coloured at first by the first layer of the first.
+        watched: stamp of a page that is written again and again; "" is none.
+    """
+
+    title: str
+    cell: Cell
+    surfaces: Sequence[Shown] = ()
+    watched: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Play:
+    """What is done in front of it, and said of it.
+
+    Attributes:
+        views: in visiting order.
+        motion: times (M,) [s] and joint angles (M, 6) [rad]; None: the arm stands at home.
+        cloud: (P, 3) points, object frame [m].
+        rows: numbers beside the picture.
+        problems: sentences about what is wrong.
+        notes: sentences.
+        next: commands that go on from here; RUN stands for the run folder, EXECUTION for the name of the page's.
+        inside: how many folders below its run folder the page lies; None: anywhere else.
+    """
+
+    views: Sequence[View] = ()
+    motion: tuple[Floats, Floats] | None = None
+    cloud: Floats | None = None
+    rows: Sequence[tuple[str, str]] = ()
+    problems: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    next: Sequence[str] = ()
+    inside: int | None = None
+
+
+def html_of(stage: Stage, play: Play) -> str:
+    """The whole file."""
+    return first_half(stage) + second_half(play)
+
+
+def first_half(stage: Stage) -> str:
+    """The file's text up to what `second_half` adds.
+
+    Raises:
+        CellError: if trimesh's viewer is not the one that this version knows.
+    """
+    filled = {
+        "$WATCHED": " file:" if stage.watched else "",
+        "$TITLE": html.escape(stage.title),
+        "$CSS": _text("css"),
+        "$THREE": _three(),
+        "$STAGE": _json(_stage(stage)),
+    }
+    made, rest = [], _text("html").partition("$PLAY")[0]
+    for name, value in filled.items():  # one after the other: what is filled in is never looked at again
+        before, _, rest = rest.partition(name)
+        made += [before, value]
+    return "".join([*made, rest])
+
+
+def second_half(play: Play) -> str:
+    """The rest of the file."""
+    between, _, end = _text("html").partition("$PLAY")[2].partition("$SCRIPT")
+    return "".join([_json(_play(play)), between, _text("js"), end])
+
+
+def _text(kind: str) -> str:
+    return (resources.files("cell.view") / f"page.{kind}").read_text(encoding="utf-8")
+
+
+def _json(content: Mapping[str, object]) -> str:
+    """JSON that stays text inside a script element, whatever is in it."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def thinned(mesh: TriangleMesh) -> TriangleMesh:
+    """A mesh for looking: decimated above `FACES`."""
+    return decimate(mesh, FACES) if len(mesh.faces) > FACES else mesh
+
+
+def _stage(stage: Stage) -> Mapping[str, object]:
+    cell, arm = stage.cell, stage.cell.arm
+    middle, near = cell.T_base_object[:3, 3], 1.0
+    if stage.surfaces:
+        mesh = stage.surfaces[0].mesh
+        centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+        middle, near = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3], 2.6 * mesh.diagonal
+    floor = next((piece.vertices[0, 2] for piece in cell.pieces if piece.name == "floor"), 0.0)
+    return {
+        "title": stage.title,
+        "look": {
+            "target": rounded(0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6])),
+            "distance": round(2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6, 6),
+            "azimuth": round(float(np.arctan2(middle[1], middle[0])) - 0.9, 6),
+            "elevation": 0.35,
+            "part": rounded(middle),
+            "near": round(near, 6),
+        },
+        "floor": round(float(floor), 6),
+        "palette": _PALETTE,
+        "arm": {
+            "T_parent_link": rounded(arm.T_parent_link, 12),
+            "reference": rounded(arm.reference, 12),
+            "axis": rounded(arm.axis, 12),
+            "home": rounded(arm.home, 12),
+        },
+        "pieces": [
+            {"name": piece.name, "link": piece.link, "rgb": rounded(piece.rgb),
+             "mesh": packed_mesh(thinned(TriangleMesh(piece.vertices, piece.faces)))}
+            for piece in cell.pieces
+        ],
+        "T_base_object": rounded(cell.T_base_object, 12),
+        "surfaces": [
+            {"name": each.name, "mesh": packed_mesh(each.mesh),
+             "layers": [packed_layer(layer) for layer in each.layers]}
+            for each in stage.surfaces
+        ],
+        "frustum": rounded(cell.frustum),
+        "glyph": _GLYPH,
+        "watched": stage.watched,
+    }  # fmt: skip
+
+
+def _play(play: Play) -> Mapping[str, object]:
+    return {
+        "views": [
+            {"number": view.number, "T_base_scanner": rounded(view.T_base_scanner, 9), "time": round(view.time, 6),
+             "rows": view.rows}
+            for view in play.views
+        ],
+        "motion": None if play.motion is None else packed_motion(*play.motion, [view.time for view in play.views]),
+        "cloud": None if play.cloud is None or not len(play.cloud) else packed_points(play.cloud),
+        "rows": play.rows,
+        "problems": play.problems,
+        "notes": play.notes,
+        "next": play.next,
+        "inside": play.inside,
+    }  # fmt: skip
+
+
+_PALETTE = {
+    "open": [palette.OPEN],
+    "seen": palette.SEEN,
+    "measured": [palette.MEASURED],
+    "reasons": palette.REASONS,
+    "lengths": palette.LENGTHS,
+    "signed": palette.SIGNED,
+    "plain": ["#d6ccb8"],
+    "chosen": [palette.ORANGE],
+    "cloud": [palette.GREEN],
+}
+
+
+@cache
+def _three() -> str:
+    """three.js, out of the page that trimesh makes."""
+    import zipfile
+
+    template = resources.files("trimesh") / "resources" / "templates" / "viewer.zip"
+    with template.open("rb") as file, zipfile.ZipFile(file) as archive:
+        text = archive.read("viewer.html.template").decode("utf-8")
+    script, found, _ = text.partition("<script>")[2].partition(_OWN_START)
+    if not found or "THREE" not in script:
+        raise CellError("this version of trimesh has another viewer, and pages need its three.js; install trimesh 5.2")
+    return script

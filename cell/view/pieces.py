@@ -1,0 +1,198 @@
+"""The cell as coloured triangles for the eye: what stands still in base, what moves in the frame of its link.
+
+The shapes are those of the checked MuJoCo model; part and mesh fixtures are their true triangles. Metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.rays.occluders import shape_triangles, standing_triangles
+from cell.robot.model import AXES, FLANGE, LINKS
+from cell.run import reader as run_reader
+from cell.run.record import RunRecord, understood
+from cell.run.scene_json import ResolvedScene
+from cell.view.palette import LOOKS, Look, look_of
+from cell.world.model import World
+from cell.world.shapes import quaternion
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats, Value
+
+if TYPE_CHECKING:
+    import mujoco
+
+_TOOL = ("bracket", "housing")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece(Value):
+    """A named surface of one colour.
+
+    Attributes:
+        name: what a reader calls it ("robot", "scanner", "post", a fixture's name); pieces of one name hide together.
+        link: in whose frame it is: 0 base, 1 to 6 the links.
+        vertices: (V, 3) [m].
+        faces: (F, 3) int32, outward.
+        rgb: (3,) from 0 to 1.
+    """
+
+    name: str
+    link: int
+    vertices: Annotated[Floats, "V 3"]
+    faces: Annotated[NDArray[np.int32], "F 3"]
+    rgb: Annotated[Floats, "3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm(Value):
+    """The chain of the arm, enough to place its links.
+
+    Attributes:
+        T_parent_link: (6, 4, 4) of link_1 to link_6 [m] at the model's reference angles; the first in base.
+        reference: (6,) these angles [rad].
+        axis: (6, 3) of the joint, in the link's frame and through its origin.
+        T_link_scanner: (4, 4) of the scanner in link_6 [m].
+        home: (6,) [rad].
+    """
+
+    T_parent_link: Annotated[Floats, "6 4 4"]
+    reference: Annotated[Floats, "6"]
+    axis: Annotated[Floats, "6 3"]
+    T_link_scanner: Annotated[Floats, "4 4"]
+    home: Annotated[Floats, "6"]
+
+    def links(self, q: Floats) -> Floats:
+        """(7, 4, 4) base and link_1 to link_6 in base [m], at (6,) joint angles [rad]."""
+        from scipy.spatial.transform import Rotation
+
+        turns = np.tile(np.eye(4), (6, 1, 1))
+        turns[:, :3, :3] = Rotation.from_rotvec(self.axis * (np.asarray(q) - self.reference)[:, None]).as_matrix()
+        placed = [np.eye(4)]
+        for T, turn in zip(self.T_parent_link, turns, strict=True):
+            placed.append(placed[-1] @ T @ turn)
+        return np.stack(placed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cell:
+    """A cell to be looked at: everything but the part, the arm's chain, and where the part stands.
+
+    Attributes:
+        pieces: robot, scanner, post, pedestal, fixtures, floor.
+        arm: the chain.
+        T_base_object: (4, 4) placement [m].
+        frustum: (4, 3) far corners of what the scanner sees, its source at the origin, scanner frame [m].
+    """
+
+    pieces: tuple[Piece, ...]
+    arm: Arm
+    T_base_object: Floats
+    frustum: Floats
+
+
+def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
+    """The cell of a run, from its `cell.xml` and fixture files.
+
+    Raises:
+        FileError: if one of these is missing, changed or damaged.
+    """
+    import mujoco
+
+    model = run_reader.cell_model(run)
+    data, T = mujoco.MjData(model), scene.T_base_object
+    meshes = {each.name: run_reader.mesh(run, each.file) for each in scene.fixtures if each.file is not None}
+    with understood(run.folder / "cell.xml"):
+        data.mocap_quat[model.body("object").mocapid] = quaternion(T[:3, :3])
+        data.qpos[:] = np.radians(scene.home_deg)
+        mujoco.mj_kinematics(model, data)
+        far = (scene.scanner.pair("range_mm") or (100.0, 300.0))[1] / 1000
+        return _cell(model, data, T, meshes, scene.T_flange_scanner, frustum(scene.scanner.opening_deg, far))
+
+
+def cell_of_world(world: World, opening_deg: tuple[float, float], far: float) -> Cell:
+    """The cell of a compiled scene at its own placement, the arm at home.
+
+    Args:
+        world: the compiled scene.
+        opening_deg: of the scanner's field of view.
+        far: end of its range [m].
+    """
+    shape = frustum(opening_deg, far)
+    return _cell(world.model, world.data(), world.T_base_object, world.fixture_meshes, world.T_flange_scanner, shape)
+
+
+def frustum(opening_deg: tuple[float, float], far: float) -> Floats:
+    """(4, 3) far corners of a field of view [m], scanner frame."""
+    x, y = np.tan(np.radians(opening_deg) / 2)
+    return far * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+
+
+def placed(pieces: Sequence[Piece], links: Floats) -> list[Piece]:
+    """The pieces where the arm stands.
+
+    Args:
+        pieces: in the frames of their links.
+        links: (7, 4, 4) from `Arm.links` [m].
+    """
+    moved = []
+    for piece in pieces:
+        T = links[piece.link]
+        moved.append(Piece(piece.name, 0, piece.vertices @ T[:3, :3].T + T[:3, 3], piece.faces, piece.rgb))
+    return moved
+
+
+def _cell(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    T_base_object: Floats,
+    meshes: Mapping[str, TriangleMesh],
+    T_flange_scanner: Floats,
+    frustum: Floats,
+) -> Cell:
+    """The cell of a compiled model whose state has part and post at the placement and the arm at home."""
+    links = np.tile(np.eye(4), (len(LINKS), 1, 1))
+    for number, name in enumerate(LINKS):
+        links[number, :3, :3], links[number, :3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
+    pieces = []
+    for occluder in standing_triangles(data, T_base_object, meshes, ()):
+        vertices = occluder.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3]
+        pieces.append(Piece(occluder.name, 0, vertices, occluder.faces, _rgb(look_of(occluder.name, of_robot=False))))
+    for geom in range(model.ngeom):
+        body = model.body(model.geom_bodyid[geom]).name
+        if body not in (*LINKS, *_TOOL):
+            continue
+        link = LINKS.index(body) if body in LINKS else len(LINKS) - 1
+        T = np.linalg.inv(links[link])
+        vertices, faces = shape_triangles(model, data, geom)
+        look = look_of(model.geom(geom).name, of_robot=body in LINKS)
+        name = "robot" if body in LINKS else "scanner"
+        pieces.append(Piece(name, link, vertices @ T[:3, :3].T + T[:3, 3], faces, _rgb(look)))
+    flange = np.eye(4)
+    flange[:3, :3], flange[:3, 3] = data.site(FLANGE).xmat.reshape(3, 3), data.site(FLANGE).xpos
+    arm = Arm(
+        np.stack([_relative(model, link) for link in LINKS[1:]]),
+        np.array(model.qpos0),
+        np.stack([model.joint(axis).axis for axis in AXES]),
+        np.linalg.inv(links[-1]) @ flange @ T_flange_scanner,
+        np.array(data.qpos),
+    )
+    return Cell(tuple(pieces), arm, np.asarray(T_base_object), frustum)
+
+
+def _relative(model: mujoco.MjModel, body: str) -> Floats:
+    """(4, 4) pose of a body in its parent [m]."""
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(model.body(body).quat, scalar_first=True).as_matrix()
+    T[:3, 3] = model.body(body).pos
+    return T
+
+
+def _rgb(look: Look) -> Floats:
+    return np.array(LOOKS[look])

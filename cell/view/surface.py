@@ -1,0 +1,172 @@
+"""What views do to a part's surface, for pictures and pages: which view measures which sample, how finely, how surely.
+
+A face of the mesh that is drawn takes the values of the nearest held-out sample that looks the same way, so that a thin
+wall shows its own side. Object frame, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cell.rays.embree import EmbreeRayCaster
+from cell.view.rays import direction
+from planner.measurability.matrix import measured
+from planner.ports import RayCaster, Scanner
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.sample import SurfaceSamples
+from planner.values import Floats, Ints, Value
+from planner.viewpoints.lines_of_sight import Targets, in_view
+
+_WALL = 0.02  # of the diagonal: two samples that look apart by a right angle count as 1.4 times this far apart
+_SIDES = ((-60.0, 22.0), (120.0, 22.0), (30.0, -30.0), (-150.0, -30.0))  # looked from where nothing asks for more
+_ASKED = 2000  # samples that directions are judged by
+_LIFT = 2e-3  # of the diagonal: the mesh that is drawn may stand over its samples
+_LEAST = 0.02  # of them: what a further direction shows at least
+
+
+FACES = 120_000
+"""Most faces of a mesh that is drawn."""
+
+_FINE = 40_000  # faces into which those of a coarser mesh are split, so that each can have its own colour
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Canvas(Value):
+    """A surface made ready to be coloured.
+
+    Attributes:
+        mesh: decimated above `FACES` faces, large faces split.
+        caster: of the mesh.
+        samples: S of the true surface.
+        own: (F,) sample whose values a face has.
+        note: what is not as it is; "" where nothing is.
+    """
+
+    mesh: TriangleMesh
+    caster: EmbreeRayCaster
+    samples: SurfaceSamples
+    own: Annotated[Ints, "F"]
+    note: str
+
+    def at_vertices(self) -> Ints:
+        """(V,) sample whose values a vertex has: that of one of its faces."""
+        own = np.zeros(len(self.mesh.vertices), dtype=np.int64)
+        own[self.mesh.faces] = self.own[:, None]
+        return own
+
+
+def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
+    """Make a part ready to be coloured.
+
+    Args:
+        reference: the part.
+        samples: of it.
+    """
+    count = len(reference.faces)
+    mesh = decimate(reference, FACES if count > FACES else max(count, _FINE))
+    weight = _WALL * reference.diagonal
+    tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
+    _, own = tree.query(np.hstack([face_centres(mesh), weight * face_normals(mesh)]))
+    note = f"drawn with {len(mesh.faces):,} of {count:,} faces" if len(mesh.faces) < count else ""
+    caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
+    return Canvas(mesh, caster, samples, np.asarray(own, dtype=np.int64), note)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface(Value):
+    """What some views measure of the samples of a surface.
+
+    Attributes:
+        samples: S of them.
+        seen: (S, n) whether a view measures a sample.
+        layers: (S,) values by name [mm], the best of the views that measure the sample, NaN where none does: `sigma`,
+            the expected standard deviation, of scanners that know it; `spacing`, the larger distance between
+            neighbouring points, of scanners with a grid of rays.
+    """
+
+    samples: SurfaceSamples
+    seen: Annotated[NDArray[np.bool_], "S n"]
+    layers: dict[str, Floats]
+
+
+def surface_of(
+    samples: SurfaceSamples,
+    T_object_scanner: Floats,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    resolution_deg: float | None,
+) -> Surface:
+    """Ask the views about the samples.
+
+    Args:
+        samples: of the part.
+        T_object_scanner: (n, K, 4, 4) poses of the views [m].
+        scanner: the sensor's law.
+        casters: the part's and the occluders'.
+        resolution_deg: larger angle between neighbouring rays; None for a scanner without such a grid.
+    """
+    poses = np.asarray(T_object_scanner)
+    seen = measured(poses, samples, scanner, casters, each=True)
+    sigma_of = getattr(scanner, "sigma", None)
+    best = {"spacing": resolution_deg is not None, "sigma": sigma_of is not None}
+    layers = {name: np.full(len(samples), np.inf) for name, known in best.items() if known}
+    targets = Targets.of(samples.points, samples.normals)
+    for view, column in enumerate(poses):
+        rows = np.flatnonzero(seen[:, view])
+        for T in column:
+            here = rows if len(column) == 1 else rows[np.isin(rows, in_view(targets, T, scanner, rows))]
+            points, normals = (samples.points[here] - T[:3, 3]) @ T[:3, :3], samples.normals[here] @ T[:3, :3]
+            if sigma_of is not None:
+                layers["sigma"][here] = np.minimum(layers["sigma"][here], 1000 * sigma_of(points, normals))
+            if resolution_deg is not None:
+                # Rays a small angle apart meet a plane at distance r under the angle t to its normal r * angle / cos t
+                # apart, in the direction in which it is inclined.
+                r2 = np.einsum("ij,ij->i", points, points)
+                facing = np.abs(np.einsum("ij,ij->i", points, normals))
+                gap = 1000 * np.radians(resolution_deg) * r2 / np.maximum(facing, 1e-9)
+                layers["spacing"][here] = np.minimum(layers["spacing"][here], gap)
+    for values in layers.values():
+        values[~np.isfinite(values)] = np.nan
+    return Surface(samples, seen, layers)
+
+
+def sides(canvas: Canvas, wanted: NDArray[np.bool_], count: int) -> list[Floats]:
+    """Directions to look from: each shows most of what is wanted and no earlier one shows.
+
+    Args:
+        canvas: the surface.
+        wanted: (S,) samples that should be shown.
+        count: how many directions; where nothing more is shown, they are around the part.
+
+    Returns:
+        `count` unit vectors from the part to the eye.
+    """
+    rows = np.flatnonzero(wanted)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(np.int64)] if len(rows) else rows
+    ways = np.array([direction(a, e) for e in (-62, -30, 0, 25, 60) for a in range(0, 360, 30)])
+    shown = np.zeros((len(ways), len(rows)))
+    diagonal, normals = canvas.mesh.diagonal, canvas.samples.normals[rows]
+    points = canvas.samples.points[rows] + _LIFT * diagonal * normals
+    for i, way in enumerate(ways):
+        facing = normals @ way
+        ahead = np.flatnonzero(facing > 0.1)
+        free = ~canvas.caster.blocked(points[ahead] + 2 * diagonal * way, points[ahead])
+        shown[i, ahead[free]] = facing[ahead[free]]
+    chosen: list[Floats] = []
+    left = np.ones(len(rows))
+    while len(chosen) < count and len(rows) and (shown @ left).max() > _LEAST * len(rows):
+        best = int(np.argmax(shown @ left))
+        chosen.append(ways[best])
+        left *= 1 - np.minimum(1.0, 2 * shown[best])
+    for azimuth, elevation in _SIDES:
+        way = direction(azimuth, elevation)
+        if len(chosen) < count and all(way @ other < 0.6 for other in chosen):
+            chosen.append(way)
+    return (chosen + [direction(*_SIDES[0])] * count)[:count]

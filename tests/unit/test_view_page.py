@@ -1,0 +1,198 @@
+"""The page as data: what it shows is what the run says, it asks for nothing from outside, names stay text."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.plan.report import markdown
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run import reader as run_reader
+from cell.run.cell import read_cell
+from cell.run.record import RunRecord, open_run
+from cell.view import contents
+from cell.view.page import Layer, Play, Shown, Stage, View, html_of
+from cell.view.pieces import Piece, cell_of_run
+from cell.view.surface import canvas_of, sides, surface_of
+from planner.measurability import coverage
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
+
+_EVIL = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def run(planned: Path) -> RunRecord:
+    """The finished plan."""
+    return open_run(planned)
+
+
+@pytest.fixture(scope="module")
+def page(planned: Path) -> str:
+    """The page beside its report.md."""
+    return (planned / "view.html").read_text(encoding="utf-8")
+
+
+def data_of(page: str) -> dict[str, Any]:
+    """What the page's script reads."""
+    found = re.findall(r'<script type="application/json" id="(?:stage|play-data)">(.*?)</script>', page, re.DOTALL)
+    assert len(found) == 2
+    return json.loads(found[0]) | json.loads(found[1])
+
+
+def unpacked(packed: dict[str, str]) -> np.ndarray:
+    """An array of the page."""
+    return np.frombuffer(base64.b64decode(packed["base64"]), dtype=f"<{packed['kind']}")
+
+
+def places(packed: dict[str, Any]) -> np.ndarray:
+    """(N, 3) points of the page."""
+    return np.array(packed["low"]) + unpacked(packed["steps"]).reshape(-1, 3) * np.array(packed["step"])
+
+
+def test_nothing_comes_from_outside(page: str) -> None:
+    """No element or style names an address, and the page's own rule forbids every request."""
+    markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r"\bsrc=|https?:|@import|url\(", markup)
+    assert re.findall(r'href="([^"]*)"', markup) == ["data:,"]
+    assert "default-src 'none'" in markup
+    own = page.rpartition("<script>")[2]
+    assert not re.search(r"https?:|fetch\(|XMLHttp|WebSocket|innerHTML|document\.write", own)
+
+
+def test_the_page_shows_the_plan(page: str, run: RunRecord) -> None:
+    """Views, motion and part are those of the run's files, to the last step of their quantisation."""
+    data, plan, motion = data_of(page), run_reader.plan(run), run_reader.motion(run)
+    assert [view["number"] for view in data["views"]] == list(range(1, len(plan.views) + 1))
+    for shown, view in zip(data["views"], plan.views, strict=True):
+        np.testing.assert_allclose(shown["T_base_scanner"], view.T_base_scanner, atol=1e-8)
+        at = np.array([np.interp(shown["time"], motion.t, motion.q[:, axis]) for axis in range(6)])
+        np.testing.assert_allclose(at, view.q, atol=1e-4)
+    t, q = unpacked(data["motion"]["t"]), unpacked(data["motion"]["q"]).reshape(-1, 6)
+    assert t[-1] == pytest.approx(motion.duration, abs=1e-4)
+    np.testing.assert_allclose(q[[0, -1]], motion.q[[0, -1]], atol=1e-6)
+    (part,) = data["surfaces"]
+    reference = run_reader.mesh(run, "reference.ply").vertices
+    drawn = places(part["mesh"]["vertices"])
+    np.testing.assert_allclose([drawn.min(0), drawn.max(0)], [reference.min(0), reference.max(0)], atol=1e-3)
+    assert unpacked(part["mesh"]["faces"]).max() < len(drawn)
+
+
+def test_the_colours_count_what_the_views_measure(page: str, run: RunRecord) -> None:
+    """By vertices that stand for area alike, the share that some view measures is the plan's visible coverage."""
+    data = data_of(page)
+    layer = data["surfaces"][0]["layers"][0]
+    bits = unpacked(layer["values"]).reshape(-1, layer["width"])
+    counts = np.unpackbits(bits, axis=1, bitorder="little").sum(axis=1)
+    assert counts.max() <= len(data["views"])
+    mesh = data["surfaces"][0]["mesh"]
+    corners = places(mesh["vertices"])[unpacked(mesh["faces"]).reshape(-1, 3)]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    seen = (counts > 0)[unpacked(mesh["faces"]).reshape(-1, 3)].mean(axis=1)
+    share = float(np.sum(seen * areas) / areas.sum())
+    assert share == pytest.approx(run_reader.plan(run).coverage.visible, abs=0.02)
+
+
+def test_the_arm_of_the_page_is_the_planned_one(run: RunRecord) -> None:
+    """Its chain puts the scanner where the closed-form kinematics and the mount do, at random angles."""
+    scene = run_reader.scene(run)
+    arm = cell_of_run(run, scene).arm
+    kinematics = Kr16Kinematics.from_model(run_reader.cell_model(run))
+    for q in np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6)):
+        expected = kinematics.forward(q[None])[0] @ scene.T_flange_scanner
+        np.testing.assert_allclose(arm.links(q)[-1] @ arm.T_link_scanner, expected, atol=1e-9)
+
+
+def test_the_same_run_gives_the_same_bytes(run: RunRecord) -> None:
+    """Drawn twice from the folder."""
+    assert contents.run_page(run) == contents.run_page(run)
+
+
+def test_a_name_is_text_everywhere(run: RunRecord) -> None:
+    """Part, fixture, view, number, sentence and command that look like markup never leave their string."""
+    cell = cell_of_run(run, run_reader.scene(run))
+    mesh = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
+    cell = replace(cell, pieces=(*cell.pieces, Piece(_EVIL, 0, mesh.vertices, np.array(mesh.faces), np.ones(3))))
+    layer = Layer(_EVIL, "reasons", np.zeros(3, dtype=np.uint8), _EVIL, names=(_EVIL,))
+    play = Play(
+        [View(1, np.eye(4), 0.0, [(_EVIL, _EVIL)])], rows=[(_EVIL, _EVIL)], problems=[_EVIL], notes=[_EVIL],
+        next=[_EVIL],
+    )  # fmt: skip
+    made = html_of(Stage(_EVIL, cell, [Shown(_EVIL, mesh, [layer])]), play)
+    assert _EVIL not in made
+    assert made.lower().count("<script") == made.lower().count("</script") == 4
+    data = data_of(made)
+    report = run_reader.report(run)
+    told = report.model_copy(update={"part": report.part.model_copy(update={"name": _EVIL})})
+    assert "<script" not in markdown(told)
+    assert data["title"] == data["pieces"][-1]["name"] == data["surfaces"][0]["layers"][0]["names"][0] == _EVIL
+
+
+def test_spacing_is_that_of_neighbouring_rays() -> None:
+    """On an inclined plane: the distance of the points where two neighbouring rays meet it (2 % at 0.25 degrees)."""
+
+    class Law:
+        """Measures everything; its own law is not what is tested."""
+
+        source = sensor = np.zeros(3)
+        grid_shape = (1, 1)
+
+        def ray_directions(self) -> np.ndarray:
+            return np.array([[0.0, 0.0, 1.0]])
+
+        def reject(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+            return np.zeros(len(points), dtype=np.uint8)
+
+    class Free:
+        """Nothing is in the way."""
+
+        def blocked(self, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
+            return np.zeros(len(origins), dtype=np.bool_)
+
+    tilt, angle, distance = np.radians(40.0), np.radians(0.25), 0.3
+    normal = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    across = np.array([np.cos(tilt), 0.0, -np.sin(tilt)])
+    along = np.array([0.0, 1.0, 0.0])
+    square = 1e-3 * np.array([across + along, along - across, -across - along, across - along])
+    mesh = TriangleMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
+    samples = sample(mesh, mesh, 50, np.random.default_rng(0))
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = distance
+    surface = surface_of(samples, T[None, None], Law(), (Free(),), 0.25)  # type: ignore[arg-type] # toys
+    ray = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    meets = T[:3, 3] - ray * (T[:3, 3] @ normal) / (ray @ normal)
+    assert np.median(surface.layers["spacing"]) == pytest.approx(1000 * np.linalg.norm(meets), rel=0.02)
+
+
+def test_a_few_large_faces_can_have_many_colours(run: RunRecord) -> None:
+    """A cube of twelve faces, of which a half is measured: the drawn mesh shows the half."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.1
+    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+                      [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+    cube = TriangleMesh(corners, faces)
+    canvas = canvas_of(cube, sample(cube, cube, 5000, np.random.default_rng(0)))
+    half = canvas.samples.points[:, 0] < 0.05
+    assert len(canvas.mesh.faces) > 1000
+    centres = canvas.mesh.vertices[canvas.mesh.faces].mean(axis=1)
+    clear = np.abs(centres[:, 0] - 0.05) > 0.005
+    np.testing.assert_array_equal(half[canvas.own][clear], (centres[:, 0] < 0.05)[clear])
+    below = canvas.samples.normals[:, 2] < -0.9  # what is open below is looked at from below
+    assert sides(canvas, below, 1)[0][2] < 0
+
+
+def test_what_is_seen_is_visible_coverage(run: RunRecord) -> None:
+    """The share of samples that some view measures is the definition's, sample by sample."""
+    cell, plan = read_cell(run), run_reader.plan(run)
+    poses = [view.T_object_poses for view in plan.views]
+    _, surface = contents.measured(run, cell, poses)
+    casters = (cell.part_caster, cell.occluder_caster)
+    expected = coverage.visible(np.stack(poses), surface.samples, cell.scanner, casters)
+    np.testing.assert_array_equal(surface.seen.any(axis=1), expected.covered)
+    assert expected.fraction == pytest.approx(plan.coverage.visible, abs=1e-12)
+    for values in surface.layers.values():
+        np.testing.assert_array_equal(np.isfinite(values), expected.covered)

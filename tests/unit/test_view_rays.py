@@ -1,0 +1,123 @@
+"""Pictures by rays: where things are drawn, what hides them, what becomes glass, labels that keep apart."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cell.errors import UsageError
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.occluders import box
+from cell.run import reader as run_reader
+from cell.run.record import open_run
+from cell.view import rays
+from cell.view.cell_picture import best_view, draw_cell
+from cell.view.palette import LENGTHS, OPEN, REASONS, SEEN, SIGNED, rgb
+from cell.view.pieces import Cell, Piece, cell_of_run
+from planner.surface.mesh import TriangleMesh
+
+_SIZE = (160, 120)
+
+
+@pytest.mark.parametrize("parallel", [True, False])
+def test_a_pixel_is_where_its_ray_goes(parallel: bool) -> None:
+    """A point on a pixel's ray is projected into that pixel, at its distance; all that is fitted is in the picture."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(50, 3)) * [0.5, 0.2, 0.3] + [1.0, 2.0, 3.0]
+    camera = rays.fitted(points, rays.direction(30, 25), _SIZE, parallel=parallel)
+    origins, directions = camera.rays()
+    far = rng.uniform(0.5, 2.0, len(origins))
+    at = camera.project(origins + far[:, None] * directions)
+    pixel = np.arange(len(origins))
+    np.testing.assert_allclose(at[:, 0], pixel % _SIZE[0] + 0.5, atol=1e-6)
+    np.testing.assert_allclose(at[:, 1], pixel // _SIZE[0] + 0.5, atol=1e-6)
+    np.testing.assert_allclose(at[:, 2], far, atol=1e-9)
+    seen = camera.project(points)
+    assert (seen[:, :2] >= 0).all()
+    assert (seen[:, :2] <= _SIZE).all()
+
+
+def test_a_line_behind_a_surface_is_hidden() -> None:
+    """A stroke through a box: its ends are drawn, its middle has the colour of what is hidden."""
+    vertices, faces = box(np.array([0.1, 0.1, 0.1]))
+    caster = EmbreeRayCaster(vertices, faces)
+    around = np.array([[-0.3, -0.3, -0.3], [0.3, 0.3, 0.3]])
+    camera = rays.fitted(around, np.array([1.0, 0.0, 0.0]), (200, 200), parallel=True)
+    drawn, seen = rays.render(
+        camera, lambda o, d: (np.ones((len(o), 3)), caster.first_hit(o, d).distance)
+    )  # everything white
+    stroke = np.array([[[0.0, -0.25, 0.0], [0.0, 0.25, 0.0]]])
+    rays.lines(drawn, seen, stroke, "#ff0000", width=3, hidden="#0000ff")
+    row = np.asarray(drawn)[100].astype(int)
+    red, blue = np.flatnonzero(row[:, 0] - row[:, 2] > 100), np.flatnonzero(row[:, 2] - row[:, 0] > 100)
+    assert len(red) > 50
+    assert len(blue) > 50
+    assert red.min() < blue.min() < blue.max() < red.max()
+
+
+def test_labels_keep_apart() -> None:
+    """Thirty numbers at one place: as much ink as thirty apart."""
+
+    def ink(places: np.ndarray) -> int:
+        drawn = Image.new("RGB", (600, 600), "white")
+        rays.labels(drawn, places, [str(k) for k in range(10, 40)], size=12)
+        dark = np.asarray(drawn).astype(int)
+        return int((dark.max(axis=2) < 60).sum())
+
+    apart = np.array([[60 + 90 * (k % 6), 60 + 100 * (k // 6)] for k in range(30)], dtype=float)
+    crowded = np.full((30, 2), 300.0)
+    assert ink(crowded) > 0.85 * ink(apart)
+
+
+@pytest.fixture(scope="module")
+def shown(planned: Path) -> tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]:
+    """The planned cell, its part, joint angles at a view, all views."""
+    run = open_run(planned)
+    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
+    views = run_reader.plan(run).views
+    poses = np.stack([view.T_base_scanner for view in views])
+    return cell, part, views[best_view(cell, part, poses)].q, poses
+
+
+def test_a_wall_in_front_is_glass(shown: tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]) -> None:
+    """Seen through it the robot keeps its orange; from the other side the wall is no glass, and it can be hidden."""
+    cell, part, q, views = shown
+    vertices, faces = box(np.array([1.2, 0.02, 1.2]))
+    wall = Piece("wall", 0, vertices + np.array([0.6, -1.2, 0.4]), faces, np.array([0.2, 0.3, 0.9]))
+    walled = replace(cell, pieces=(*cell.pieces, wall))
+
+    def colours(azimuth: float, *hide: str, of: Cell = walled) -> np.ndarray:
+        drawn, _ = draw_cell(
+            of, part, q, views=views, way=np.zeros((0, 3)), size=_SIZE, camera=(azimuth, 10.0), hide=hide
+        )
+        return np.asarray(drawn).astype(int)
+
+    def orange(picture: np.ndarray) -> int:
+        return int((picture[..., 0] > picture[..., 2] + 60).sum())
+
+    bare = colours(-90, of=cell)
+    assert orange(colours(-90)) > 0.8 * orange(bare) > 500
+    np.testing.assert_array_equal(colours(-90, "wall"), bare)
+    behind = colours(90)
+    assert orange(behind) > 500
+    assert int((behind[..., 2] > behind[..., 0] + 60).sum()) > 500
+    with pytest.raises(UsageError, match=r"--hide door is nothing of this cell; it has: post, pedestal, .*wall"):
+        colours(0, "door")
+
+
+def test_colours_differ_for_every_eye() -> None:
+    """As a deuteranope and a protanope see them (Vienot 1999), what must not be confused stays apart in brightness."""
+    linear = np.array([rgb(colour) for colour in (OPEN, *SEEN)]) ** 2.2
+    to_lms = np.array([[17.8824, 43.5161, 4.1194], [3.4557, 27.1554, 3.8671], [0.02996, 0.18431, 1.4670]])
+    deutan = np.array([[1.0, 0, 0], [0.494207, 0, 1.24827], [0, 0, 1]])
+    protan = np.array([[0, 2.02344, -2.52581], [0, 1.0, 0], [0, 0, 1]])
+    for loss in (np.eye(3), deutan, protan):
+        seen = (linear @ (np.linalg.inv(to_lms) @ loss @ to_lms).T).clip(0, 1) ** (1 / 2.2)
+        apart = np.linalg.norm(seen[0] - seen[1:], axis=1)
+        assert apart.min() > 0.35
+    for scale in (LENGTHS, SIGNED[:5], SIGNED[4:][::-1]):
+        bright = [float(rgb(colour) @ [0.30, 0.59, 0.11]) for colour in scale]
+        assert (np.diff(bright) > 0).all()
+    assert len(set(REASONS)) == len(REASONS)
