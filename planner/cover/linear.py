@@ -14,7 +14,7 @@ import highspy
 import numpy as np
 from highspy import HighsModelStatus, HighsVarType, kHighsInf
 
-from planner.cover.bound import Relaxation
+from planner.cover.bound import Relaxation, climb
 from planner.cover.budget import Budget, interruptible
 from planner.values import Floats, Ints
 
@@ -34,6 +34,9 @@ ROOT_PIVOTS_OF_SMALL = 8
 
 FIRST_ROWS, MORE_ROWS, LEAST_ROWS = 0.25, 0.2, 20
 """Rows at the beginning as a share of the columns, rows added at a time as a share of those there, and at least."""
+
+CLIMB_SHARE = 0.6
+"""Most area: of the work for the bound, what subgradient steps get before the linear programme."""
 
 VIOLATED = 1e-6
 """A row is violated where this share of its demand is missing."""
@@ -240,6 +243,10 @@ def raise_bound(relaxation: Relaxation, upper: int, budget: Budget, model: Model
         The model, to go on from.
     """
     sets = relaxation.sets
+    if sets.most >= 0 and sets.plain:
+        with budget.portion(CLIMB_SHARE):
+            climb(relaxation, upper - sets.tolerance, budget)
+        budget.prove(relaxation.value)
     if model is None:
         model = Model(relaxation, np.arange(sets.n_columns))
         few = np.argsort(np.diff(relaxation.A.indptr), kind="stable")

@@ -25,6 +25,13 @@ SAMPLE = 50
 MEMBER_SAMPLE = 400
 """Members of the choice that are looked at where it has more."""
 
+# typed, since numba would compile a kernel anew for each literal that it is called with
+IN: Any = np.int64(1)
+OUT: Any = np.int64(-1)
+NONE: Any = np.int64(-1)
+NEVER: Any = np.int64(0)
+TEN: Any = np.int64(10)
+
 # positions in State.numbers
 MOVES, MEMBERS, OPEN, COST, BEST, BEST_MEMBERS, TABU, MISSING, LIMIT, ALLOWED, PARTS, STEPS, PRICED = range(13)
 NUMBERS = 13
@@ -306,7 +313,7 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
     work = 0  # in half units
     work_limit *= 2
     while work < work_limit:
-        parts = label(s, -1, s.labels[0]) if graph else 0
+        parts = label(s, NONE, s.labels[0]) if graph else 0
         while (numbers[OPEN] == 0 if full else numbers[MISSING] <= numbers[ALLOWED]) and parts <= 1:
             if most:
                 keep_best(s, numbers[MISSING])
@@ -318,23 +325,23 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
                 return work // 2
             if most:
                 break
-            out = leaving(s, -1, parts, 0)
+            out = leaving(s, NONE, parts, NEVER)
             if out < 0:
                 return work // 2
-            work += MEMBER_WORK * numbers[MEMBERS] + move(s, out, -1)
-            parts = label(s, -1, s.labels[0]) if graph else 0
+            work += MEMBER_WORK * numbers[MEMBERS] + move(s, out, OUT)
+            parts = label(s, NONE, s.labels[0]) if graph else 0
         numbers[STEPS] += 1
         work += numbers[MEMBERS] ** 2 * (numbers[MEMBERS] + 1) if graph else 0
         tenure = draw(s, tenures) + 2 if tenures > 0 else 0
         out = leaving(s, numbers[TABU], parts, min(tenure // 2, numbers[MEMBERS]))
         if out < 0:
             return -1
-        work += MEMBER_WORK * min(numbers[MEMBERS], MEMBER_SAMPLE) + move(s, out, -1)
+        work += MEMBER_WORK * min(numbers[MEMBERS], MEMBER_SAMPLE) + move(s, out, OUT)
         while True:
-            parts = label(s, -1, s.labels[0]) if graph else 0
+            parts = label(s, NONE, s.labels[0]) if graph else 0
             if (numbers[OPEN] == 0 if full else numbers[MISSING] <= numbers[ALLOWED]) and parts <= 1:
                 break
-            aimed = full and numbers[OPEN] > 0 and not (graph and draw(s, 10) < 3)
+            aimed = full and numbers[OPEN] > 0 and not (graph and draw(s, TEN) < 3)
             row: Any = s.open_rows[draw(s, numbers[OPEN])] if aimed else np.int64(-1)
             column = entering(s, row, out, parts, tenure)
             looked_at = min(SAMPLE, s.row_start[row + 1] - s.row_start[row]) if row >= 0 else len(s.costs)
@@ -346,13 +353,13 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
                 more += s.group_costs[s.group[column]]
             if numbers[COST] + more > numbers[LIMIT]:
                 break
-            work += move(s, column, 1)
+            work += move(s, column, IN)
             numbers[TABU] = column
         if full:
             for position in range(numbers[OPEN]):
                 work += grow(s, s.open_rows[position])
         if graph:
-            many = label(s, -1, s.labels[0]) > 1
+            many = label(s, NONE, s.labels[0]) > 1
             weight = numbers[PARTS]
             numbers[PARTS] = weight + weight // 20 + 1 if many else max(weight - weight // 50, 1)
     return work // 2
