@@ -29,8 +29,9 @@ PIVOT_WORK, PIVOT_WORK_PER_ENTRY = 18_000, 0.5
 WHOLE_NUMBERS = 1.2
 """An iteration within the integer programme costs so many times that of the linear one: cuts and nodes come on top."""
 
-NODE_PIVOTS, ROOT_PIVOTS = 300, 3000
-"""Iterations that a node, and the root with its cuts, take on average: what the limit of nodes is derived from."""
+NODE_PIVOTS, ROOT_PIVOTS, ROOT_PIVOTS_OF_AREA = 150, 3000, 30_000
+"""Iterations that a node, and the root with its cuts and first branchings, take: what the limit of nodes is derived
+from. Where rows may stay open the root takes most of all."""
 
 ROOT_PIVOTS_OF_SMALL = 8
 """Of a small model the root takes so many iterations for each row and column."""
@@ -74,6 +75,8 @@ class Model:
         self._scale = float(sets.costs.mean())
         self._heads = 0
         self.highs = _highs(self.integer)
+        if not sets.full:  # many rows with open shares: trying each branch at the root would take minutes
+            self.highs.setOptionValue("mip_pscost_minreliable", 0)
         once = sets.full and sets.plain and sets.once and not self.integer
         self._variables(len(columns), np.inf if once else 1.0, sets.costs[columns] / self._scale, self.integer)
         if sets.most >= 0:
@@ -155,7 +158,9 @@ class Model:
     @property
     def root_pivots(self) -> int:
         """Iterations that the root may take."""
-        return min(ROOT_PIVOTS, ROOT_PIVOTS_OF_SMALL * (self.highs.getNumCol() + self.highs.getNumRow()))
+        size: int = self.highs.getNumCol() + self.highs.getNumRow()
+        most = ROOT_PIVOTS if self.sets.full else ROOT_PIVOTS_OF_AREA
+        return min(most, ROOT_PIVOTS_OF_SMALL * size)
 
     @property
     def work(self) -> int:
@@ -308,7 +313,7 @@ def _highs(integer: bool) -> Any:
     highs.silent()
     options: dict[str, Any] = {"threads": 1, "random_seed": 0}
     if integer:
-        options |= {"mip_rel_gap": 0.0, "mip_abs_gap": 1e-9, "mip_heuristic_effort": 0.0}
+        options |= {"mip_rel_gap": 0.0, "mip_abs_gap": 1e-9, "mip_heuristic_effort": 0.0, "mip_pscost_minreliable": 1}
     else:
         options |= {"presolve": "off", "solver": "simplex", "simplex_strategy": 1}
     for name, value in options.items():
