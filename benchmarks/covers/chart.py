@@ -55,8 +55,9 @@ def curve(rows: Sequence[dict[str, Any]], best: dict[str, float]) -> tuple[list[
     found = []
     for instance in dict.fromkeys(row["instance"] for row in rows):
         same = [row for row in rows if row["instance"] == instance]
-        points = sorted(point for row in same for point in row["trace"] or [(row["cpu_s"], row["cost"])])
-        found.append([(at, 100 * (cost / best[instance] - 1)) for at, cost in points if at is not None])
+        answered = [row for row in same if row["views"]]
+        points = sorted(point for row in answered for point in row["trace"] or [(row["cpu_s"], row["cost"])])
+        found.append([(at, 100 * (cost / best[instance] - 1)) for at, cost in points])
     times = sorted({at for points in found for at, _ in points} | {row["seconds"] for row in rows if row["trace"]})
     means = [
         float(np.mean([min([value for at, value in points if at <= time] + [_MOST]) for points in found]))

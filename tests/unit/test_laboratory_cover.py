@@ -167,8 +167,9 @@ def test_the_most_coverage_is_proven_where_the_bound_meets_it() -> None:
 def test_a_curve_holds_the_mean_of_what_was_known_at_a_time() -> None:
     """Traces of two instances; until both have an answer the missing one counts as the most the chart shows."""
     rows = [
-        {"instance": "a", "trace": [(0.1, 12), (0.5, 10)], "seconds": 1.0, "cpu_s": 1.0, "cost": 10},
-        {"instance": "b", "trace": [(0.2, 20)], "seconds": 1.0, "cpu_s": 1.0, "cost": 20},
+        {"instance": "a", "trace": [(0.1, 12), (0.5, 10)], "seconds": 1.0, "cpu_s": 1.0, "cost": 10, "views": 9},
+        {"instance": "b", "trace": [(0.2, 20)], "seconds": 1.0, "cpu_s": 1.0, "cost": 20, "views": 9},
+        {"instance": "b", "trace": [], "seconds": 1.0, "cpu_s": None, "cost": 0, "views": 0},
     ]
     times, excess = curve(rows, {"a": 10, "b": 20})
     assert times == [0.1, 0.2, 0.5, 1.0]
