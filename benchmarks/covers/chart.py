@@ -35,7 +35,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
             axis.plot(times[-1:], excess[-1:], "o", color=_COLOURS[solver], ms=3)
         count = len({row["instance"] for row in mine})
         axis.set_title(f"{name} ({count})" if count > 1 else name, fontsize=9.5, loc="left")
-        axis.set(xscale="log", xlim=(0.01, 1.2 * max(row["seconds"] or 1 for row in rows)))
+        axis.set(xscale="log", xlim=(0.01, 1.6 * max(row["seconds"] or 1 for row in rows)))
         axis.set_yscale("symlog", linthresh=1.0)
         axis.set_ylim(-0.05, _MOST)
         axis.set_yticks([0, 1, 3, 10, 30], ["0", "1", "3", "10", "30"])
@@ -67,10 +67,10 @@ def curve(rows: Sequence[dict[str, Any]], best: dict[str, float]) -> tuple[list[
 
 
 def family(name: str) -> str:
-    """scp41 is of the family scp4, scpclr10 and clr10 of clr, rail:500x20000:1 of rail."""
-    stem = name.removeprefix("scp").split(":")[0]
-    letters = stem.rstrip("0123456789.")
-    return letters if letters and not stem.isdecimal() else f"scp{stem[:1]}"
+    """scp41 is of the family scp4, scpclr10 of scpclr, rail:500x20000:1 of rail, a part of its own."""
+    stem = name.split(":")[0]
+    letters = stem.rstrip("0123456789")
+    return stem[:4] if letters == "scp" else letters
 
 
 def _best(rows: Sequence[dict[str, Any]], row: dict[str, Any]) -> float:

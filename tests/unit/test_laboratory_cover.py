@@ -175,5 +175,5 @@ def test_a_curve_holds_the_mean_of_what_was_known_at_a_time() -> None:
     assert times == [0.1, 0.2, 0.5, 1.0]
     assert excess == pytest.approx([40.0, 10.0, 0.0, 0.0])
     assert [family(name) for name in ("scp41", "scpclr10", "scpnre1", "rail:500x200:1", "cyc9")] == [
-        "scp4", "clr", "nre", "rail", "cyc",
+        "scp4", "scpclr", "scpnre", "rail", "cyc",
     ]  # fmt: skip
