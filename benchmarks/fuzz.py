@@ -73,13 +73,14 @@ def serial_frames(rng: np.random.Generator) -> list[bytes]:
         axes, number = points[0], int(rng.integers(65536))
         state = RobotState(Mode(k % 5), axes, bool(k % 2), number, 0, number, 20, 1, 4001, "a fault", 1)
         frames = (
-            messages.request_frame(number, messages.Hello()),
-            messages.request_frame(number, messages.Beat(1000)),
-            messages.request_frame(number, Stage(number, points)),
-            messages.request_frame(number, pieces(Move(points, 0.5), 12)[1]),
-            messages.request_frame(number, Stop() if k % 2 else Reset()),
-            messages.status_frame(number, messages.Status(number, state)),
-            messages.answer_frame("MOVE", Answer(number, 3, "via point 0 has A1 at 185.0001 deg")),
+            messages.request_frame(number, 0, messages.Hello()),
+            messages.request_frame(number, number, messages.Beat()),
+            messages.request_frame(number, number, messages.Take(1000) if k % 2 else messages.Give()),
+            messages.request_frame(number, number, Stage(number, points)),
+            messages.request_frame(number, number, pieces(Move(points, 0.5), 12)[1]),
+            messages.request_frame(number, number, Stop() if k % 2 else Reset()),
+            messages.status_frame(number, state),
+            messages.answer_frame(number, "MOVE", Answer(number, 3, "via point 0 has A1 at 185.0001 deg")),
         )
         made.append(encode(frames[k % len(frames)]))
     return made
@@ -100,17 +101,20 @@ def accepted_frames(data: bytes) -> set[bytes]:
     return found
 
 
+_COMMAND = registers.COMMAND.of(6)
+
+
 def command_blocks(rng: np.random.Generator) -> list[list[int]]:
     """Good command blocks."""
     made = []
     for k in range(GOOD):
         points = rng.integers(-(2**31), 2**31, (k % 10, 6))
         values: dict[str, registers.Value] = {
-            "heartbeat": k, "sequence": int(rng.integers(1, 65536)), "command": (0, 1, 2, 4, 9)[k % 5],
-            "watchdog_ms": 1000, "speed": int(rng.integers(1, 10001)), "points": len(points), "offset": k,
-            "count": k, "points_crc": int(rng.integers(2**32)),
+            "heartbeat": k, "session": 4711, "sequence": int(rng.integers(1, 65536)), "watchdog_ms": 1000,
+            "command": (0, 1, 2, 4, 5, 6, 9)[k % 7], "speed": int(rng.integers(1, 10001)), "points": len(points),
+            "offset": k, "count": k, "points_crc": int(rng.integers(2**32)),
         }  # fmt: skip
-        made.append(registers.COMMAND.encode(values, points.ravel().tolist()))
+        made.append(_COMMAND.encode(values, points.ravel().tolist()))
     return made
 
 
@@ -133,10 +137,10 @@ def accepted_blocks(data: bytes, rtu: bool) -> set[bytes]:
         if not isinstance(request, adu.Write) or request.address != registers.COMMAND.address:
             continue
         try:
-            values, points = registers.COMMAND.decode(request.values)
+            values, points = _COMMAND.decode(request.values)
         except ProtocolError:
             continue
-        found.add(struct.pack(f">{len(request.values)}H", *registers.COMMAND.encode(values, points)))
+        found.add(struct.pack(f">{len(request.values)}H", *_COMMAND.encode(values, points)))
     return found
 
 

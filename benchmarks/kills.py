@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 _PLAN = ("plan", "petanque", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--seed", "3")
-_SCAN = ("--resolution", "4", "--confirm-motion", "--speed", "100")
 _TIME_SCALE = "2"
+_SCAN = ("--resolution", "4", "--confirm-motion", "--speed", "100", "--accept-time-scale", _TIME_SCALE)
 _PATIENCE_S = 120.0
 
 
@@ -82,7 +82,7 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, spa
         while json.loads((base / name / "executions/0001/manifest.json").read_text())["status"] != "finished":
             done = subprocess.run(
                 [*_COMMAND, "scan", name, "--resume", "latest", "--reset", "--driver", emulator.url,
-                 "--confirm-motion", "--speed", "100"],
+                 "--confirm-motion", "--speed", "100", "--accept-time-scale", _TIME_SCALE],
                 cwd=base, capture_output=True, text=True, timeout=_PATIENCE_S, check=False,
             )  # fmt: skip
             times += 1

@@ -55,8 +55,8 @@ def _timed(act: Callable[[], object], rounds: int) -> tuple[float, float, float]
 def _bytes(backend: str) -> tuple[int, int]:
     """Bytes there and back of a state, and bits of each."""
     if backend == "serial":
-        return len(">00502,0010,STATE,1000*E559936D\r\n") + 80, 10
-    fc16, fc04 = 9 + 2 * registers.COMMAND.registers + 8, 8 + 5 + 2 * registers.STATUS.registers
+        return len(">00502,0010,STATE,4711*E559936D\r\n") + 100, 10
+    fc16, fc04 = 9 + 2 * registers.COMMAND.registers + 8, 8 + 5 + 2 * registers.STATUS.of(6).registers
     return fc16 + fc04, 11
 
 
@@ -97,6 +97,7 @@ def run() -> list[dict[str, Any]]:
                 driver = open_driver(process.stdout.readline().strip())
                 assert isinstance(driver, ControllerClient)
                 with driver:
+                    driver.take()
                     state, state_p99, busy = _timed(driver.state, rounds)
                     link, sequence = driver._link, [driver.state().ack_sequence]
 

@@ -1,19 +1,19 @@
 """The command line: which commands there are, and how a run of one ends. Each command is a file of `cell.commands`.
 
 Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 5 driver, 6 files or run
-folder, 70 a bug, 130 Ctrl-C. Heavy modules are imported inside the commands, so that `--help` answers at once.
+folder, 70 a bug, 130 Ctrl-C, SIGTERM or SIGHUP. Heavy modules are imported inside the commands, so that `--help`
+answers at once.
 """
 
 import gc
 import os
-import signal
 import sys
-from types import FrameType
 
 import typer
 
+from cell import signals
 from cell.commands import check, cover, diff, emulate, export, place, plan, replay, scan, sensors, study, why
-from cell.commands.failures import INTERRUPTED, guarded
+from cell.commands.failures import guarded
 
 app = typer.Typer(
     add_completion=False,
@@ -41,24 +41,15 @@ app.command(epilog=cover.EPILOG)(cover.cover)
 def main(argv: list[str] | None = None) -> int:
     """Entry point of the console script: runs a command and turns every failure into one sentence and its exit code."""
     gc.set_threshold(50_000)  # at 700, importing alone has it look through every loaded module again and again: 0.13 s
-    signal.signal(signal.SIGTERM, _stop)
+    signals.end_politely()
     words = sys.argv[1:] if argv is None else argv
     code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
-    if code == INTERRUPTED:
+    if code == signals.INTERRUPTED:
         # The interrupt may have come between a ray engine and its threads: leave without taking them down in order.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
-
-
-class Killed(KeyboardInterrupt):
-    """A polite kill; unlike Ctrl-C it never means "go on with the best so far"."""
-
-
-def _stop(signum: int, frame: FrameType | None) -> None:
-    """A polite kill ends a run as Ctrl-C does: the folder keeps its status."""
-    raise Killed
 
 
 if __name__ == "__main__":

@@ -10,6 +10,8 @@ nothing since its start reports. A number is *newer* than another where it follo
 
 So a client that got no answer may send the same command again: it is executed at most once. A refused command uses its
 number up. Stopping is always safe, so a stop is obeyed whatever its number and whatever the answer to it.
+
+The numbers are those of one session, the owner's: what else comes is refused before its number is looked at.
 """
 
 from dataclasses import dataclass
@@ -39,8 +41,11 @@ class Result(Code):
     ESTOP_PRESSED = 11, "the emergency stop is still pressed; release it first"
     TOO_MANY_POINTS = 12, "the move has more via points than the controller takes"
     INCOMPLETE = 13, "the via points that were staged are not those of the move; stage them again"
+    NOT_OWNER = 14, "another session owns the arm, or none does; take it first"
+    WATCHDOG = 15, "the watchdog is outside 100 to 5000 ms"
     STOPPED = 20, "the move was stopped on command"
     FAULTED = 21, "the move was ended by a fault"
+    STOPPED_BY_OTHER = 22, "the move was stopped by another client, which ends the session"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from contextlib import suppress
 
 from drivers.clock import Clock
 from drivers.commands import LAST_SEQUENCE, Answer, Command, Move, Reset, Result, Stop, is_newer, same
-from drivers.contract import Fault, Mode, RobotState
+from drivers.contract import WHOLE, Fault, Mode, RobotState
 from drivers.errors import DriverError, SetPointError
 from drivers.limits import Limits, refuse
 from drivers.plant import Plant
@@ -29,8 +29,8 @@ CYCLE = 0.004
 SHORTEST_WAIT = 1e-6
 """Least time [s] that a waiter is told: adding it to seconds since 1970 still moves a clock on."""
 
-SETTLE_LIMIT = 5.0
-"""Time [s] that a plant may take to settle after its reference ended, before that is a fault."""
+SETTLE_LIMIT = 4.0
+"""Time [s] that a plant may take to settle after its reference ended, before that is a fault; a client waits for 5."""
 
 
 class Controller:
@@ -65,6 +65,7 @@ class Controller:
         self._last: Command | None = None
         self._answer = Answer(0, Result.OK)
         self._done, self._done_result = 0, Result.OK
+        self._path = 0
 
     def command(self, sequence: int, command: Command) -> Answer:
         """Execute a command if its number is new, and answer.
@@ -102,7 +103,14 @@ class Controller:
             queue_depth=int(self._running > 0),
             fault_code=self._fault,
             fault_sentence=self._fault_detail or self._fault.sentence,
+            path=self._passed(),
         )
+
+    def halt(self) -> None:
+        """Brake on the word of another client than the owner: no number is used, and the move's end says who it was."""
+        self._pass_time()
+        self._brake(Result.STOPPED_BY_OTHER)
+        self._run(0.0)
 
     def latch(self, fault: Fault, detail: str = "") -> None:
         """Latch a fault from outside (a watchdog, a restart), and brake. The first of several is kept.
@@ -199,19 +207,20 @@ class Controller:
         self._reference = interpolate(
             self._reference.end, to_rad(move.set_points), limits.velocity * move.speed, limits.acceleration, limits.jerk
         )
-        self._elapsed, self._running, self._in_position = 0.0, sequence, False
+        self._elapsed, self._running, self._in_position, self._path = 0.0, sequence, False, 0
         self.plant.follow(self._reference)
 
     def _finish(self) -> None:
         """The arm stands at the end of its reference."""
         if self._running:
             self._done, self._done_result = self._running, Result.OK
-            self._in_position = True
+            self._in_position, self._path = True, WHOLE
         self._running, self._braking = 0, False
 
     def _brake(self, result: Result) -> None:
         """End the move on its path, standing as soon as the limits allow."""
         if self._running:
+            self._path = self._passed()
             self._done, self._done_result = self._running, result
             self._running, self._braking = 0, True
             self._reference, self._elapsed = self._reference.braked(self._elapsed), 0.0
@@ -241,6 +250,12 @@ class Controller:
         except SetPointError:
             return "its axes are no numbers"
         return ""
+
+    def _passed(self) -> int:
+        """Share of the last move's path that is passed [1e-4]; less than all before it has ended there."""
+        if not self._running:
+            return self._path
+        return min(int(self._reference.share(self._elapsed) * WHOLE), WHOLE - 1)
 
     def _standing(self) -> bool:
         return not self._running and not self._braking

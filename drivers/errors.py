@@ -13,6 +13,10 @@
     |   |-- AnswerTimeoutError      no answer in time; the line itself looks alive
     |   |-- LinkLostError           the line is gone: port vanished, connection closed, heartbeat frozen
     |   `-- ProtocolError           what answers does not speak our protocol, or not in our word order
+    |-- ContradictionError          fields of the controller's status contradict each other, or cannot be
+    |-- OverdueError                what was waited for did not come within its limit
+    |-- ArrivalError                the arm stands elsewhere than commanded, or sooner than it can
+    |-- NotOwnerError               another client owns the arm, or has stopped it
     `-- StateUnknownError           whether the last command was executed is unknown; only state(), stop() are possible
 
 Third-party errors (of a serial or Modbus library) appear as these, with the original as their cause. Every message is
@@ -86,6 +90,22 @@ class LinkLostError(LinkError):
 
 class ProtocolError(LinkError):
     """The peer's answer cannot be one of ours."""
+
+
+class ContradictionError(DriverError):
+    """The controller's status cannot be true: its fields contradict each other."""
+
+
+class OverdueError(DriverError):
+    """What was waited for did not come within its limit."""
+
+
+class ArrivalError(DriverError):
+    """A move is said to have ended, and the arm stands elsewhere, or came there sooner than it can."""
+
+
+class NotOwnerError(DriverError):
+    """Another client owns the arm."""
 
 
 class StateUnknownError(DriverError):

@@ -16,17 +16,17 @@ _ROUNDING = 1e-3  # counts; a limit that is a count but for the rounding of its 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limits:
-    """What a controller lets its arm do.
+    """What a controller lets its arm do; n axes, at least 6.
 
     Attributes:
-        lower: (6,) smallest set-points, int32 counts of 1e-4 deg; a set-point on the limit is inside.
+        lower: (n,) smallest set-points, int32 counts of 1e-4 deg; a set-point on the limit is inside.
         upper: (6,) largest set-points, counts.
         velocity: (6,) axis speeds at speed fraction 1 [rad/s].
         acceleration: (6,) axis accelerations at every speed fraction [rad/s^2].
         max_step: (6,) largest change of an axis from one via point to the next, counts.
         max_speed: largest speed fraction, in (0, 1].
         max_via: most via points in one move; None: no bound.
-        jerk: (6,) axis jerks at every speed fraction [rad/s^3]; inf: not limited.
+        jerk: (n,) axis jerks at every speed fraction [rad/s^3]; inf: not limited. One number is that of every axis.
     """
 
     lower: SetPoints
@@ -36,13 +36,16 @@ class Limits:
     max_step: SetPoints
     max_speed: float = 1.0
     max_via: int | None = None
-    jerk: Floats = field(default_factory=lambda: np.full(AXES, np.inf))
+    jerk: Floats = field(default_factory=lambda: np.array(np.inf))
 
     def __post_init__(self) -> None:
+        axes = max(AXES, np.size(self.lower))
+        if np.ndim(self.jerk) == 0:
+            object.__setattr__(self, "jerk", np.full(axes, self.jerk))
         for name in ("lower", "upper", "velocity", "acceleration", "max_step", "jerk"):
             values = np.asarray(getattr(self, name))
-            if values.shape != (AXES,):
-                raise DriverError(f"{name} of a controller's limits has shape {values.shape}; it must be ({AXES},)")
+            if values.shape != (axes,):
+                raise DriverError(f"{name} of a controller's limits has shape {values.shape}; it must be ({axes},)")
             kind = np.float64 if name in ("velocity", "acceleration", "jerk") else np.int32
             object.__setattr__(self, name, frozen(values, kind))
         if not (self.lower <= self.upper).all():
@@ -82,8 +85,10 @@ class Limits:
         """
         low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (lower, upper))
         low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
-        most = np.full(AXES, np.inf) if jerk is None else np.asarray(jerk)
-        return cls(low, high, np.asarray(velocity), np.asarray(acceleration), np.maximum(high - low, 1), jerk=most)
+        return cls(
+            low, high, np.asarray(velocity), np.asarray(acceleration), np.maximum(high - low, 1),
+            jerk=np.asarray(np.inf if jerk is None else jerk),
+        )  # fmt: skip
 
     def capabilities(self, controller: str, *, hardware: bool, simulated_time: bool) -> Capabilities:
         """What a driver says of a controller with these limits."""
@@ -101,6 +106,8 @@ def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple
         bounds: what is allowed: a controller's limits, or what a driver says of them.
     """
     points = move.set_points
+    if points.shape[1] != len(bounds.lower):
+        return Result.LIMIT, f"the move is of {points.shape[1]} axes; the controller has {len(bounds.lower)}"
     if bounds.max_via is not None and len(points) > bounds.max_via:
         return Result.TOO_MANY_POINTS, (
             f"the move has {len(points)} via points; the controller takes at most {bounds.max_via} at once"

@@ -49,8 +49,8 @@ class IdealPlant:
 
     def __init__(self, start: ArrayLike) -> None:
         at = np.array(start, dtype=np.float64)
-        if at.shape != (AXES,) or not np.isfinite(at).all():
-            raise DriverError(f"a plant was started at {at}; it must be {AXES} finite joint angles in radians")
+        if at.ndim != 1 or len(at) < AXES or not np.isfinite(at).all():
+            raise DriverError(f"a plant was started at {at}; it must be {AXES} or more finite joint angles in radians")
         self._reference, self._elapsed = resting(at), 0.0
 
     @property

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.setpoints import AXES, Floats
+from drivers.setpoints import Floats
 
 _MARGIN = 1e-9
 """Relative distance kept from the limits, so that rounding does not lift a speed above one."""
@@ -72,7 +72,11 @@ class Reference:
             (M, 6) joint angles [rad], (M, 6) speeds [rad/s], (M, 6) accelerations [rad/s^2].
         """
         t = np.asarray(t, dtype=np.float64)
-        q, qd, qdd = np.tile(self.end, (len(t), 1)), np.zeros((len(t), AXES)), np.zeros((len(t), AXES))
+        q, qd, qdd = (
+            np.tile(self.end, (len(t), 1)),
+            np.zeros((len(t), len(self.end))),
+            np.zeros((len(t), len(self.end))),
+        )
         moving = t < self.duration
         if moving.any():
             leg, s, sd, sdd = self._path(np.maximum(t[moving], 0.0))
@@ -82,6 +86,13 @@ class Reference:
             qd[moving] = sd[:, None] * (b - a)
             qdd[moving] = sdd[:, None] * (b - a)
         return q, qd, qdd
+
+    def share(self, t: float) -> float:
+        """Share of the legs that is passed at time `t`, in [0, 1]: whole legs, and the path parameter of the next."""
+        if t >= self.duration:
+            return 1.0
+        leg, s, _, _ = self._path(np.array([max(t, 0.0)]))
+        return float(leg[0] + s[0]) / (len(self.via) - 1)
 
     def braked(self, t: float) -> "Reference":
         """The reference that brakes from time `t` on; its own time begins at 0 there.
@@ -140,8 +151,8 @@ def resting(at: Floats) -> Reference:
         leg=np.zeros(0, dtype=np.int64),
         begin=np.zeros(0),
         s=np.zeros((0, 4)),
-        acceleration=np.full(AXES, np.inf),
-        jerk=np.full(AXES, np.inf),
+        acceleration=np.full(len(at), np.inf),
+        jerk=np.full(len(at), np.inf),
         duration=0.0,
         end=at,
     )
@@ -159,7 +170,7 @@ def interpolate(
         acceleration: (6,) largest axis accelerations [rad/s^2].
         jerk: (6,) largest axis jerks [rad/s^3]; inf, or None for all axes: not limited.
     """
-    jerk = np.full(AXES, np.inf) if jerk is None else jerk
+    jerk = np.full(len(start), np.inf) if jerk is None else jerk
     points = np.concatenate([start[None], via])
     distance = np.abs(np.diff(points, axis=0)) * (1.0 + _MARGIN)
     legs = np.flatnonzero(distance.any(axis=1))  # a leg of length 0 takes no time and has no piece

@@ -7,7 +7,7 @@ one with
     acme = "acme_robots.driver:AcmeDriver"      # then acme://...
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol, cast
@@ -21,7 +21,19 @@ from drivers.url import DriverUrl
 
 GROUP = "cell.drivers"
 
-_PARTS = ("connect", "close", "__enter__", "__exit__", "capabilities", "state", "move", "stop", "reset")
+_PARTS = (
+    "connect",
+    "close",
+    "__enter__",
+    "__exit__",
+    "capabilities",
+    "state",
+    "take",
+    "ready",
+    "move",
+    "stop",
+    "reset",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,13 +42,16 @@ class Context:
 
     Attributes:
         clock: time for waiting and for simulated controllers; None: the driver's own choice.
-        limits: limits of the simulated controller; None: those of a KR 16.
+        limits: limits of the simulated controller, and those by which a client judges what a real one says of its arm;
+            None: those of a KR 16.
         plants: further plants of the simulated controller by name; "ideal" here replaces the built-in one.
+        say: told in a sentence what is waited for, where nothing happens.
     """
 
     clock: Clock | None = None
     limits: Limits | None = None
     plants: Mapping[str, PlantFactory] = field(default_factory=dict)
+    say: Callable[[str], None] | None = None
 
 
 class DriverClass(Protocol):

@@ -4,6 +4,7 @@ Opening again is safe because it only reads: whether the controller is still the
 the last command, `drivers.client` finds out from the numbers in the state.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Protocol, TypeVar
@@ -11,8 +12,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from drivers.clock import Clock
+from drivers.commands import Result
 from drivers.contract import Capabilities, RobotState
 from drivers.errors import AnswerTimeoutError, LinkError, LinkLostError, NotConnectedError, ProtocolError
+from drivers.status import SAID_AFTER
 from drivers.wire import Patience, Pulse
 
 T = TypeVar("T")
@@ -45,6 +48,17 @@ class ReopeningLink(ABC):
         self._capabilities: Capabilities | None = None
         self._is_open = False
         self._busy = False
+        self.session = 0  # the one that was taken; 0: this client only reads
+        self.deadline = math.inf
+        self.say: Callable[[str], None] | None = None  # told what is waited for
+
+    @abstractmethod
+    def _ask_for(self, session: int) -> int:
+        """Take a session, once; the answer's result."""
+
+    @abstractmethod
+    def _give_back(self) -> None:
+        """Give the session back, once."""
 
     @abstractmethod
     def _greet(self) -> Capabilities:
@@ -56,17 +70,31 @@ class ReopeningLink(ABC):
 
     def close(self) -> None:
         """Give the line back."""
-        self._capabilities = None
+        self._capabilities, self.session = None, 0
         self._drop()
+
+    def take(self, session: int) -> int:
+        """Take a session; asking twice is asking once, so a lost answer is asked for again."""
+        result = self._again(lambda: self._ask_for(session))
+        if result == Result.OK:
+            self.session = session
+        return result
+
+    def give(self) -> None:
+        """Give the session back; where that is lost, silence ends it."""
+        if self.session:
+            self._require_open()
+            self._give_back()
+            self.session = 0
 
     def time_to_wait(self) -> float:
         """The poll's period."""
         return self._patience.poll if self._busy else 0.0
 
-    def _taken(self, heartbeat: int, state: RobotState) -> RobotState:
+    def _taken(self, state: RobotState) -> RobotState:
         """A state as read, once its heartbeat has been looked at."""
         try:
-            self._pulse.see(heartbeat)
+            self._pulse.see(state.heartbeat or 0)
         except LinkLostError:
             self._drop()
             raise
@@ -79,15 +107,19 @@ class ReopeningLink(ABC):
         It gives up after `tries`, but not before the watchdog's time: earlier, a moving arm has not been stopped by
         the controller's own watchdog, and what became of its move may still be learned.
         """
-        began, asked = self._clock.now(), 0
+        began, asked, said = self._clock.now(), 0, self.say is None
         while True:
             try:
                 self._require_open()
                 return ask()
             except LinkError as error:
                 asked += 1
-                if asked >= self._patience.tries and self._clock.now() - began >= self._patience.watchdog:
+                now = self._clock.now()
+                if now >= self.deadline or (asked >= self._patience.tries and now - began >= self._patience.watchdog):
                     raise
+                if self.say and not said and now - began > SAID_AFTER:
+                    said = True
+                    self.say(f"waiting for an answer of the controller ({error})")
                 if not isinstance(error, AnswerTimeoutError):  # that one has waited already
                     self._clock.wait(self._patience.poll)
 
@@ -100,7 +132,9 @@ class ReopeningLink(ABC):
         if not alike(before, self._reopen(1)):
             self._drop()
             self._capabilities = before
-            raise ProtocolError(f"the controller at {self._line.name} has other limits than before the line was lost")
+            raise ProtocolError(
+                f"the controller at {self._line.name} has other limits or another clock than before the line was lost"
+            )
 
     def _reopen(self, tries: int) -> Capabilities:
         self._drop()
@@ -125,6 +159,6 @@ class ReopeningLink(ABC):
 
 def alike(a: Capabilities, b: Capabilities) -> bool:
     """Whether two controllers take the same moves."""
-    return (a.max_speed, a.max_via) == (b.max_speed, b.max_via) and all(
+    return (a.max_speed, a.max_via, a.time_scale) == (b.max_speed, b.max_via, b.time_scale) and all(
         np.array_equal(getattr(a, name), getattr(b, name)) for name in ("lower", "upper", "max_step")
     )

@@ -19,6 +19,8 @@ PER_DEGREE = 10_000
 """Counts per degree."""
 
 AXES = 6
+"""Fewest axes of an arm; external axes follow A6."""
+
 _INT32 = np.iinfo(np.int32)
 
 
@@ -26,19 +28,21 @@ def from_rad(q: ArrayLike) -> SetPoints:
     """Nearest counts of joint angles.
 
     Args:
-        q: (..., 6) joint angles [rad].
+        q: (..., n) joint angles [rad], n at least 6.
 
     Returns:
-        (..., 6) int32 counts of 1e-4 deg, read-only.
+        (..., n) int32 counts of 1e-4 deg, read-only.
 
     Raises:
-        SetPointError: if the last axis is not 6 long, a value is not finite, or it does not fit an int32.
+        SetPointError: if the last axis is less than 6 long, a value is not finite, or it does not fit an int32.
     """
     angles = np.asarray(q)
     if angles.dtype.kind not in "fiu":
         raise SetPointError(f"joint angles have type {angles.dtype}; they must be real numbers in radians")
-    if angles.ndim == 0 or angles.shape[-1] != AXES:
-        raise SetPointError(f"joint angles have shape {angles.shape}; they must be (..., {AXES}), A1 to A6 in radians")
+    if angles.ndim == 0 or angles.shape[-1] < AXES:
+        raise SetPointError(
+            f"joint angles have shape {angles.shape}; they must be (..., n), n >= {AXES}, A1 on in radians"
+        )
     counts = np.rint(np.degrees(angles.astype(np.float64)) * PER_DEGREE)
     if not (np.abs(counts) <= _INT32.max).all():
         axis = int(np.argwhere(~(np.abs(counts) <= _INT32.max))[0][-1])
@@ -63,13 +67,13 @@ def check(set_points: Any) -> SetPoints:
     """Take set-points in, strictly: a cast that could change a number is the caller's to make (`from_rad`).
 
     Args:
-        set_points: (N, 6) int32 counts of 1e-4 deg, N at least 1.
+        set_points: (N, n) int32 counts of 1e-4 deg, N at least 1, n at least 6.
 
     Returns:
         A read-only copy.
 
     Raises:
-        SetPointError: if the type is not int32 or the shape not (N, 6).
+        SetPointError: if the type is not int32 or the shape not (N, n).
     """
     if not isinstance(set_points, np.ndarray) or set_points.dtype != np.dtype(np.int32):
         kind = set_points.dtype if isinstance(set_points, np.ndarray) else type(set_points).__name__
@@ -77,9 +81,10 @@ def check(set_points: Any) -> SetPoints:
             f"set-points have type {kind}; they must be a NumPy array of int32 in counts of 1e-4 deg "
             "(drivers.setpoints.from_rad makes them from radians)"
         )
-    if set_points.ndim != 2 or set_points.shape[1] != AXES or len(set_points) == 0:
+    if set_points.ndim != 2 or set_points.shape[1] < AXES or len(set_points) == 0:
         raise SetPointError(
-            f"set-points have shape {set_points.shape}; they must be (N, {AXES}), one row per via point, at least one"
+            f"set-points have shape {set_points.shape}; they must be (N, n), one row per via point, at least one, of "
+            f"n >= {AXES} axes"
         )
     return frozen(set_points, np.int32)
 

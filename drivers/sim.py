@@ -13,12 +13,14 @@ It has everything that a wire has, numbering and refusals on both sides included
 """
 
 import dataclasses
+import math
+from collections.abc import Callable
 
 import numpy as np
 
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
-from drivers.commands import Answer, Command
+from drivers.commands import Answer, Command, Result
 from drivers.contract import Capabilities, RobotState
 from drivers.controller import Controller
 from drivers.errors import DriverUrlError
@@ -33,7 +35,10 @@ HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 
 
 class _InProcess:
-    """The link that is a function call."""
+    """The link that is a function call: nobody else can own its controller."""
+
+    deadline = math.inf
+    _session = 0
 
     def __init__(self, controller: Controller, simulated_time: bool) -> None:
         self._controller, self._simulated_time = controller, simulated_time
@@ -46,11 +51,18 @@ class _InProcess:
     def close(self) -> None:
         pass
 
+    def take(self, session: int) -> int:
+        self._session = session
+        return Result.OK
+
+    def give(self) -> None:
+        self._session = 0
+
     def send(self, sequence: int, command: Command) -> Answer:
         return self._controller.command(sequence, command)
 
     def state(self) -> RobotState:
-        return self._controller.state()
+        return dataclasses.replace(self._controller.state(), owner=self._session)
 
     def time_to_wait(self) -> float:
         return self._controller.time_to_wait()
@@ -62,14 +74,15 @@ class SimDriver(ControllerClient):
     Args:
         controller: what it talks to.
         clock: the controller's clock.
+        say: told what is waited for where nothing happens.
 
     Attributes:
         controller: for what a wire does not offer: pressing the emergency stop, latching faults.
         clock: simulated or real time.
     """
 
-    def __init__(self, controller: Controller, clock: Clock) -> None:
-        super().__init__(_InProcess(controller, clock.simulated), clock)
+    def __init__(self, controller: Controller, clock: Clock, say: Callable[[str], None] | None = None) -> None:
+        super().__init__(_InProcess(controller, clock.simulated), clock, limits=controller.limits, say=say)
         self.controller, self.clock = controller, clock
 
     @classmethod
@@ -112,4 +125,4 @@ class SimDriver(ControllerClient):
                 f"'{url.text}' starts the arm outside the axis limits; start= takes A1 to A6 in degrees"
             )
         clock = context.clock or (RealTimeClock(time_scale or 1.0) if realtime else SimulatedClock())
-        return cls(Controller(plants[plant](to_rad(start)), limits, clock), clock)
+        return cls(Controller(plants[plant](to_rad(start)), limits, clock), clock, context.say)

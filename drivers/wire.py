@@ -12,7 +12,7 @@ need none of the buffer, but a fault in the middle would then leave part of it e
 would come after 69,999 have been driven.
 
 The CRC-32 is the one of zlib, Ethernet and PKZIP (polynomial 0x04C11DB7 reflected, start and final XOR 0xFFFFFFFF),
-taken over the points as big-endian int32, point by point, A1 to A6.
+taken over the points as big-endian int32, point by point, A1 on.
 """
 
 import zlib
@@ -33,12 +33,16 @@ DEFAULT_WATCHDOG_MS = 1000
 """Silence of the client [ms] after which a moving arm is stopped, where the client says nothing else."""
 
 WATCHDOG_RANGE_MS = (100, 5000)
-"""Shortest and longest silence [ms] that a client may ask for; a controller takes the nearer end of what is beyond."""
+"""Shortest and longest silence [ms] that a client may ask for; what is beyond is refused."""
 
 MOST_POINTS = 200_000
 """Via points of one move that the controller's buffer holds (4.8 MB)."""
 
-_POINT_BYTES = 4 * AXES
+MOST_AXES = 12
+"""Axes of an arm that frames and register blocks have room for."""
+
+SCALES = 1000
+"""Time scales travel as whole numbers of 1e-3: 1,000 is real time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +51,7 @@ class Stage:
 
     Attributes:
         offset: index of its first point in the move.
-        points: (n, 6) int32 counts of 1e-4 deg, n at least 1.
+        points: (k, n) int32 counts of 1e-4 deg, k at least 1.
     """
 
     offset: int
@@ -62,7 +66,7 @@ class Commit:
         speed: speed fraction in 1e-4.
         count: via points of the whole move.
         crc: CRC-32 of all of them.
-        tail: (n, 6) the last of them, int32 counts; all of them where count is n.
+        tail: (k, n) the last of them, int32 counts; all of them where count is k.
     """
 
     speed: int
@@ -174,15 +178,18 @@ class Staging:
     """The controller's buffer of via points.
 
     It belongs to one sequence number at a time; a piece under another number empties it first.
+
+    Args:
+        axes: of a point.
     """
 
-    def __init__(self) -> None:
-        self.sequence = 0
+    def __init__(self, axes: int = AXES) -> None:
+        self.sequence, self._axes = 0, axes
         self._bytes = bytearray()
 
     def __len__(self) -> int:
         """Points that it holds."""
-        return len(self._bytes) // _POINT_BYTES
+        return len(self._bytes) // (4 * self._axes)
 
     def put(self, sequence: int, piece: Stage) -> bool:
         """Write a piece; False where it would leave a gap or not fit."""
@@ -190,7 +197,7 @@ class Staging:
             self.sequence, self._bytes = sequence, bytearray()
         if piece.offset > len(self) or piece.offset + len(piece.points) > MOST_POINTS:
             return False
-        begin = piece.offset * _POINT_BYTES
+        begin = piece.offset * 4 * self._axes
         data = np.ascontiguousarray(piece.points, dtype=">i4").tobytes()
         self._bytes[begin : begin + len(data)] = data
         return True
@@ -205,7 +212,7 @@ class Staging:
             return None
         if before and (sequence != self.sequence or before > len(self)):
             return None
-        staged = bytes(self._bytes[: before * _POINT_BYTES]) if before else b""
-        points = np.concatenate([np.frombuffer(staged, dtype=">i4").reshape(-1, AXES), commit.tail])
+        staged = bytes(self._bytes[: before * 4 * self._axes]) if before else b""
+        points = np.concatenate([np.frombuffer(staged, dtype=">i4").reshape(-1, self._axes), commit.tail])
         whole = frozen(points, np.int32)
         return whole if points_crc(whole) == commit.crc else None

@@ -65,8 +65,8 @@ def emulate(
         raise UsageError("--link is for pseudo-terminals; cell emulate modbus has --port")
     if port and protocol != "modbus":
         raise UsageError(f"--port is for cell emulate modbus; cell emulate {protocol} has --link")
-    if not 0.0 < time_scale <= 1e6:
-        raise UsageError(f"--time-scale {time_scale:g} must be above 0 and at most 1e6")
+    if not 1e-3 <= time_scale <= 1e6:
+        raise UsageError(f"--time-scale {time_scale:g} must be at least 0.001 and at most 1e6")
     try:
         axes = [float(piece) for piece in start.split(",")]
     except ValueError:

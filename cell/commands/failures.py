@@ -9,10 +9,9 @@ from typing import Any
 import typer
 
 from cell.errors import CellError
+from cell.signals import INTERRUPTED, told
 
-INTERRUPTED = 130
 _BUG = 70
-_STOPPED = "stopped by Ctrl-C; what was finished is kept"
 
 # typer carries its own copy of click, whose classes it does not export; BadParameter is one of its errors of usage.
 _UsageMistake: Any = next(kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException")
@@ -31,7 +30,7 @@ def guarded(run: Callable[[], Any], *, as_json: bool) -> int:
     try:
         result = run()
     except (KeyboardInterrupt, typer.Abort):
-        return _say(_STOPPED, INTERRUPTED, as_json)
+        return _say(_stopped(), INTERRUPTED, as_json)
     except _UsageMistake as error:
         error.show()
         if type(error).__name__ == "NoArgsIsHelpError":  # `cell` alone: the help is the answer
@@ -55,7 +54,11 @@ def guarded(run: Callable[[], Any], *, as_json: bool) -> int:
             as_json,
         )
     code = result if isinstance(result, int) else 0  # typer hands the code of its Exit back
-    return _say(_STOPPED, INTERRUPTED, as_json) if code == INTERRUPTED else code  # and takes Ctrl-C for such an exit
+    return _say(_stopped(), INTERRUPTED, as_json) if code == INTERRUPTED else code  # and takes Ctrl-C for such an exit
+
+
+def _stopped() -> str:
+    return f"stopped by {told()}; what was finished is kept"
 
 
 def _say(sentence: str, code: int, as_json: bool, *, said: bool = False) -> int:

@@ -101,7 +101,7 @@ def _require_one_question(given: set[str], preset: str | None, resume: str | Non
     if resume is not None and given - OF_EACH_TIME:
         raise UsageError(
             "--resume goes on as the execution was begun; beside it give only --driver, --realtime, --speed, "
-            "--confirm-motion and --reset"
+            "--confirm-motion, --reset and --accept-time-scale"
         )
     if report is not None and given:
         raise UsageError("--report makes the report of what was scanned; leave the options of a new scan away")

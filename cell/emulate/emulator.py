@@ -10,7 +10,7 @@ from cell.emulate.memory import Memory
 from cell.errors import DriverFailureError, UsageError
 from drivers.clock import RealTimeClock
 from drivers.contract import Fault
-from drivers.emulated.endpoint import Endpoint, PoseOf
+from drivers.emulated.endpoint import Endpoint
 from drivers.emulated.lines import Line, PtyLine, TcpLine
 from drivers.emulated.modbus_station import ModbusStation
 from drivers.emulated.serial_station import SerialStation
@@ -19,7 +19,7 @@ from drivers.emulated.wire_faults import Injector, parse
 from drivers.errors import DriverError
 from drivers.limits import kr16
 from drivers.plant import IdealPlant, PlantFactory
-from drivers.setpoints import Floats, to_rad
+from drivers.setpoints import to_rad
 
 PROTOCOLS = ("serial", "modbus", "modbus-rtu")
 
@@ -77,11 +77,10 @@ def emulate(settings: Settings, plant: PlantFactory, announce: Callable[[str], N
     memory = Memory(settings.state, settings.log)
     axes = np.array(settings.start, dtype=np.int32) if memory.axes is None else memory.axes
     wire_clock = RealTimeClock()
-    pose_of = _pose_of() if settings.protocol != "serial" else None
     try:
         endpoint = Endpoint(
             plant(to_rad(axes)), kr16(), RealTimeClock(settings.time_scale), wire_clock, memory,
-            boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, pose_of=pose_of,
+            boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, time_scale=settings.time_scale,
         )  # fmt: skip
         line, url = _line(settings)
     except DriverError as error:
@@ -131,16 +130,3 @@ def _station(settings: Settings, endpoint: Endpoint) -> Station:
     if settings.protocol == "serial":
         return SerialStation(endpoint)
     return ModbusStation(endpoint, unit=settings.unit, rtu=settings.protocol == "modbus-rtu")
-
-
-def _pose_of() -> PoseOf:
-    from cell.robot.frames import kuka_abc_from_pose
-    from cell.robot.kinematics import Kr16Kinematics
-
-    arm = Kr16Kinematics.load()
-
-    def pose(q: Floats) -> Floats:
-        position, abc = kuka_abc_from_pose(arm.forward(q[None])[0])
-        return np.concatenate([position, abc])
-
-    return pose

@@ -111,6 +111,7 @@ def write_cell(
         speed_scaling=scene.robot.speed_scaling,
         acceleration_scaling=scene.robot.acceleration_scaling,
         clearance_mm=scene.clearance_mm,
+        arrival_mm=scene.arrival_mm,
         plan=ResolvedPlan.model_validate(
             dict(scene.plan)
             | {

@@ -25,6 +25,7 @@ from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
 from cell.scene.scene import Scene
 from cell.world import shapes
 from cell.world.model import World, compile_world
+from cell.world.travel import TravelBound
 from planner.measurability.quality import Limited
 from planner.ports import Scanner
 from planner.surface.mesh import TriangleMesh
@@ -50,6 +51,7 @@ class RunCell:
         scanner: the sensor's law, at the resolution that was asked for and with the plan's limit on sigma.
         scanner_keys: what defines it.
         kinematics: of the arm.
+        travel: how far any point of arm or tool moves between two configurations, at most.
     """
 
     scene: ResolvedScene
@@ -61,6 +63,13 @@ class RunCell:
     scanner: Scanner
     scanner_keys: ScannerKeys
     kinematics: Kr16Kinematics
+    travel: TravelBound
+
+    @property
+    def arrival(self) -> float:
+        """How far any point of arm or tool may stand from where a move ends [m]."""
+        allowed = self.scene.arrival_mm
+        return (min(1.0, self.scene.clearance_mm / 10) if allowed is None else allowed) / 1000
 
     def scanner_pose(self, q: Floats) -> Floats:
         """(4, 4) T_object_scanner [m] at (6,) joint angles [rad]."""
@@ -118,6 +127,7 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
         scanner=scanner,
         scanner_keys=keys,
         kinematics=kinematics,
+        travel=TravelBound(model),
     )
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
+from cell import signals
 from cell.errors import CellError, FileError
 from cell.run.manifest_json import Manifest
 from planner.errors import PlannerError
@@ -121,7 +122,7 @@ class RunFolder:
         try:
             yield
         except KeyboardInterrupt:
-            self.fail("interrupted", 130, "stopped by Ctrl-C")
+            self.fail("interrupted", signals.INTERRUPTED, f"stopped by {signals.told()}")
             raise
         except (CellError, PlannerError) as error:
             self.fail("failed", getattr(error, "exit_code", CellError.exit_code), str(error))

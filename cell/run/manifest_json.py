@@ -49,6 +49,9 @@ class Manifest(JsonTable):
     speed_fraction: float | None = Field(default=None, description="of the axis speeds")
     moving_s: float | None = Field(default=None, description="time that the controller took for the moves")
     simulated_time: bool | None = Field(default=None, description="whether its clock was a simulated one")
+    time_scale: float | None = Field(
+        default=None, description="how many times as fast as real time its clock said that it is, where it is not"
+    )
     resumed: tuple[Resumed, ...] = Field(default=(), description="each time that it was taken up again")
     reason: str = Field(default="", description="why it failed, a sentence")
     exit_code: int | None = Field(default=None, description="of the command; null where it was killed")

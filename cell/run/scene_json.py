@@ -91,4 +91,7 @@ class ResolvedScene(JsonTable):
     speed_scaling: float = Field(description="fraction of the speeds that the motion was timed with")
     acceleration_scaling: float = Field(description="fraction of the accelerations and jerks")
     clearance_mm: float = Field(description="that everything keeps from everything else")
+    arrival_mm: float | None = optional(
+        "how far any point of arm or tool may stand from where a move ends; else a tenth of the clearance, 1 at most"
+    )
     plan: ResolvedPlan

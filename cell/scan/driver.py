@@ -1,34 +1,45 @@
 """The driver of an execution, and the clock by which its events are told."""
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Callable, Mapping
 from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
 
 from cell.errors import DriverFailureError, UsageError
 from cell.scan.options import ScanOptions
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Driver
 from drivers.errors import DriverError
-from drivers.limits import Limits
+from drivers.limits import Limits, kr16
 from drivers.plant import PlantFactory
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_deg
 from drivers.sim import SimDriver
 from planner.timing.motion import Motion
 
+_DYNAMIC = ("velocity", "acceleration", "jerk")
+
 
 def prepare(
-    options: ScanOptions, motion: Motion, speed: float, plants: Mapping[str, PlantFactory] | None = None
+    options: ScanOptions,
+    motion: Motion,
+    speed: float,
+    plants: Mapping[str, PlantFactory] | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> tuple[Driver, Clock]:
     """The driver, not yet connected, and the clock that tells its time.
 
     The simulated controller gets the limits and accelerations of the plan, stands at its beginning, and jumps in time
-    unless real time was asked for.
+    unless real time was asked for. By the same limits the arrivals of a real one are judged; but it does not know how
+    far the plan stays below what the arm can do, so there the KR 16's count where they are larger.
 
     Args:
         options: URL, and whether in real time.
         motion: of the plan, with the limits that it was timed with.
         speed: fraction of the axis speeds in these limits.
         plants: what a simulated controller can move, beside its own.
+        say: told what is waited for, where nothing happens.
 
     Raises:
         UsageError: if real time is asked of a controller that is not simulated.
@@ -48,9 +59,12 @@ def prepare(
         url += ("&" if "?" in url else "?") + f"start={start}"
     lim = motion.limits
     limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / speed, lim.acceleration, jerk=lim.jerk)
+    if not simulated:
+        fastest = {name: np.maximum(getattr(limits, name), getattr(kr16(), name)) for name in _DYNAMIC}
+        limits = dataclasses.replace(limits, **fastest)
     given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
     try:
-        driver = open_driver(url, Context(clock=given, limits=limits, plants=plants or {}))
+        driver = open_driver(url, Context(clock=given, limits=limits, plants=plants or {}, say=say))
         # A simulated controller has one clock, with its time_scale; of another one only real time is known.
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
     except DriverError as error:

@@ -7,11 +7,13 @@ the last one.
 Arm and housing are not among the occluders, as in the plan's prediction.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
+from cell import signals
 from cell.errors import DriverFailureError, FileError
 from cell.run.cell import RunCell
 from cell.scan.execution_folder import ExecutionFolder
@@ -30,7 +32,6 @@ POSE, NOISE = 10, 11
 """Streams of randomness; a stop has its own of each, so that one view alone is disturbed as in the whole execution."""
 
 _AT_START = 100  # counts: so far the arm may stand from the start of the plan, 0.01 deg
-_OFF = 1000  # counts: so far from the end of a move it was moved by something else, 0.1 deg; an arm at rest is nearer
 
 
 def run(
@@ -62,8 +63,8 @@ def run(
         Time that the controller took for the moves [s].
 
     Raises:
-        DriverFailureError: if the arm does not stand where the plan begins or a leg ended, or the controller would
-            refuse a leg.
+        DriverFailureError: if the arm does not stand where the plan begins or a leg ended, or did not stand there while
+            it was scanned, or the controller would refuse a leg.
         FileError: if an event or a scan cannot be written; the arm stands.
         DriverError: whatever the driver raises.
     """
@@ -81,19 +82,22 @@ def run(
         for number, leg in enumerate(legs.legs, start=1):
             set_points = leg.set_points
             if number > 1:  # a scan takes long enough for somebody to drive the arm by hand meanwhile
-                _require_near(legs.legs[number - 2], driver.state())
+                _require_near(legs.legs[number - 2], driver.ready(), cell)
             say("move", leg=number, stop=leg.stop, via_points=len(set_points))
             left = clock.now()
             state = _drive(driver, set_points, speed)
             moving += clock.now() - left
             say("standing", leg=number, stop=leg.stop, axes_deg=to_deg(state.axes).tolist())
-            _require_near(leg, state)
+            _require_near(leg, state, cell)
             if leg.stop:
                 looks.append((leg, state.q))
                 after = legs.legs[number].stop if number < len(legs.legs) else 0
                 if after != leg.stop:
                     name = f"{leg.stop:04d}.npz"
-                    points = scan_and_write(looks, cell, disturbance, folder, name, seed)
+                    points = scan_and_write(
+                        looks, cell, disturbance, folder, name, seed,
+                        still=partial(_require_still, leg, driver, cell),
+                    )  # fmt: skip
                     looks = []
                     say("scan", stop=leg.stop, view=leg.view, file=f"scans/{name}", points=points)
             if progress:
@@ -101,7 +105,7 @@ def run(
     except BaseException as error:
         with suppress(FileError):  # a full disk must not hide why it ended
             if isinstance(error, KeyboardInterrupt):
-                say("interrupted", reason="stopped by Ctrl-C")
+                say("interrupted", reason=f"stopped by {signals.told()}")
             else:
                 say("failed", reason=str(error))
         raise
@@ -116,6 +120,7 @@ def scan_and_write(
     folder: ExecutionFolder,
     name: str,
     seed: int,
+    still: Callable[[], None] = lambda: None,
 ) -> int:
     """Scan from where the arm stood and put the scan on disk; returns the number of points.
 
@@ -127,6 +132,7 @@ def scan_and_write(
         folder: where the scan goes.
         name: its file.
         seed: of the disturbance.
+        still: looks, once all points are there, whether the arm still stands where it was scanned; raises if not.
     """
     leg, order = looks[0][0], np.argsort([each.pose for each, _ in looks])
     middle = int(order[len(looks) // 2])
@@ -136,6 +142,7 @@ def scan_and_write(
     T_true, points, scans = scan_of(
         T_reported, cell, disturbance, [seed, POSE, leg.stop], np.random.default_rng([seed, NOISE, leg.stop])
     )
+    still()
     rays = len(scans[0].codes)
     rows, columns = scans[0].grid_shape
     codes = np.concatenate([seen.codes for seen in scans])
@@ -204,13 +211,19 @@ def stands_at(q: Floats, state: RobotState) -> bool:
     return int(np.abs(from_rad(q).astype(np.int64) - state.axes).max()) <= _AT_START
 
 
-def _require_near(leg: Leg, state: RobotState) -> None:
-    """No path is checked from anywhere but where a leg ended."""
+def _require_still(leg: Leg, driver: Driver, cell: RunCell) -> None:
+    _require_near(leg, driver.ready(), cell)
+
+
+def _require_near(leg: Leg, state: RobotState, cell: RunCell) -> None:
+    """No path is checked from anywhere but where a leg ended, and nothing is scanned from elsewhere."""
     due = leg.set_points[-1]
-    if int(np.abs(due.astype(np.int64) - state.axes).max()) > _OFF:
+    off = float(cell.travel(to_rad(due)[None], state.q[None])[0]) if (due != state.axes).any() else 0.0
+    if off > cell.arrival:
         raise DriverFailureError(
-            f"the arm stands at {text(state.axes)} and its last move ended at {text(due)}: it was moved by hand or by "
-            "another client; nothing more was moved, and --resume plans a way from where it stands"
+            f"the arm stands at {text(state.axes)} and its move ended at {text(due)}: a point of arm or tool is up to "
+            f"{1000 * off:.2f} mm off, where {1000 * cell.arrival:g} mm are allowed (arrival_mm); it did not arrive, "
+            "or was moved since; nothing more was moved or scanned, and --resume plans a way from where it stands"
         )
 
 

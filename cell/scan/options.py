@@ -19,7 +19,7 @@ _POSE_ERROR = Option(
     examples=("0.5,0.1",),
     counts=(2,),
 )
-OF_EACH_TIME = frozenset({"driver", "realtime", "confirm_motion", "speed_percent", "reset"})
+OF_EACH_TIME = frozenset({"driver", "realtime", "confirm_motion", "speed_percent", "reset", "accept_time_scale"})
 """What is said anew where an execution is resumed; all else stays as it was begun."""
 
 
@@ -62,6 +62,14 @@ class ScanOptions(Table):
     ] = None
     confirm_motion: Annotated[bool, Option("Your word that a real arm may move. Else it is asked for.", STEEL)] = False
     reset: Annotated[bool, Option("Clear a latched fault of the controller first.", STEEL)] = False
+    accept_time_scale: Annotated[
+        Positive | None,
+        Option(
+            "Drive a controller that says that its clock is so many times as fast as real time: an emulator's.",
+            STEEL,
+            metavar="N",
+        ),
+    ] = None
 
     @property
     def registers(self) -> bool:

@@ -7,7 +7,8 @@ controller; it keeps a mistyped command from moving 235 kg.
 from collections.abc import Callable
 
 from cell.errors import DriverFailureError, UsageError
-from drivers.contract import Driver, Mode, RobotState
+from drivers.contract import Driver, RobotState
+from drivers.status import latched
 
 HARDWARE_SPEED = 0.1
 """Fraction of the axis speeds at which hardware moves unless the user asks for another."""
@@ -53,28 +54,50 @@ def require_confirmed(driver: Driver, speed: float, *, confirmed: bool, ask: Ask
         raise UsageError("not confirmed; nothing was moved")
 
 
-def ready(driver: Driver, *, reset: bool, stop_first: bool) -> RobotState:
-    """The state of a controller that will take a move.
+def require_time_scale(driver: Driver, accepted: float | None) -> None:
+    """A controller on a wire whose clock is not real time is an emulator, and only a person can know that it is one.
+
+    Args:
+        driver: connected.
+        accepted: how many times as fast somebody says that it may be; None: nobody said so.
+
+    Raises:
+        UsageError: if its clock is another one.
+    """
+    able = driver.capabilities
+    if able.hardware and able.time_scale != (1.0 if accepted is None else accepted):
+        raise UsageError(
+            f"{able.controller} says that its clock is {able.time_scale:g} times as fast as real time, as only an "
+            f"emulator's is; nothing was moved: if it is one, give --accept-time-scale {able.time_scale:g}"
+        )
+
+
+def ready(driver: Driver, *, reset: bool, stop_first: bool, time_scale: float | None = None) -> RobotState:
+    """The state of a controller that will take a move, and takes it from us alone.
 
     Args:
         driver: connected.
         reset: whether a latched fault may be cleared.
         stop_first: whether an arm that still moves, as after a client that was killed, may be stopped.
+        time_scale: of a controller whose clock is not real time, as a person accepts it.
 
     Raises:
+        UsageError: if its clock is another one.
         DriverFailureError: if a fault is latched and may not be cleared, or the arm moves.
         DriverError: whatever the driver raises.
     """
+    require_time_scale(driver, time_scale)
     state = driver.state()
     if state.busy:
         if not stop_first:
             raise DriverFailureError("the arm moves already: another client drives it; stop it first")
         state = driver.stop()
-    if state.mode in (Mode.FAULT, Mode.EMERGENCY_STOP):
+    driver.take()
+    if fault := latched(state):
         if not reset:
             raise DriverFailureError(
-                f"the controller has latched a fault ({state.fault_sentence}); nothing was moved: find its cause, then "
-                "give --reset to clear it"
+                f"the controller has latched a fault ({fault}); nothing was moved: find its cause, then give --reset "
+                "to clear it"
             )
-        state = driver.reset()
-    return state
+        driver.reset()
+    return driver.ready()

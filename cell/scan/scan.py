@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from cell import signals
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.plant import factory
@@ -17,7 +18,7 @@ from cell.run.cell import RunCell, read_cell, taken_as_triangles
 from cell.run.executions import RecordedExecution, read_execution
 from cell.run.record import RunRecord, open_finished, read_manifest, understood
 from cell.scan import driver as scan_driver
-from cell.scan import execute, safety
+from cell.scan import execute, lock, resources, safety
 from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.execution_results import usable
 from cell.scan.legs import Legs, legs_of
@@ -57,15 +58,18 @@ def scan(
     legs = legs_of(motion, options.view)
     cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else run.seed
-    driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run))
+    driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
+    resources.require_room(cell, legs, run.folder)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
     with ExitStack() as connected:
+        connected.enter_context(signals.driving())
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
             speed = _allowed_speed(driver, options, cell, ask)
-            safety.ready(driver, reset=options.reset, stop_first=False)
+            safety.ready(driver, reset=options.reset, stop_first=False, time_scale=options.accept_time_scale)
             execute.require_drivable(legs, driver, speed)
         folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC))
+        connected.enter_context(lock.held(folder.path))
         if options.view is not None:
             _write_motion(folder, legs.motion(motion))
         return _executed(connected, Work(run, folder, narrator), legs, driver, clock, cell, motion, options, speed)
@@ -94,6 +98,20 @@ def resume(
     Raises:
         CellError: with one sentence and the exit code; the execution keeps what it has.
     """
+    with lock.held(lock.folder_of(run_folder, execution)):
+        return _resumed(run_folder, execution, options, argv=argv, narrator=narrator, ask=ask)
+
+
+def _resumed(
+    run_folder: Path,
+    execution: str,
+    options: ScanOptions | None,
+    *,
+    argv: Sequence[str],
+    narrator: Narrator,
+    ask: safety.Ask | None,
+) -> ScanOutcome:
+    """Go on, while nobody else does."""
     run = open_finished(run_folder)
     recorded = read_execution(run, execution)
     scans, left_out = usable(recorded, run_reader.plan(run).views)
@@ -107,13 +125,15 @@ def resume(
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
-    driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed_scaling, factory.of_run(run))
+    driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
+    resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
+        connected.enter_context(signals.driving())
         with _drivers_errors_as_ours():
             connected.enter_context(driver)
             if ask is None:  # nobody will agree later: leave the arm alone
                 _allowed_speed(driver, settled, cell, ask)
-            state = safety.ready(driver, reset=settled.reset, stop_first=True)
+            state = safety.ready(driver, reset=settled.reset, stop_first=True, time_scale=settled.accept_time_scale)
             rest = rest_of(legs, done, state, run, motion, seed)
             for sentence in _told(rest, len(done), cell):
                 narrator.note(sentence)
@@ -180,7 +200,11 @@ def _executed(
     connected.enter_context(folder.kept_on_failure())
     connected.enter_context(_drivers_errors_as_ours())
     with work.step(EXECUTING) as progress, driver:
-        folder.note(controller=driver.capabilities.controller, speed_fraction=round(speed, 6))
+        scale = driver.capabilities.time_scale
+        folder.note(
+            controller=driver.capabilities.controller, speed_fraction=round(speed, 6),
+            **({} if scale == 1 else {"time_scale": scale}),
+        )  # fmt: skip
         seed = folder.manifest.require_seed(folder.path)
         seconds = execute.run(
             legs, driver, cell, Disturbance.of(options), folder, seed=seed, speed=speed,

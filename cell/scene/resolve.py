@@ -66,6 +66,11 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
             f"clearance_mm is {scene.clearance_mm:g}; a motion is checked at steps of the clearance, so it must be at "
             f"least {_LEAST_CLEARANCE_MM:g}"
         )
+    if scene.arrival_mm is not None and scene.arrival_mm > scene.clearance_mm / 10:
+        raise SceneError(
+            f"arrival_mm is {scene.arrival_mm:g}; it must be at most a tenth of clearance_mm, "
+            f"{scene.clearance_mm / 10:g}"
+        )
     built_in = _DEFAULTS.get(part.name) if scene.part.path is None else None
     radius_mm = 1000 * enclosing_radius(part.reference, part.centre)
     standoffs_mm = _standoffs_mm(scene, built_in, radius_mm)

@@ -260,6 +260,7 @@ class Scene(Table):
     """A whole scene; `Scene()` is the built-in one."""
 
     clearance_mm: NotNegative = 10.0
+    arrival_mm: Positive | None = None
     robot: Robot = Field(default_factory=Robot)
     scanner: Scanner = Field(default_factory=Scanner)
     mount: Mount = Field(default_factory=Mount)

@@ -44,7 +44,7 @@ class MujocoCollisionChecker:
         self._world = world
         self._data: mujoco.MjData = world.data(T_base_object)
         self._grown: mujoco.MjData = world.data(T_base_object, world.grown)
-        self._travel = TravelBound(world)
+        self._travel = TravelBound(world.model)
         model = world.model
         self._pairs = world.pairs
         self._radius = model.geom_rbound[self._pairs].sum(axis=1)

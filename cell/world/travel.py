@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.robot.model import AXES
-from cell.world.model import World
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -38,12 +37,11 @@ _CHUNK = 512  # configurations a pass, so that its arrays stay in the processor'
 
 
 class TravelBound:
-    """The bound for one world; call it with (N, 6) and (N, 6) joint angles [rad], get (N,) lengths [m]."""
+    """The bound for one compiled cell; call it with (N, 6) and (N, 6) joint angles [rad], get (N,) lengths [m]."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         import mujoco
 
-        model = world.model
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)  # at A1..A6 = 0
         joints = [model.joint(axis).id for axis in AXES]

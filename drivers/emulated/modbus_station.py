@@ -1,15 +1,14 @@
 """The controller's side of the Modbus map: bytes of one telegram in, bytes of its answer out; TCP and RTU alike."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from drivers.commands import Answer, Reset, Result, Stop
-from drivers.contract import Mode
-from drivers.emulated.endpoint import Endpoint, counts_of_pose
+from drivers.emulated.endpoint import Endpoint
 from drivers.errors import ProtocolError
-from drivers.setpoints import AXES
-from drivers.wire import Commit, Stage, speed_to_wire
+from drivers.wire import SCALES, Commit, Stage, speed_to_wire
 from drivers.wires.modbus import adu
 from drivers.wires.modbus import register_map as registers
 
@@ -29,12 +28,14 @@ class ModbusStation:
     def __init__(self, endpoint: Endpoint, *, unit: int = 1, rtu: bool = False) -> None:
         self.endpoint = endpoint
         self._unit, self._rtu = unit, rtu
+        self._axes = len(endpoint.limits.lower)
+        self._blocks = {block.name: block.of(self._axes) for block in registers.BLOCKS}
         self.silence = RTU_SILENCE if rtu else math.inf
         self.forget()
 
     def forget(self) -> None:
         """The controller was restarted."""
-        self._heartbeat = -1
+        self._heartbeat = self._owners = -1
         self._answer = Answer(0, Result.OK)
 
     def split(self, received: bytes) -> tuple[list[bytes], bytes] | None:
@@ -67,10 +68,11 @@ class ModbusStation:
         return adu.unpack_rtu(packet) if self._rtu else adu.unpack_tcp(packet)
 
     def _read(self, request: adu.Read) -> bytes:
-        for block in (registers.STATUS, registers.CAPABILITIES):
+        for name, tell in ((registers.STATUS.name, self._status), (registers.CAPABILITIES.name, self._capabilities)):
+            block = self._blocks[name]
             first = request.address - block.address
             if first >= 0 and first + request.count <= block.registers:
-                values = self._status() if block is registers.STATUS else self._capabilities()
+                values = tell()
                 return adu.registers_pdu(block.encode(values)[first : first + request.count])
         return adu.refusal_pdu(adu.Refusal(adu.READ_INPUT, adu.ILLEGAL_ADDRESS))
 
@@ -78,46 +80,49 @@ class ModbusStation:
         if request.address != registers.COMMAND.address:
             return adu.refusal_pdu(adu.Refusal(adu.WRITE_HOLDING, adu.ILLEGAL_ADDRESS))
         try:
-            values, counts = registers.COMMAND.decode(request.values)
+            values, counts = self._blocks[registers.COMMAND.name].decode(request.values)
         except ProtocolError:
             return adu.refusal_pdu(adu.Refusal(adu.WRITE_HOLDING, adu.ILLEGAL_VALUE))
-        points = np.array(counts, dtype=np.int32).reshape(-1, AXES)
+        points = np.array(counts, dtype=np.int32).reshape(-1, self._axes)
         whole = {name: value for name, value in values.items() if isinstance(value, int)}
         if whole["points"] != len(points):
             return adu.refusal_pdu(adu.Refusal(adu.WRITE_HOLDING, adu.ILLEGAL_VALUE))
-        if whole["heartbeat"] != self._heartbeat:  # a gateway that repeats the last block is no sign of life
-            self._heartbeat = whole["heartbeat"]
-            self.endpoint.hear(whole["watchdog_ms"])
+        self._heartbeat, session = whole["heartbeat"], whole["session"]
         if whole["command"] != registers.NONE:
             self._answer = self._command(whole, points)
+        if session and session == self.endpoint.owner and self._heartbeat != self._owners:
+            self._owners = self._heartbeat  # a gateway that repeats the last block is no sign of life
+            self.endpoint.hear(session)
         return adu.written_pdu(request)
 
     def _command(self, whole: dict[str, int], points: np.ndarray[tuple[int, int], np.dtype[np.int32]]) -> Answer:
-        sequence = whole["sequence"]
+        sequence, session = whole["sequence"], whole["session"]
         match whole["command"]:
             case registers.MOVE if len(points):
                 commit = Commit(whole["speed"], whole["count"], whole["points_crc"], points)
-                return self.endpoint.commit(sequence, commit)
+                return self.endpoint.commit(session, sequence, commit)
             case registers.STAGE if len(points):
-                return self.endpoint.stage(sequence, Stage(whole["offset"], points))
+                return self.endpoint.stage(session, sequence, Stage(whole["offset"], points))
             case registers.STOP:
-                return self.endpoint.command(sequence, Stop())
+                return self.endpoint.command(session, sequence, Stop())
             case registers.RESET:
-                return self.endpoint.command(sequence, Reset())
+                return self.endpoint.command(session, sequence, Reset())
+            case registers.TAKE:
+                return replace(self.endpoint.take(session, whole["watchdog_ms"]), sequence=sequence)
+            case registers.GIVE:
+                return replace(self.endpoint.give(session), sequence=sequence)
         return Answer(sequence, Result.UNKNOWN_COMMAND)
 
     def _status(self) -> dict[str, registers.Value]:
-        report = self.endpoint.report()
-        state = report.state
-        flags = (state.standing, not state.standing, state.mode is Mode.IN_POSITION, state.mode is Mode.FAULT,
-                 state.mode is Mode.EMERGENCY_STOP, report.pose is not None)  # fmt: skip
+        state = self.endpoint.report()
         return {
             **_IDENTITY,
-            "heartbeat": report.heartbeat,
+            "heartbeat": state.heartbeat or 0,
             "boot": state.boot,
             "echo": max(self._heartbeat, 0),
-            "flags": sum(1 << k for k, flag in enumerate(flags) if flag),
+            "flags": state.flags,
             "mode": int(state.mode),
+            "owner": state.owner,
             "ack_sequence": state.ack_sequence,
             "ack_result": int(state.ack_result),
             "done_sequence": state.done_sequence,
@@ -126,15 +131,18 @@ class ModbusStation:
             "answer_result": int(self._answer.result),
             "queue_depth": state.queue_depth,
             "fault_code": int(state.fault_code),
-            "fault_count": report.fault_count,
+            "override": state.override,
+            "path": state.path,
+            "n_axes": self._axes,
             "axes": tuple(state.axes.tolist()),
-            "pose": (0,) * 6 if report.pose is None else counts_of_pose(report.pose),
         }
 
     def _capabilities(self) -> dict[str, registers.Value]:
         able = self.endpoint.capabilities
         return {
             **_IDENTITY,
+            "n_axes": self._axes,
+            "time_scale": round(able.time_scale * SCALES),
             "max_speed": speed_to_wire(able.max_speed),
             "max_via": able.max_via or 0,
             "lower": tuple(able.lower.tolist()),

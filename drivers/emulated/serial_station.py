@@ -10,9 +10,10 @@ from drivers.wires.serial.frames import Frame, decode, encode, split
 from drivers.wires.serial.messages import (
     VERSION,
     Beat,
+    Give,
     Hello,
     Request,
-    Status,
+    Take,
     answer_frame,
     hello_frame,
     request_of,
@@ -50,34 +51,40 @@ class SerialStation:
         if frame is None or frame.start != ">":
             _log.debug("no frame of ours: %r", packet[:80])
             return b""
-        request = request_of(frame)
-        if request is None:
+        message = request_of(frame, len(self.endpoint.limits.lower))
+        if message is None:
             return encode(trouble_frame(frame.number, f"cannot understand {frame.kind} or its arguments"))
-        if packet != self._last:  # a copy of the last frame is no sign of life
+        session, request = message
+        answer = self._answer(frame, session, request)
+        if session and session == self.endpoint.owner and packet != self._last:  # a copy is no sign of life
             self._last = packet
-            self.endpoint.hear(request.watchdog_ms if isinstance(request, Beat) else None)
-        return encode(self._answer(frame, request))
+            self.endpoint.hear(session)
+        return encode(answer)
 
     def refuse(self, packet: bytes) -> bytes:
         """An answer that executes nothing: the controller could not."""
         frame = decode(packet)
         return encode(trouble_frame(frame.number, "the controller is occupied")) if frame else b""
 
-    def _answer(self, frame: Frame, request: Request) -> Frame:
+    def _answer(self, frame: Frame, session: int, request: Request) -> Frame:
         number = frame.number
         match request:
             case Hello(version):
                 if version != VERSION:
                     return trouble_frame(
-                        number, f"protocol version {version} is unknown; this controller has {VERSION}"
+                        number, f"this controller speaks version {VERSION} of the protocol, not {version}"
                     )
                 return hello_frame(number, self.endpoint.capabilities)
             case Beat():
-                report = self.endpoint.report()
-                return status_frame(number, Status(report.heartbeat, report.state))
+                return status_frame(number, self.endpoint.report())
+            case Take(watchdog_ms):
+                answer = self.endpoint.take(session, watchdog_ms)
+            case Give():
+                answer = self.endpoint.give(session)
             case Stage():
-                return answer_frame(frame.kind, self.endpoint.stage(number, request))
+                answer = self.endpoint.stage(session, number, request)
             case Commit():
-                return answer_frame(frame.kind, self.endpoint.commit(number, request))
+                answer = self.endpoint.commit(session, number, request)
             case Stop() | Reset():
-                return answer_frame(frame.kind, self.endpoint.command(number, request))
+                answer = self.endpoint.command(session, number, request)
+        return answer_frame(number, frame.kind, answer)

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from planner.cover.budget import Budget
 from planner.cover.sets import Sets
 from planner.values import Bools, Floats, Ints
 
@@ -35,6 +36,12 @@ ROUNDING = 1e-6
 
 AREA_ROUNDING = 1e-9
 """Taken off a bound on open units, as a share of all units: far above the float error of L_k(u)."""
+
+FIRST_STEP, LAST_STEP, SHRINK, PATIENCE, DEFLECTION = 0.5, 1e-3, 0.7, 10, 0.9
+"""Constants of the subgradient steps, tuned on visibility matrices."""
+
+STEP_WORK, STEP_WORK_PER_ENTRY = 60_000, 1.5
+"""Charge of a step, and of each entry of the matrix."""
 
 
 class Relaxation:
@@ -48,6 +55,7 @@ class Relaxation:
         multipliers: (R,) u.
         penalty: (V,) what L(u) rises by at least when a column is used; for the area: when it is used though it is not
             among the largest.
+        value_of: (V,) sum of the last multipliers over each column's rows (most area).
         size: number of columns that dual and penalty are about; -1 where cost counts.
         open_units: (k + 1,) lower bounds on the units that 0, 1, ... k columns leave open; empty where cost counts.
     """
@@ -61,7 +69,7 @@ class Relaxation:
         self.open_units = np.zeros(sets.most + 1)
         self._must = sets.units > sets.slack
         self.dual, self.penalty = -1.0, np.zeros(sets.n_columns)
-        self.multipliers = np.zeros(len(self.owner))
+        self.multipliers = self.value_of = np.zeros(len(self.owner))
         first = np.zeros(len(self.owner))
         if sets.most >= 0:
             first[: sets.n_rows] = self.units
@@ -126,7 +134,7 @@ class Relaxation:
         return float(of_row[self._must].sum() + share @ of_row[order])
 
     def _evaluate_area(self, u: Floats, of_row: Floats) -> float:
-        value = np.asarray(self.At @ u)
+        value = self.value_of = np.asarray(self.At @ u)
         largest = np.sort(value)[::-1][: len(self.open_units) - 1]
         open_units = np.full(len(self.open_units), float(of_row.sum()))
         open_units[1:] -= np.pad(np.cumsum(largest), (0, len(open_units) - 1 - len(largest)), mode="edge")
@@ -137,6 +145,41 @@ class Relaxation:
             self.dual, self.multipliers = dual, u
             self.penalty = np.maximum(largest[size - 1] - value, 0.0) if size else value * 0.0
         return dual
+
+
+def climb(relaxation: Relaxation, known: int, budget: Budget) -> None:
+    """Most area: deflected subgradient steps of Polyak's length (Camerini, Fratta, Maffioli 1975).
+
+    With few columns nearly every row stays open in part, and the linear programme has too many rows to begin with; the
+    steps come near it at two products with the matrix each (doi:10.1007/BFb0120697). They move in shares of each row's
+    units, so that rows of 1e-12 and of 1e6 move alike.
+
+    Args:
+        relaxation: receives the multipliers.
+        known: units that a known choice leaves open.
+        budget: charged for each step.
+    """
+    units, work = relaxation.units, STEP_WORK_PER_ENTRY * relaxation.A.nnz + STEP_WORK
+    u = kept = relaxation.multipliers
+    direction = np.zeros(len(units))
+    step, stalled, highest = FIRST_STEP, 0, -np.inf
+    while step > LAST_STEP and relaxation.value < known and budget.spend(work):
+        dual = relaxation.evaluate(u)
+        stalled = stalled + 1 if dual <= highest + 1e-7 * abs(highest) else 0
+        if dual > highest:
+            highest, kept = dual, u
+        if stalled >= PATIENCE:
+            step, stalled, u = step * SHRINK, 0, kept
+            dual = relaxation.evaluate(u)
+        chosen = np.zeros(relaxation.sets.n_columns)
+        chosen[np.argsort(-relaxation.value_of, kind="stable")[: relaxation.size]] = 1.0
+        direction = (1.0 - DEFLECTION) * (1.0 - relaxation.A @ chosen) + DEFLECTION * direction
+        stuck = ((u <= 0) & (direction < 0)) | ((u >= units) & (direction > 0))
+        move = np.where(stuck, 0.0, direction)
+        length = float((units * move) @ (units * move))
+        if length == 0.0:
+            break
+        u = np.clip(u + step * max(known - dual, 0.0) / length * units * units * move, 0.0, units)
 
 
 def _shares(sets: Sets) -> tuple[Any, Ints]:

@@ -23,8 +23,8 @@ from planner.values import Ints
 WORK_PER_SECOND = 500_000_000
 """Units that one core does in about a second; a budget of so many seconds is this many times that."""
 
-DEFAULT_WORK = 600_000_000
-"""Default budget of a selection: about one second."""
+DEFAULT_WORK = 1_000_000_000
+"""Default budget of a selection: about two seconds; most end long before."""
 
 UNLIMITED_WORK = 10**15
 """A budget that only a clock ends."""

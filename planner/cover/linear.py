@@ -5,10 +5,6 @@ its solution is held against all rows, those that it violates most are added, an
 stood, until no row is violated. The multipliers of every stage bound the whole problem (`planner.cover.bound`). Where
 rows may stay open, each row of the model has a variable for the share that does.
 
-The same model with whole numbers, on the columns that reduced costs leave and with the rows that have a multiplier,
-asks for a choice better than the best one known; that there is none proves the best. Rows that a solution violates are
-added as before.
-
 HiGHS runs on one thread and stops by iterations and nodes, so that runs repeat; Ctrl-C is heard.
 """
 
@@ -16,15 +12,15 @@ from typing import Any
 
 import highspy
 import numpy as np
-from highspy import HighsModelStatus, HighsVarType, SolutionStatus, kHighsInf
+from highspy import HighsModelStatus, HighsVarType, kHighsInf
 
-from planner.cover.bound import Relaxation
+from planner.cover.bound import Relaxation, climb
 from planner.cover.budget import Budget, interruptible
-from planner.cover.greedy import complete, prune
 from planner.values import Floats, Ints
 
-PIVOT_WORK, PIVOT_WORK_PER_ENTRY = 18_000, 0.5
-"""Charge of a simplex iteration, and of each row, column and entry of the model that it touches on average."""
+PIVOT_WORK, PIVOT_WORK_PER_ENTRY, PIVOT_WORK_PER_ENTRY_WIDE, WIDE = 18_000, 0.5, 2.3, 4
+"""Charge of a simplex iteration, and of each row, column and entry of the model that it touches on average;
+of matrices with more columns than so many times their rows it touches more. Fitted to processor time."""
 
 WHOLE_NUMBERS = 1.2
 """An iteration within the integer programme costs so many times that of the linear one: cuts and nodes come on top."""
@@ -38,6 +34,9 @@ ROOT_PIVOTS_OF_SMALL = 8
 
 FIRST_ROWS, MORE_ROWS, LEAST_ROWS = 0.25, 0.2, 20
 """Rows at the beginning as a share of the columns, rows added at a time as a share of those there, and at least."""
+
+CLIMB_SHARE = 0.6
+"""Most area: of the work for the bound, what subgradient steps get before the linear programme."""
 
 VIOLATED = 1e-6
 """A row is violated where this share of its demand is missing."""
@@ -167,7 +166,13 @@ class Model:
         """Charge of one simplex iteration."""
         highs = self.highs
         size: int = highs.getNumCol() + highs.getNumRow()
-        pivot = PIVOT_WORK + 8 * size + PIVOT_WORK_PER_ENTRY * min(highs.getNumNz(), 40 * size)
+        wide = self.sets.n_columns > WIDE * self.sets.n_rows
+        entries = (
+            PIVOT_WORK_PER_ENTRY_WIDE * highs.getNumNz()
+            if wide
+            else PIVOT_WORK_PER_ENTRY * min(highs.getNumNz(), 40 * size)
+        )
+        pivot = PIVOT_WORK + 8 * size + entries
         return int(WHOLE_NUMBERS * pivot if self.integer else pivot)
 
     def run(self, budget: Budget) -> int:
@@ -238,6 +243,10 @@ def raise_bound(relaxation: Relaxation, upper: int, budget: Budget, model: Model
         The model, to go on from.
     """
     sets = relaxation.sets
+    if sets.most >= 0 and sets.plain:
+        with budget.portion(CLIMB_SHARE):
+            climb(relaxation, upper - sets.tolerance, budget)
+        budget.prove(relaxation.value)
     if model is None:
         model = Model(relaxation, np.arange(sets.n_columns))
         few = np.argsort(np.diff(relaxation.A.indptr), kind="stable")
@@ -253,58 +262,6 @@ def raise_bound(relaxation: Relaxation, upper: int, budget: Budget, model: Model
             break
         model.add(rows[: max(LEAST_ROWS, int(MORE_ROWS * model.inside.sum()))])
     return model
-
-
-def close_gap(relaxation: Relaxation, best: Ints, budget: Budget, *, at_least_root: bool = False) -> Ints:
-    """Look for a better choice, or prove that there is none, as far as the budget goes.
-
-    Args:
-        relaxation: bound whose penalties rule columns out, and whose multipliers name the rows that matter.
-        best: the best choice known.
-        budget: charged; receives what is proven or found.
-        at_least_root: solve the root even where the budget does not pay for it; otherwise do nothing then.
-
-    Returns:
-        The best choice.
-    """
-    sets, model = relaxation.sets, None
-    while not budget.proven:
-        aim = sets.objective(best) - 1 - sets.tolerance
-        if model is None:
-            core = np.flatnonzero(relaxation.useful(aim))
-            if aim < 0 or not len(core) or not (sets.most >= 0 or sets.met(core)):
-                budget.prove(aim + 1)
-                break
-            model = Model(relaxation, core, at_most=aim)
-            model.add(_decisive(relaxation))
-        if not at_least_root and budget.left < model.root_pivots * model.work:
-            break
-        model.run(budget)
-        at_least_root = False
-        if model.status == HighsModelStatus.kInfeasible:
-            budget.prove(aim + 1)  # what the core leaves out is no better
-            break
-        info = model.highs.getInfo()
-        budget.prove(min(model.certified(info.mip_dual_bound), aim + 1))
-        if info.primal_solution_status != SolutionStatus.kSolutionStatusFeasible:
-            break
-        x, slack = model.solution()
-        chosen = prune(sets, complete(sets, core[x > 0.5]))
-        rows = model.violated(x, slack)
-        if budget.offer(chosen, sets.objective(chosen)):
-            best, model = chosen, None
-        elif model.status != HighsModelStatus.kOptimal or not len(rows):
-            break
-        else:
-            model.add(rows[: max(LEAST_ROWS, int(MORE_ROWS * model.inside.sum()))])
-    return best
-
-
-def _decisive(relaxation: Relaxation) -> Ints:
-    """Rows with a multiplier, and the rows of fewest columns where these are few."""
-    rows = np.flatnonzero(relaxation.multipliers > 1e-9 * relaxation.multipliers.max())
-    few = np.argsort(np.diff(relaxation.A.indptr), kind="stable")[:LEAST_ROWS]
-    return np.union1d(rows, few)
 
 
 def _highs(integer: bool) -> Any:

@@ -14,8 +14,7 @@ same search finds the most area with a number of columns. Parts of a graph too m
 weight grows while they last.
 
 The loops are in `search_kernels`; they run in chunks, between which the clock, Ctrl-C and the budget are heard. A
-search that has found nothing for long starts again from its best choice with fresh weights, or from greedy on the
-weights that it has learned.
+search that has found nothing for long goes on with fresh weights.
 """
 
 from typing import TYPE_CHECKING
@@ -46,17 +45,19 @@ PATIENCE = 15
 class Search:
     """A choice that moves; it keeps its weights between calls."""
 
-    def __init__(self, sets: Sets, columns: Ints, rng: np.random.Generator) -> None:
+    def __init__(self, sets: Sets, columns: Ints, rng: np.random.Generator, names: Ints | None = None) -> None:
         """Begin with a choice that meets what is asked for.
 
         Args:
             sets: the problem.
             columns: the choice.
             rng: seeds the draws.
+            names: (V,) what the budget calls each column; None: as it is.
         """
         from planner.cover import search_kernels  # importing numba costs 0.3 s
 
         self._kernels, self.sets, self._rng = search_kernels, sets, rng
+        self._names = np.arange(sets.n_columns) if names is None else names
         self._growth = np.ones(sets.n_rows, dtype=np.int64)
         if not sets.full:
             shares = sets.units / float(max(sets.total, 1))
@@ -83,7 +84,7 @@ class Search:
             if numbers[kernels.BEST] < best:
                 best, self._waited = int(numbers[kernels.BEST]), 0
                 found = prune(sets, state.best[: numbers[kernels.BEST_MEMBERS]])
-                budget.offer(found, sets.objective(found))
+                budget.offer(self._names[found], sets.objective(found))
             elif self._waited > self._patience:
                 self._waited, self._patience = 0, 2 * self._patience
                 self._start_again()

@@ -25,77 +25,51 @@ SAMPLE = 50
 MEMBER_SAMPLE = 400
 """Members of the choice that are looked at where it has more."""
 
+# typed, since numba would compile a kernel anew for each literal that it is called with
+IN: Any = np.int64(1)
+OUT: Any = np.int64(-1)
+NONE: Any = np.int64(-1)
+NEVER: Any = np.int64(0)
+TEN: Any = np.int64(10)
+
 # positions in State.numbers
 MOVES, MEMBERS, OPEN, COST, BEST, BEST_MEMBERS, TABU, MISSING, LIMIT, ALLOWED, PARTS, STEPS, PRICED = range(13)
 NUMBERS = 13
 
 
 class State(NamedTuple):
-    """Everything that a search carries from one chunk of steps to the next.
+    """Everything that a search carries from one chunk of steps to the next."""
 
-    Attributes:
-        row_start: (S + 1,) the problem's rows.
-        row_columns: (nnz,) columns of each row.
-        row_load: (nnz,) or (0,) their loads.
-        column_start: (V + 1,) the problem's columns.
-        column_rows: (nnz,) rows of each column.
-        column_load: (nnz,) or (0,) their loads.
-        demand: (S,) load that each row demands.
-        units: (S,) area of each row, of which `MISSING` units are still missing.
-        costs: (V,) cost of each column.
-        group: (V,) group of each column.
-        group_costs: (G,) what its first column costs on top.
-        group_members: (G,) columns of the choice in each group.
-        adjacent: (V, V) joined columns; (0, 0) where nothing must hold together.
-        fixed: (V,) columns that may not leave.
-        growth: (S,) what a row's weight gains while it stays open; the weights at the start.
-        weights: (S,) weights now.
-        load: (S,) what the choice brings to each row.
-        owner: (S,) sum of its columns' indices: where there is one, it is this one.
-        score: (V,) see the module.
-        chosen: (V,) whether a column is in the choice.
-        free: (V,) whether a column may enter.
-        members: (V,) the choice, in no particular order.
-        place: (V,) where each column stands in `members`.
-        open_rows: (S,) rows that lack something.
-        open_place: (S,) where each row stands in `open_rows`.
-        stamp: (V,) move in which each column last moved; 0: never.
-        best: (V,) the best choice found.
-        labels: (2, V + 1) scratch for the parts of the graph.
-        numbers: counters, see above.
-        random: (1,) state of the random numbers.
-    """
-
-    row_start: Any
-    row_columns: Any
-    row_load: Any
-    column_start: Any
-    column_rows: Any
-    column_load: Any
-    demand: Any
-    units: Any
-    costs: Any
-    group: Any
-    group_costs: Any
-    group_members: Any
-    adjacent: Any
-    fixed: Any
-    growth: Any
-    weights: Any
-    load: Any
-    owner: Any
-    score: Any
-    chosen: Any
-    free: Any
-    members: Any
-    place: Any
-    open_rows: Any
-    open_place: Any
-    stamp: Any
-    best: Any
-    labels: Any
-    numbers: Any
-    random: Any
+    row_start: Any  # (S + 1,) the problem's rows
+    row_columns: Any  # (nnz,) columns of each row
+    row_load: Any  # (nnz,) or (0,) their loads
+    column_start: Any  # (V + 1,) the problem's columns
+    column_rows: Any  # (nnz,) rows of each column
+    column_load: Any  # (nnz,) or (0,) their loads
+    demand: Any  # (S,) load that each row demands
+    units: Any  # (S,) area of each row, of which `MISSING` units are still missing
+    costs: Any  # (V,) cost of each column
+    group: Any  # (V,) group of each column
+    group_costs: Any  # (G,) what its first column costs on top
+    group_members: Any  # (G,) columns of the choice in each group
+    adjacent: Any  # (V, V) joined columns; (0, 0) where nothing must hold together
+    fixed: Any  # (V,) columns that may not leave
+    growth: Any  # (S,) what a row's weight gains while it stays open; the weights at the start
+    weights: Any  # (S,) weights now
+    load: Any  # (S,) what the choice brings to each row
+    owner: Any  # (S,) sum of its columns' indices: where there is one, it is this one
+    score: Any  # (V,) see the module
+    chosen: Any  # (V,) whether a column is in the choice
+    free: Any  # (V,) whether a column may enter
+    members: Any  # (V,) the choice, in no particular order
+    place: Any  # (V,) where each column stands in `members`
+    open_rows: Any  # (S,) rows that lack something
+    open_place: Any  # (S,) where each row stands in `open_rows`
+    stamp: Any  # (V,) move in which each column last moved; 0: never
+    best: Any  # (V,) the best choice found
+    labels: Any  # (2, V + 1) scratch for the parts of the graph
+    numbers: Any  # counters, see above
+    random: Any  # (1,) state of the random numbers
 
 
 @compiled
@@ -339,7 +313,7 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
     work = 0  # in half units
     work_limit *= 2
     while work < work_limit:
-        parts = label(s, -1, s.labels[0]) if graph else 0
+        parts = label(s, NONE, s.labels[0]) if graph else 0
         while (numbers[OPEN] == 0 if full else numbers[MISSING] <= numbers[ALLOWED]) and parts <= 1:
             if most:
                 keep_best(s, numbers[MISSING])
@@ -351,23 +325,23 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
                 return work // 2
             if most:
                 break
-            out = leaving(s, -1, parts, 0)
+            out = leaving(s, NONE, parts, NEVER)
             if out < 0:
                 return work // 2
-            work += MEMBER_WORK * numbers[MEMBERS] + move(s, out, -1)
-            parts = label(s, -1, s.labels[0]) if graph else 0
+            work += MEMBER_WORK * numbers[MEMBERS] + move(s, out, OUT)
+            parts = label(s, NONE, s.labels[0]) if graph else 0
         numbers[STEPS] += 1
         work += numbers[MEMBERS] ** 2 * (numbers[MEMBERS] + 1) if graph else 0
         tenure = draw(s, tenures) + 2 if tenures > 0 else 0
         out = leaving(s, numbers[TABU], parts, min(tenure // 2, numbers[MEMBERS]))
         if out < 0:
             return -1
-        work += MEMBER_WORK * min(numbers[MEMBERS], MEMBER_SAMPLE) + move(s, out, -1)
+        work += MEMBER_WORK * min(numbers[MEMBERS], MEMBER_SAMPLE) + move(s, out, OUT)
         while True:
-            parts = label(s, -1, s.labels[0]) if graph else 0
+            parts = label(s, NONE, s.labels[0]) if graph else 0
             if (numbers[OPEN] == 0 if full else numbers[MISSING] <= numbers[ALLOWED]) and parts <= 1:
                 break
-            aimed = full and numbers[OPEN] > 0 and not (graph and draw(s, 10) < 3)
+            aimed = full and numbers[OPEN] > 0 and not (graph and draw(s, TEN) < 3)
             row: Any = s.open_rows[draw(s, numbers[OPEN])] if aimed else np.int64(-1)
             column = entering(s, row, out, parts, tenure)
             looked_at = min(SAMPLE, s.row_start[row + 1] - s.row_start[row]) if row >= 0 else len(s.costs)
@@ -379,13 +353,13 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
                 more += s.group_costs[s.group[column]]
             if numbers[COST] + more > numbers[LIMIT]:
                 break
-            work += move(s, column, 1)
+            work += move(s, column, IN)
             numbers[TABU] = column
         if full:
             for position in range(numbers[OPEN]):
                 work += grow(s, s.open_rows[position])
         if graph:
-            many = label(s, -1, s.labels[0]) > 1
+            many = label(s, NONE, s.labels[0]) > 1
             weight = numbers[PARTS]
             numbers[PARTS] = weight + weight // 20 + 1 if many else max(weight - weight // 50, 1)
     return work // 2

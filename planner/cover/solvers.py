@@ -7,7 +7,7 @@ import numpy as np
 
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
-from planner.cover.greedy import greedy
+from planner.cover.greedy import complete, greedy, prune
 from planner.cover.meta_raps import meta_raps
 from planner.cover.reductions import reduce
 from planner.cover.search import Search
@@ -25,6 +25,10 @@ HOPEFUL_EXCESS = 0.1
 
 SMALL = 30
 """With no more columns than this the integer programme is tried before the search, and whatever the gap."""
+
+
+CORE = 0.7
+"""The search is confined to the columns that reduced costs leave where these are no more than this share."""
 
 
 @dataclass(slots=True)
@@ -57,9 +61,20 @@ class Job:
         excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
         return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best))
 
+    def core_search(self) -> Search:
+        """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
+        sets = self.sets
+        useful = self.relaxation.useful(self.budget.objective - 1)
+        core = np.flatnonzero(useful)
+        if len(core) > CORE * sets.n_columns or (sets.most < 0 and not sets.met(core)):
+            return Search(sets, self.best, self.rng)
+        inside = sets.restricted(columns=useful)
+        keep = np.searchsorted(core, self.best[useful[self.best]])
+        return Search(inside, prune(inside, complete(inside, keep)), self.rng, core)
+
     def prove(self, *, at_least_root: bool = False) -> None:
         """The integer programme, as far as the budget goes; it knows no graph."""
-        from planner.cover.linear import close_gap  # importing highspy costs start-up
+        from planner.cover.exact import close_gap  # importing highspy costs start-up
 
         if not len(self.sets.adjacent):
             close_gap(self.relaxation, self.best, self.budget, at_least_root=at_least_root)
@@ -76,7 +91,7 @@ def auto(job: Job) -> None:
     search = None
     for share in SEARCH_SHARES:
         if job.budget.spend(0):
-            search = search or Search(job.sets, job.best, job.rng)
+            search = search or job.core_search()
             with job.budget.portion(share):
                 search.run(job.budget)
         if job.hopeful and job.budget.spend(0):

@@ -21,7 +21,7 @@ from drivers.registry import open_driver
         (("modbus", "--faults", "drop=0.1:3"), "takes none", 2),
         (("modbus", "--start", "1,2,3"), "six numbers", 2),
         (("modbus", "--start", "0,90,90,0,90,0"), "outside the controller's limits", 5),
-        (("modbus", "--time-scale", "0"), "above 0", 2),
+        (("modbus", "--time-scale", "0"), "at least 0.001", 2),
         (("serial", "--baud", "12345"), "does not exist", 5),
         (("modbus", "--plant", "rubber"), "must be one of: ideal, mujoco", 2),
     ],

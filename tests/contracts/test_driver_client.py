@@ -1,5 +1,7 @@
 """The client's half of the contract against scripted wires: lost answers, lost lines, foreign controllers, Ctrl-C."""
 
+import dataclasses
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -49,6 +51,7 @@ class ScriptedLink:
         self.on_state: Callable[[], None] = lambda: None
         self.sent: list[tuple[int, Command]] = []
         self.closed = 0
+        self.deadline, self.session = math.inf, 0
 
     def open(self) -> Capabilities:
         limits = kr16()
@@ -56,6 +59,13 @@ class ScriptedLink:
 
     def close(self) -> None:
         self.closed += 1
+
+    def take(self, session: int) -> int:
+        self.session = session
+        return Result.OK
+
+    def give(self) -> None:
+        self.session = 0
 
     def send(self, sequence: int, command: Command) -> Answer:
         self.sent.append((sequence, command))
@@ -66,7 +76,7 @@ class ScriptedLink:
 
     def state(self) -> RobotState:
         self.on_state()
-        return self.controller.state()
+        return dataclasses.replace(self.controller.state(), owner=self.session)
 
     def time_to_wait(self) -> float:
         return self.controller.time_to_wait()
@@ -123,7 +133,7 @@ def test_a_command_lost_on_the_way_is_sent_again_under_its_number(link: Scripted
 
 def test_a_refusal_whose_answer_was_lost_is_still_a_refusal(link: ScriptedLink, client: ControllerClient) -> None:
     """What the state says of the acknowledged number is the answer."""
-    link.controller.latch(Fault.WATCHDOG)
+    link.before = lambda command: link.controller.latch(Fault.WATCHDOG)  # after the client has looked
     link.after = times(1, AnswerTimeoutError("lost"))
     with pytest.raises(RefusedError) as refused:
         client.move(at(10), 0.5)
@@ -190,7 +200,7 @@ def test_a_move_that_is_accepted_and_begins_later_is_waited_for(link: ScriptedLi
         if not link.moves or not late[0]:
             return moved()
         late[0] -= 1
-        return RobotState(Mode.IDLE, START, True, ack_sequence=1, queue_depth=1)
+        return RobotState(Mode.IDLE, START, True, ack_sequence=1, queue_depth=1, owner=link.session)
 
     link.state = state  # type: ignore[method-assign]
     assert client.move(at(10), 0.5).axes.tolist() == at(10)[-1].tolist()
@@ -312,6 +322,7 @@ def test_an_emergency_stop_ends_the_move_until_release_and_reset() -> None:
 
 def test_closing_stops_an_arm_that_moves(link: ScriptedLink, client: ControllerClient) -> None:
     """close() leaves no moving arm behind, and gives the wire back once."""
+    client.take()
     link.controller.command(1, Move(at(90), 1.0))
     assert link.controller.state().mode is Mode.MOVING
     client.close()
@@ -323,7 +334,11 @@ def test_closing_stops_an_arm_that_moves(link: ScriptedLink, client: ControllerC
 
 def test_closing_drops_a_move_that_has_not_begun(link: ScriptedLink, client: ControllerClient) -> None:
     """A move that waits for the enabling switch must not begin when nobody watches any more."""
-    link.state = lambda: RobotState(Mode.IDLE, START, True, queue_depth=1)  # type: ignore[method-assign]
+    client.take()
+    stopped = link.state
+    link.state = lambda: (  # type: ignore[method-assign]
+        stopped() if link.sent else RobotState(Mode.IDLE, START, True, queue_depth=1, owner=link.session)
+    )
     client.close()
     assert isinstance(link.sent[-1][1], Stop)
 

@@ -244,7 +244,7 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
         time_scale: how much faster the arm's time goes than the wire's.
     """
     clock, journal, line = BenchClock(), Journal(), MemoryLine()
-    endpoint = Endpoint(IdealPlant(HOME), kr16(), FastClock(clock, time_scale), clock, journal)
+    endpoint = Endpoint(IdealPlant(HOME), kr16(), FastClock(clock, time_scale), clock, journal, time_scale=time_scale)
     station: Station
     link: ReopeningLink
     port: BytePort | RegisterPort
@@ -278,4 +278,5 @@ def wire(backend: str) -> Bench:
     """A connected bench without faults, on each wire."""
     made = make_bench(backend)
     made.driver.connect()
+    made.driver.take()
     return made

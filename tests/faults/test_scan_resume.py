@@ -54,6 +54,7 @@ def undisturbed(executed: Path) -> dict[str, bytes]:
     return scans
 
 
+_SCALE = ("--accept-time-scale", "20")
 _BEGIN = ("--resolution", "1", "--confirm-motion", "--speed", "100")
 
 
@@ -76,13 +77,13 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
 ) -> None:
     """Kill -9 after the first scan: the controller stops by itself; the resumed scans are those of a quiet day."""
     emulated = emulate(protocol, *_FAST)
-    process = start_cell("scan", run_folder, *_BEGIN, "--driver", emulated.url)
+    process = start_cell("scan", run_folder, *_BEGIN, *_SCALE, "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
     left = len(_scans(run_folder / "executions" / "0001"))
     assert 1 <= left < len(undisturbed)
-    again = ("scan", str(run_folder), "--resume", "latest", "--confirm-motion", "--speed", "100")
+    again = ("scan", str(run_folder), "--resume", "latest", "--confirm-motion", "--speed", "100", *_SCALE)
     done = run_cell(*again, "--reset", cwd=run_folder.parent)
     assert done.returncode == 0, done.stderr
     assert f"{left} views are scanned already" in done.stderr
@@ -104,7 +105,7 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
 ) -> None:
     """Kill -9 of the emulator in the middle: exit code 5; after its restart the arm stands where it stood."""
     emulated = emulate("modbus", *_FAST)
-    process = start_cell("scan", run_folder, *_BEGIN, "--driver", emulated.url)
+    process = start_cell("scan", run_folder, *_BEGIN, *_SCALE, "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(emulated.process.pid, signal.SIGKILL)
     _, said = process.communicate(timeout=120)
@@ -112,7 +113,7 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
     restarted = emulate("modbus", *_FAST, beside=emulated)
     done = run_cell(
         "scan", str(run_folder), "--resume", "0001", "--driver", restarted.url, "--confirm-motion", "--speed", "100",
-        "--reset", cwd=run_folder.parent,
+        "--reset", *_SCALE, cwd=run_folder.parent,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert _scans(run_folder / "executions" / "0001") == undisturbed
@@ -164,7 +165,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
         known.extend([*narrator.notes, question])
         return "no"
 
-    options = ScanOptions(driver=str(standing.url), speed_percent=50.0)
+    options = ScanOptions(driver=str(standing.url), speed_percent=50.0, accept_time_scale=20.0)
     with pytest.raises(UsageError, match="nothing was moved"):
         resume(executed_folder, "latest", options, argv=[], narrator=narrator, ask=ask)
     assert "a new way to view 2 was planned" in known[1]
@@ -201,7 +202,9 @@ def test_every_wire_gives_the_same_scans_to_the_bit(
 ) -> None:
     """Set-points are integers on every wire, so the reported poses are the same numbers."""
     emulated = emulate(protocol, "--time-scale", "1000")
-    done = run_cell("scan", str(run_folder), *_BEGIN, "--driver", emulated.url, cwd=run_folder.parent)
+    done = run_cell(
+        "scan", str(run_folder), *_BEGIN, "--accept-time-scale", "1000", "--driver", emulated.url, cwd=run_folder.parent
+    )
     assert done.returncode == 0, done.stderr
     assert _scans(run_folder / "executions" / "0001") == undisturbed
     moved = [entry for entry in emulated.entries("move")]
@@ -224,7 +227,9 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
 ) -> None:
     """No path between them was checked."""
     emulated = emulate("modbus", *_FAST, "--start", "5,-90,90,0,90,0")
-    done = run_cell("scan", str(run_folder), "--driver", emulated.url, "--confirm-motion", cwd=run_folder.parent)
+    done = run_cell(
+        "scan", str(run_folder), "--driver", emulated.url, "--confirm-motion", *_SCALE, cwd=run_folder.parent
+    )
     assert done.returncode == 5, done.stderr
     assert "the plan begins at" in done.stderr
     assert emulated.entries("move") == []

@@ -40,7 +40,9 @@ def points(least: int = 1, most: int = 12) -> st.SearchStrategy[np.ndarray]:
 
 requests = st.one_of(
     st.builds(messages.Hello),
-    st.builds(messages.Beat, st.integers(0, 65535)),
+    st.builds(messages.Beat),
+    st.builds(messages.Take, st.integers(0, 65535)),
+    st.builds(messages.Give),
     st.builds(Stage, st.integers(0, 10**6), points()),
     st.tuples(points(), st.floats(1e-4, 1.0)).map(lambda given: pieces(Move(*given), 12)[1]),
     st.builds(Stop),
@@ -51,12 +53,14 @@ states = st.builds(
     st.sampled_from(Mode),
     points(1, 1).map(lambda rows: rows[0]),
     st.booleans(),
-    numbers, numbers, numbers, numbers, numbers, numbers, texts.map(plain), numbers,
+    numbers, numbers, numbers, numbers, numbers, numbers, texts.map(plain), *[numbers] * 6,
 )  # fmt: skip
 frames = st.one_of(
-    st.builds(messages.request_frame, numbers, requests),
-    st.builds(messages.status_frame, numbers, st.builds(messages.Status, numbers, states)),
-    st.builds(messages.answer_frame, st.sampled_from(["MOVE", "STOP"]), st.builds(Answer, numbers, numbers, texts)),
+    st.builds(messages.request_frame, numbers, numbers, requests),
+    st.builds(messages.status_frame, numbers, states),
+    st.builds(
+        messages.answer_frame, numbers, st.sampled_from(["MOVE", "STOP"]), st.builds(Answer, numbers, numbers, texts)
+    ),
     st.builds(messages.trouble_frame, numbers, texts),
 )
 
@@ -71,24 +75,24 @@ def test_a_frame_survives_its_bytes(frame: Frame) -> None:
     assert data.count(b"\n") == 1
 
 
-@given(numbers, requests)
-def test_a_request_survives_its_frame(number: int, request: messages.Request) -> None:
+@given(numbers, numbers, requests)
+def test_a_request_survives_its_frame(number: int, session: int, request: messages.Request) -> None:
     """Compared by what is sent, since arrays do not compare."""
-    frame = messages.request_frame(number, request)
+    frame = messages.request_frame(number, session, request)
     again = messages.request_of(frame)
     assert again is not None
-    assert messages.request_frame(number, again) == frame
+    assert messages.request_frame(number, *again) == frame
 
 
-@given(numbers, st.builds(messages.Status, numbers, states))
-def test_a_state_survives_its_frame(number: int, status: messages.Status) -> None:
+@given(numbers, states)
+def test_a_state_survives_its_frame(number: int, state: RobotState) -> None:
     """All of it, text included."""
-    frame = messages.status_frame(number, status)
+    frame = messages.status_frame(number, state)
     again = messages.status_of(frame)
     assert again is not None
     assert messages.status_frame(number, again) == frame
-    assert again.state.axes.tolist() == status.state.axes.tolist()
-    assert again.state.fault_sentence == status.state.fault_sentence
+    assert again.axes.tolist() == state.axes.tolist()
+    assert again.fault_sentence == state.fault_sentence
 
 
 @given(st.sampled_from([TO_CONTROLLER, FROM_CONTROLLER]), numbers, st.text("ASTOPEMVHLR,0123456789-AF ", max_size=60))
@@ -97,10 +101,10 @@ def test_what_is_understood_is_written_in_one_way(start: str, number: int, body:
     frame = Frame(start, number, body)
     request = messages.request_of(frame)
     if request is not None:
-        assert messages.request_frame(number, request) == frame
+        assert messages.request_frame(number, *request) == frame
     answer = messages.answer_of(frame, "MOVE")
     if answer is not None:
-        assert messages.answer_frame("MOVE", answer) == frame
+        assert messages.answer_frame(number, "MOVE", answer) == frame
 
 
 @given(st.binary(max_size=80))
@@ -205,7 +209,7 @@ def test_every_wire_speed_survives() -> None:
     assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(SPEEDS + 1))
 
 
-blocks = st.sampled_from(registers.BLOCKS)
+blocks = st.sampled_from([block.of(6) for block in registers.BLOCKS] + [block.of(9) for block in registers.BLOCKS])
 
 
 def values_of(block: registers.Block, draw: st.DrawFn) -> dict[str, registers.Value]:
@@ -231,7 +235,11 @@ def values_of(block: registers.Block, draw: st.DrawFn) -> dict[str, registers.Va
 def written_blocks(draw: st.DrawFn) -> tuple[registers.Block, list[int]]:
     """A block and registers of it."""
     block = draw(blocks)
-    via = draw(st.lists(int32, min_size=6, max_size=6)) * draw(st.integers(0, 9)) if block.optional_points else []
+    via = (
+        draw(st.lists(int32, min_size=block.axes, max_size=block.axes)) * draw(st.integers(0, block.most_points))
+        if block.optional_points
+        else []
+    )
     return block, block.encode(values_of(block, draw), via)
 
 

@@ -15,6 +15,7 @@ import pytest
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.model import load
 from cell.run.cell import RunCell
 from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
@@ -28,6 +29,7 @@ from cell.scan.legs import Leg, Legs, legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
+from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
@@ -60,7 +62,8 @@ def _scene() -> RunCell:
     """A ball of 60 mm about the middle of the scanner's range at home, and an occluder far away."""
     import trimesh
 
-    kinematics = Kr16Kinematics.load()
+    model = load()
+    kinematics = Kr16Kinematics.from_model(model)
     T_base_object = np.eye(4)
     T_base_object[:3, 3] = (kinematics.forward(HOME[None])[0] @ np.array([0, 0, 0.3, 1]))[:3]
     ball = trimesh.creation.icosphere(3, 0.06)
@@ -68,9 +71,9 @@ def _scene() -> RunCell:
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     scanner = LaserArea(resolution_deg=(3.0, 3.0))
     return RunCell(
-        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
+        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10.0),
         mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
-        scanner, ScannerKeys(**scanner.parameters()), kinematics,
+        scanner, ScannerKeys(**scanner.parameters()), kinematics, TravelBound(model),
     )  # fmt: skip
 
 
@@ -95,6 +98,8 @@ class Recorded:
 
     def state(self) -> RobotState:
         return RobotState(Mode.IDLE, self.axes, True)
+
+    ready = state
 
     def move(self, set_points, speed) -> RobotState:
         self.before(len(self.moves))
@@ -303,27 +308,33 @@ def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
     assert made == ["0042", "0043"]
 
 
-def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder: ExecutionFolder) -> None:
-    """Nobody checked a path from there: after the scan of view 2 the arm stands elsewhere, and nothing more is sent."""
-    driver = Recorded()
-    at_rest = driver.state
+@pytest.mark.parametrize("during", [True, False])
+def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder: ExecutionFolder, during: bool) -> None:
+    """Nobody checked a path from there: during or after the scan of view 2 the arm stands elsewhere; nothing is sent.
 
-    def state() -> RobotState:
-        if len(driver.moves) == 2:
-            driver.axes = driver.axes + np.int32([0, 0, 0, 0, 2000, 0])
-        return at_rest()
+    What was scanned while it was moved is not kept.
+    """
+    driver, looks = Recorded(), [0]
 
-    driver.state = state  # type: ignore[method-assign]
-    with pytest.raises(DriverFailureError, match=r"moved by hand or by another client.*--resume"):
+    def ready() -> RobotState:
+        looks[0] += len(driver.moves) == 2
+        if looks[0] == (1 if during else 2):
+            driver.axes = driver.axes + np.int32([2000, 0, 0, 0, 0, 0])
+        return driver.state()
+
+    driver.ready = ready  # type: ignore[method-assign]
+    with pytest.raises(DriverFailureError, match=r"did not arrive, or was moved since.*--resume"):
         _run(driver, _tour(), folder)
     assert len(driver.moves) == 2
-    assert sorted(path.name for path in (folder.path / "scans").iterdir()) == ["0001.npz", "0002.npz"]
+    kept = ["0001.npz"] if during else ["0001.npz", "0002.npz"]
+    assert sorted(path.name for path in (folder.path / "scans").iterdir()) == kept
 
 
-def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: ExecutionFolder) -> None:
-    """A controller that says it arrived and stands a tenth of a degree off executed another move than ours."""
-    driver = Recorded(off=1001)
-    with pytest.raises(DriverFailureError, match="moved by hand or by another client"):
+@pytest.mark.parametrize("off", [1000, 300])
+def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: ExecutionFolder, off: int) -> None:
+    """A controller that says it arrived and stands 0.1 or 0.03 deg off: several mm at the tool."""
+    driver = Recorded(off=off)
+    with pytest.raises(DriverFailureError, match=r"up to \d+\.\d+ mm off, where 1 mm are allowed"):
         _run(driver, _tour(), folder)
     assert len(driver.moves) == 1
     assert list((folder.path / "scans").iterdir()) == []

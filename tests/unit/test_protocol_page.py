@@ -10,15 +10,16 @@ import pytest
 from cell.emulate.memory import Memory
 from drivers.clock import SimulatedClock
 from drivers.commands import Result
+from drivers.contract import Fault
 from drivers.emulated.endpoint import Endpoint
 from drivers.emulated.modbus_station import ModbusStation
 from drivers.emulated.serial_station import SerialStation
 from drivers.limits import kr16
 from drivers.plant import IdealPlant
-from drivers.wire import MOST_POINTS
+from drivers.wire import MOST_AXES, MOST_POINTS
 from drivers.wires.modbus import register_map as registers
 from drivers.wires.serial.frames import MAX_FRAME, decode
-from drivers.wires.serial.messages import POINTS_PER_FRAME, hello_of, request_of, status_of
+from drivers.wires.serial.messages import COUNTS_PER_FRAME, hello_of, request_of, status_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
 SERIAL, MODBUS = re.findall(r"^```\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
@@ -87,21 +88,26 @@ def test_the_pages_frames_can_be_taken_apart_by_its_words(line: str) -> None:
 
 
 def tables() -> str:
-    """Of the code's registers, as the page has them."""
+    """Of the code's registers, as the page has them; n axes."""
     parts = []
     for block in registers.BLOCKS:
-        at, rows = block.address, []
+        at, axes, rows = block.address, 0, []  # an address is `at + axes n`
         for field in block.fields:
-            last = at + field.registers - 1
-            where = f"{at}" if last == at else f"{at}-{last}"
-            kind = field.type if field.count == 1 else f"{field.type} x {field.count}"
+            each = field.count == registers.PER_AXIS
+            where = f"{at} + {axes}n" if axes else f"{at}"
+            if each:
+                where += "..."
+            elif field.registers > 1:
+                where += f"-{at + field.registers - 1}"
+            count = "n" if each else f"{field.count}"
+            kind = field.type if count == "1" else f"{field.type} x {count}"
             rows.append(f"| {where} | {field.name} | {kind} | {field.meaning} |")
-            at += field.registers
+            at, axes = at + field.registers, axes + 2 * each
         if block.optional_points:
-            rows.append(f"| {at}... | points | i32 x 6n | n = `points` via points, A1 to A6 each [1e-4 deg] |")
-            rows.append(f"| {at} + 12n | crc | u32 | CRC-32 of all registers before |")
-        else:
-            rows.append(f"| {at}-{at + 1} | crc | u32 | CRC-32 of all registers before |")
+            rows.append(f"| {at}... | points | i32 x kn | k = `points` via points, A1 on each [1e-4 deg] |")
+        rows.append(
+            f"| {at} + {'2k' if block.optional_points else axes}n | crc | u32 | CRC-32 of all registers before |"
+        )
         parts.append(
             f"### {block.name.capitalize()} block, {block.kind} registers from {block.address}\n\n"
             "| register | name | type | meaning |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
@@ -120,17 +126,23 @@ def test_the_numbers_in_the_text_are_the_codes() -> None:
     """Sizes, check values and result codes."""
     assert f"{zlib.crc32(b'123456789'):08X}" in PAGE
     assert f"at most {MAX_FRAME} bytes" in PAGE
-    assert f"a frame holds {POINTS_PER_FRAME}, a register block {registers.POINTS_PER_BLOCK}" in PAGE
+    nine = registers.COMMAND.of(6).most_points
+    assert f"a frame holds {COUNTS_PER_FRAME} axes, a register block {nine} points of six axes" in PAGE
+    assert f"its length is {registers.COMMAND.of(6).registers} registers and 2n for each via point" in PAGE
+    assert f"n, 6 to {MOST_AXES}" in PAGE
     assert f"up to {MOST_POINTS:,} via points" in PAGE
     for result in Result:
         assert f"| {int(result)} | " in PAGE
+    for fault in Fault:
+        assert f"| {int(fault)} | " in PAGE
 
 
-def test_the_blocks_fit_their_telegrams() -> None:
-    """123 registers in an FC16, 125 in an FC04."""
-    full = registers.COMMAND.registers + registers.POINTS_PER_BLOCK * registers.REGISTERS_PER_POINT
-    assert full <= 123
-    assert full + registers.REGISTERS_PER_POINT > 123
-    assert registers.STATUS.registers <= 125
-    assert registers.CAPABILITIES.registers <= 125
-    assert registers.STATUS.address + registers.STATUS.registers <= registers.CAPABILITIES.address
+@pytest.mark.parametrize("axes", [6, 7, MOST_AXES])
+def test_the_blocks_fit_their_telegrams(axes: int) -> None:
+    """123 registers in an FC16, 125 in an FC04, for every number of axes."""
+    command, status, able = (block.of(axes) for block in registers.BLOCKS)
+    full = command.registers + command.most_points * 2 * axes
+    assert full <= registers.MOST_WRITTEN < full + 2 * axes
+    assert status.registers <= 125
+    assert able.registers <= 125
+    assert status.address + status.registers <= able.address

@@ -74,3 +74,11 @@ def test_a_clearance_too_small_to_plan_with_is_refused(clearance: float) -> None
 def test_the_percentage_is_of_the_faces_that_are_kept() -> None:
     """10 percent of 1280 faces are 128."""
     assert resolve(own(plan={"percent_kept": 10.0}), ball(50)).faces == 128
+
+
+@pytest.mark.parametrize(("clearance", "arrival"), [(10.0, 1.0), (5.0, 0.5), (20.0, 1.5)])
+def test_an_arrival_is_at_most_a_tenth_of_the_clearance(clearance: float, arrival: float) -> None:
+    """What is taken from the clearance at the end of a move; more is refused, with the largest that may be."""
+    resolve(own(clearance_mm=clearance, arrival_mm=arrival), ball(50))
+    with pytest.raises(SceneError, match=rf"at most a tenth of clearance_mm, {clearance / 10:g}"):
+        resolve(own(clearance_mm=clearance, arrival_mm=1.001 * clearance / 10), ball(50))

@@ -1,5 +1,7 @@
 """What has to hold before steel moves: somebody's word, a slow start, no latched fault."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -28,9 +30,14 @@ class _Controller:
             self.mode, from_rad(np.zeros(6)), self.standing, queue_depth=self.queue, fault_sentence=latched
         )
 
+    ready = state
+
+    def take(self) -> None:
+        """It is nobody else's."""
+
     def stop(self) -> RobotState:
         self.asked += "stop "
-        self.standing = True
+        self.standing, self.queue = True, 0
         return self.state()
 
     def reset(self) -> RobotState:
@@ -102,3 +109,18 @@ def test_an_arm_that_moves_is_stopped_only_where_an_execution_is_resumed() -> No
     moving.mode = Mode.IDLE
     assert safety.ready(moving, reset=False, stop_first=True).standing
     assert moving.asked == "stop "
+
+
+def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
+    """Only an emulator's is not; what is accepted is exactly what it says, and a simulation is not asked."""
+    emulator = _Controller()
+    emulator.capabilities = replace(emulator.capabilities, time_scale=20.0)
+    for accepted in (None, 1.0, 19.9):
+        with pytest.raises(UsageError, match=r"20 times as fast.*--accept-time-scale 20"):
+            safety.require_time_scale(emulator, accepted)
+    safety.require_time_scale(emulator, 20.0)
+    safety.require_time_scale(_Controller(), None)
+    with pytest.raises(UsageError, match="1 times"):
+        safety.require_time_scale(_Controller(), 20.0)
+    emulator.capabilities = replace(emulator.capabilities, hardware=False)
+    safety.require_time_scale(emulator, None)

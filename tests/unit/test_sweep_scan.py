@@ -10,6 +10,7 @@ import pytest
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.model import load
 from cell.run.cell import RunCell
 from cell.run.executions import read_scan
 from cell.run.folder import SCHEMA
@@ -22,6 +23,7 @@ from cell.scan.legs import legs_of
 from cell.scan.pose_error import Disturbance
 from cell.scan.sweep_scan import line_poses, lines_between
 from cell.scanners.laser_line import LaserLine
+from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
@@ -58,9 +60,9 @@ def scene() -> RunCell:
     mesh = TriangleMesh(ball.vertices, ball.faces)
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     return RunCell(
-        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4)),
+        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10.0),
         mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
-        SCANNER, ScannerKeys(**SCANNER.parameters()), KINEMATICS,
+        SCANNER, ScannerKeys(**SCANNER.parameters()), KINEMATICS, TravelBound(load()),
     )  # fmt: skip
 
 
@@ -87,6 +89,8 @@ class _Driver:
 
     def state(self) -> RobotState:
         return RobotState(Mode.IDLE, self.axes, True)
+
+    ready = state
 
     def move(self, set_points: np.ndarray, speed: float) -> RobotState:
         if self.moves == self.fails_at:

@@ -20,25 +20,23 @@ only that something took it.
 import secrets
 from collections.abc import Mapping
 from functools import partial
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
-from drivers.commands import Answer, Command, Move, Stop
-from drivers.contract import Capabilities, Fault, Mode, RobotState
+from drivers.commands import Answer, Command, Move, Result, Stop
+from drivers.contract import Capabilities, Fault, Flag, Mode, RobotState
 from drivers.errors import DriverUrlError, LinkLostError, ProtocolError
 from drivers.registry import Context
 from drivers.reopening import Line, ReopeningLink
-from drivers.setpoints import SetPoints
+from drivers.setpoints import AXES, SetPoints
 from drivers.url import DriverUrl
-from drivers.wire import Patience, pieces, speed_from_wire
+from drivers.wire import MOST_AXES, SCALES, Patience, pieces, speed_from_wire
 from drivers.wires.modbus import register_map as registers
 from drivers.wires.modbus.port import ModbusPort
 from drivers.wires.serial.link import port_path, require_taken
-
-STANDING_FLAG = 0b01
 
 
 class Port(Line, Protocol):
@@ -49,6 +47,9 @@ class Port(Line, Protocol):
 
     def write(self, address: int, values: list[int]) -> None:
         """Holding registers, in one FC16."""
+
+
+Client = TypeVar("Client", bound=ControllerClient)
 
 
 class ModbusLink(ReopeningLink):
@@ -64,16 +65,20 @@ class ModbusLink(ReopeningLink):
     def __init__(self, port: Port, clock: Clock, patience: Patience, *, first_heartbeat: int | None = None) -> None:
         super().__init__(port, clock, patience)
         self._port = port
+        self._size(AXES)
         self._heartbeat = secrets.randbelow(65536) if first_heartbeat is None else first_heartbeat
 
     def send(self, sequence: int, command: Command) -> Answer:
         """Send a command once; what a move stages first may be sent again."""
         self._require_open()
         if isinstance(command, Move):
-            stages, commit = pieces(command, registers.POINTS_PER_BLOCK)
+            stages, commit = pieces(command, self._block_of[registers.COMMAND.name].most_points)
             for stage in stages:
                 block = {"command": registers.STAGE, "offset": stage.offset}
-                require_taken(self._again(partial(self._command, sequence, block, stage.points)))
+                taken = self._again(partial(self._command, sequence, block, stage.points))
+                if taken.result != Result.OK:
+                    require_taken(taken)
+                    return taken
             block = {
                 "command": registers.MOVE, "speed": commit.speed, "count": commit.count, "points_crc": commit.crc
             }  # fmt: skip
@@ -83,11 +88,30 @@ class ModbusLink(ReopeningLink):
         return self._command(sequence, {"command": registers.STOP if isinstance(command, Stop) else registers.RESET})
 
     def state(self) -> RobotState:
-        """Beat, and read the state; several times if need be, opening a lost line again."""
-        values = self._again(self._beat)
-        return self._taken(_whole(values, "heartbeat"), _state_of(values))
+        """Read the state, the owner's heartbeat first; several times if need be, opening a lost line again."""
+        return self._taken(self._again(self._beat))
+
+    def _size(self, axes: int) -> None:
+        self._block_of = {block.name: block.of(axes) for block in registers.BLOCKS}
+
+    def _ask_for(self, session: int) -> int:
+        before, self.session = self.session, session
+        try:
+            take = {"command": registers.TAKE, "watchdog_ms": self._patience.watchdog_ms}
+            return int(self._command(session, take).result)
+        finally:
+            self.session = before
+
+    def _give_back(self) -> None:
+        self._command(self.session, {"command": registers.GIVE})
 
     def _greet(self) -> Capabilities:
+        head = self._read(registers.CAPABILITIES.address, registers.HEAD)
+        registers.check_identity(head)
+        axes = head[-1]
+        if not AXES <= axes <= MOST_AXES:
+            raise ProtocolError(f"the controller has {axes} axes; there are {AXES} to {MOST_AXES}")
+        self._size(axes)
         values = self._block(registers.CAPABILITIES)
         return Capabilities(
             controller=str(values["name"]),
@@ -98,11 +122,14 @@ class ModbusLink(ReopeningLink):
             max_via=_whole(values, "max_via") or None,
             hardware=True,
             simulated_time=False,
+            time_scale=_whole(values, "time_scale") / SCALES,
         )
 
-    def _beat(self) -> dict[str, registers.Value]:
+    def _beat(self) -> RobotState:
+        if not self.session:  # whoever only looks writes nothing
+            return _state_of(self._block(registers.STATUS))
         self._write({})
-        return self._status()
+        return _state_of(self._status())
 
     def _command(self, sequence: int, block: Mapping[str, int], points: SetPoints | None = None) -> Answer:
         self._write({"sequence": sequence, **block}, points)
@@ -121,12 +148,13 @@ class ModbusLink(ReopeningLink):
             **dict.fromkeys((field.name for field in registers.COMMAND.fields), 0),
             **block,
             "heartbeat": self._heartbeat,
-            "watchdog_ms": self._patience.watchdog_ms,
+            "session": self.session,
             "points": 0 if points is None else len(points),
         }
         counts = () if points is None else points.ravel().tolist()
         try:
-            self._port.write(registers.COMMAND.address, registers.COMMAND.encode(values, counts))
+            block_of = self._block_of[registers.COMMAND.name]
+            self._port.write(block_of.address, block_of.encode(values, counts))
         except LinkLostError:
             self._drop()
             raise
@@ -135,11 +163,7 @@ class ModbusLink(ReopeningLink):
         """The status that was made after the last write."""
         echo = -1
         for _ in range(self._patience.tries):
-            try:
-                values = self._block(registers.STATUS)
-            except LinkLostError:
-                self._drop()
-                raise
+            values = self._block(registers.STATUS)
             echo = _whole(values, "echo")
             if echo == self._heartbeat:
                 return values
@@ -149,14 +173,32 @@ class ModbusLink(ReopeningLink):
         )
 
     def _block(self, block: registers.Block) -> dict[str, registers.Value]:
-        read = self._port.read(block.address, block.registers)
+        sized = self._block_of[block.name]
+        read = self._read(sized.address, sized.registers)
         registers.check_identity(read)
-        values, _ = block.decode(read)
+        values, _ = sized.decode(read)
         return values
+
+    def _read(self, address: int, count: int) -> list[int]:
+        try:
+            return self._port.read(address, count)
+        except LinkLostError:
+            self._drop()
+            raise
+
+
+_AS_THEY_ARE = (
+    "ack_sequence", "ack_result", "done_sequence", "done_result", "queue_depth", "fault_code", "boot", "owner",
+    "heartbeat", "override", "path", "flags",
+)  # fmt: skip
 
 
 def _state_of(values: Mapping[str, registers.Value]) -> RobotState:
-    flags, code = _whole(values, "flags"), _whole(values, "fault_code")
+    code, axes = _whole(values, "fault_code"), _axes(values, "axes")
+    if _whole(values, "n_axes") != len(axes):
+        raise ProtocolError(
+            f"the controller has {values['n_axes']} axes and said at the start that there are {len(axes)}"
+        )
     try:
         mode = Mode(_whole(values, "mode"))
     except ValueError as error:
@@ -165,18 +207,9 @@ def _state_of(values: Mapping[str, registers.Value]) -> RobotState:
         sentence = Fault(code).sentence
     except ValueError:
         sentence = f"fault {code} of this controller"
+    standing = bool(_whole(values, "flags") & Flag.STANDS)
     return RobotState(
-        mode=mode,
-        axes=_axes(values, "axes"),
-        standing=bool(flags & STANDING_FLAG),
-        ack_sequence=_whole(values, "ack_sequence"),
-        ack_result=_whole(values, "ack_result"),
-        done_sequence=_whole(values, "done_sequence"),
-        done_result=_whole(values, "done_result"),
-        queue_depth=_whole(values, "queue_depth"),
-        fault_code=code,
-        fault_sentence=sentence,
-        boot=_whole(values, "boot"),
+        mode, axes, standing, fault_sentence=sentence, **{name: _whole(values, name) for name in _AS_THEY_ARE}
     )
 
 
@@ -206,7 +239,7 @@ class ModbusDriver(ControllerClient):
             raise DriverUrlError(f"'{url.text}' must name a host and no path: modbus://192.168.0.10:502?unit=1")
         clock = context.clock or RealTimeClock()
         port = ModbusPort.tcp(url.host, url.port or 502, unit, patience.answer)
-        return cls(ModbusLink(port, clock, patience), clock)
+        return _driver(cls, port, clock, patience, context)
 
 
 class ModbusRtuDriver(ControllerClient):
@@ -224,7 +257,13 @@ class ModbusRtuDriver(ControllerClient):
         url.finish()
         path = port_path(url)
         clock = context.clock or RealTimeClock()
-        return cls(ModbusLink(ModbusPort.rtu(path, baud, unit, patience.answer), clock, patience), clock)
+        return _driver(cls, ModbusPort.rtu(path, baud, unit, patience.answer), clock, patience, context)
+
+
+def _driver(kind: type[Client], port: ModbusPort, clock: Clock, patience: Patience, context: Context) -> Client:
+    link = ModbusLink(port, clock, patience)
+    link.say = context.say
+    return kind(link, clock, limits=context.limits, say=context.say)
 
 
 def _unit(url: DriverUrl) -> int:

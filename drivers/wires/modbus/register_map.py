@@ -4,42 +4,46 @@ Three blocks, the same on TCP and RTU; addresses are 0-based as they stand in a 
 
 - *Command*, holding registers, written as a whole in one FC16. Its length depends on the number of via points in it.
 - *Status*, input registers, read as a whole in one FC04, so that nothing in it is torn.
-- *Capabilities*, input registers, read once.
+- *Capabilities*, input registers, read once: first the head, which tells the number of axes n, then the whole.
 
 Registers are 16 bits, most significant byte first. Two registers make a 32-bit value, the most significant register
 first ("big words", ABCD). A gateway that swaps words is found twice: the status begins with the float32 1234.5, and
 every block ends with a CRC-32 over its registers, whose own words would be swapped too. That CRC also finds what the
 TCP form does not protect, blocks put together from two writes, and values that a gateway made up.
 
-The CRC-32 is that of `drivers.wire`, over the registers before it as they are sent.
+The CRC-32 is that of `drivers.wire`, over the registers before it as they are sent: each as two bytes, the most
+significant first, in the order of their addresses.
 """
 
 import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from drivers.errors import ProtocolError
 
 MAGIC: Final = 0x4B52  # "KR"
-MAP_VERSION: Final = 1
+MAP_VERSION: Final = 2
 WORD_ORDER: Final = 1234.5
 
-POINTS_PER_BLOCK: Final = 9
-"""Via points of one command block: 14 + 9 x 12 registers are 122 of the 123 that an FC16 may write."""
+MOST_WRITTEN: Final = 123
+"""Registers that one FC16 may write."""
 
-REGISTERS_PER_POINT: Final = 12
+PER_AXIS: Final = 0
+"""Count of a field that has one value for each axis."""
 
-NONE, MOVE, STAGE, STOP, RESET = 0, 1, 2, 4, 9
+NONE, MOVE, STAGE, STOP, TAKE, GIVE, RESET = 0, 1, 2, 4, 5, 6, 9
 """Command codes. NONE is a heartbeat and nothing else."""
 
 COMMANDS: Final = {
     NONE: "no command: heartbeat only; the sequence is not looked at",
     MOVE: "move through `count` via points, the last `points` of which stand in this block",
     STAGE: "write `points` via points into the buffer of move `sequence`, from `offset` on; nothing moves",
-    STOP: "brake on the path; obeyed whatever the sequence",
+    STOP: "brake on the path; obeyed from everybody, whatever the sequence",
+    TAKE: "own the arm as `session`, with the watchdog `watchdog_ms`; the sequence is repeated and not used up",
+    GIVE: "give the arm back; the sequence is repeated and not used up",
     RESET: "clear a latched fault",
 }
 
@@ -57,7 +61,7 @@ class Field:
         name: its name here and on the page.
         type: u16, i32, u32, f32, or text (ASCII, two characters a register, filled up with zero bytes).
         meaning: what it says, with its unit.
-        count: how many values of the type stand in a row; for a text, how many registers it has.
+        count: how many values of the type stand in a row; for a text, how many registers it has; `PER_AXIS`: n.
     """
 
     name: str
@@ -80,7 +84,8 @@ class Block:
         kind: "holding" or "input".
         address: of its first register, 0-based.
         fields: without the CRC-32 that ends every block.
-        optional_points: whether up to `POINTS_PER_BLOCK` via points stand between the fields and the CRC.
+        optional_points: whether via points may stand between the fields and the CRC.
+        axes: of the arm, n; a block of `BLOCKS` is of no arm yet (`of` makes it one).
     """
 
     name: str
@@ -88,6 +93,17 @@ class Block:
     address: int
     fields: tuple[Field, ...]
     optional_points: bool = False
+    axes: int = 0
+
+    def of(self, axes: int) -> "Block":
+        """This block for an arm of so many axes."""
+        sized = (replace(field, count=axes) if field.count == PER_AXIS else field for field in self.fields)
+        return replace(self, fields=tuple(sized), axes=axes)
+
+    @property
+    def most_points(self) -> int:
+        """Via points that it carries beside its fields, where it may carry any."""
+        return (MOST_WRITTEN - self.registers) // (2 * self.axes)
 
     @property
     def registers(self) -> int:
@@ -119,8 +135,8 @@ class Block:
             ProtocolError: if the length or the CRC is wrong.
         """
         more = len(registers) - self.registers
-        if more < 0 or (more and not self.optional_points) or more % REGISTERS_PER_POINT:
-            lengths = f"{self.registers}" + f" and {REGISTERS_PER_POINT} for each via point" * self.optional_points
+        if more < 0 or (more and not self.optional_points) or (more and more % (2 * self.axes)):
+            lengths = f"{self.registers}" + f" and {2 * self.axes} for each via point" * self.optional_points
             raise ProtocolError(f"the {self.name} block has {len(registers)} registers; it must have {lengths}")
         data = struct.pack(f">{len(registers)}H", *registers)
         if zlib.crc32(data[:-4]) != struct.unpack(">I", data[-4:])[0]:
@@ -162,12 +178,13 @@ COMMAND: Final = Block(
     "holding",
     0,
     (
-        Field("heartbeat", "u16", "counts on with every write; a write that repeats it does not feed the watchdog"),
+        Field("heartbeat", "u16", "counts on with every write; the owner's feeds the watchdog, unless it is repeated"),
+        Field("session", "u16", "1 to 65535: the client's; 0: of none, for a stop"),
         Field("sequence", "u16", "1 to 65535, new for every command"),
         Field("command", "u16", "see the command codes"),
-        Field("watchdog_ms", "u16", "silence [ms] after which a moving arm is stopped"),
+        Field("watchdog_ms", "u16", "taking: silence [ms] after which a moving arm is stopped, 100 to 5000; else 0"),
         Field("speed", "u16", "speed fraction of a move [1e-4]"),
-        Field("points", "u16", f"via points in this block, 0 to {POINTS_PER_BLOCK}"),
+        Field("points", "u16", "via points in this block, k; 0 to 9 of six axes"),
         Field("offset", "u32", "staging: index of this block's first point in the move; else 0"),
         Field("count", "u32", "move: via points of the whole move; else 0"),
         Field("points_crc", "u32", "move: CRC-32 over all its via points; else 0"),
@@ -185,19 +202,21 @@ STATUS: Final = Block(
         Field("boot", "u16", "another number after each start of the controller"),
         Field("echo", "u16", "heartbeat of the last command block that was taken"),
         Field("flags", "u16", "bit 0: stands; bit 1: moves or brakes; bit 2: in position; bit 3: fault; bit 4: e-stop; "
-              "bit 5: the pose is valid"),
+              "bit 5: held; all others 0"),
         Field("mode", "u16", "0 idle, 1 moving, 2 in position, 3 fault, 4 e-stop"),
+        Field("owner", "u16", "session that owns the arm; 0: none"),
         Field("ack_sequence", "u16", "last command that was executed or refused; 0: none since the start"),
         Field("ack_result", "u16", "the answer to it"),
         Field("done_sequence", "u16", "last move that ended; 0: none since the start"),
         Field("done_result", "u16", "how it ended"),
         Field("answer_sequence", "u16", "sequence of the last command block with a command"),
         Field("answer_result", "u16", "the answer to that block: also REUSED, STALE, INCOMPLETE"),
-        Field("queue_depth", "u16", "moves accepted and not ended"),
+        Field("queue_depth", "u16", "moves accepted and not ended, 0 or 1"),
         Field("fault_code", "u16", "0, or the latched fault"),
-        Field("fault_count", "u16", "faults since the start, modulo 65536"),
-        Field("axes", "i32", "A1 to A6 [1e-4 deg]", 6),
-        Field("pose", "i32", "flange in the robot's base: X, Y, Z [1e-3 mm], A, B, C [1e-4 deg]; 0 where not valid", 6),
+        Field("override", "u16", "share of the commanded speed that is driven [1e-4]"),
+        Field("path", "u16", "share of its way that the last move has passed [1e-4]"),
+        Field("n_axes", "u16", "number of axes, n"),
+        Field("axes", "i32", "A1 on [1e-4 deg]", PER_AXIS),
     ),
 )  # fmt: skip
 
@@ -207,16 +226,21 @@ CAPABILITIES: Final = Block(
     100,
     (
         *_IDENTITY,
+        Field("n_axes", "u16", "number of axes, n, 6 to 12"),
+        Field("time_scale", "u32", "seconds of the controller's clock per 1,000 s; 1,000 of all but emulators"),
         Field("max_speed", "u16", "largest speed fraction [1e-4]"),
         Field("max_via", "u32", "most via points of one move; 0: no bound"),
-        Field("lower", "i32", "smallest set-points, A1 to A6 [1e-4 deg]", 6),
-        Field("upper", "i32", "largest set-points [1e-4 deg]", 6),
-        Field("max_step", "i32", "largest change of an axis from one via point to the next [1e-4 deg]", 6),
         Field("name", "text", "what the controller is", 16),
+        Field("lower", "i32", "smallest set-points, A1 on [1e-4 deg]", PER_AXIS),
+        Field("upper", "i32", "largest set-points [1e-4 deg]", PER_AXIS),
+        Field("max_step", "i32", "largest change of an axis from one via point to the next [1e-4 deg]", PER_AXIS),
     ),
 )
 
 BLOCKS: Final = (COMMAND, STATUS, CAPABILITIES)
+
+HEAD: Final = 5
+"""Registers of the capabilities that tell with whom one speaks: identity and number of axes, without a CRC."""
 
 
 def check_identity(registers: Sequence[int]) -> None:
@@ -236,4 +260,7 @@ def check_identity(registers: Sequence[int]) -> None:
             f"the word-order test reads {word_order}, not {WORD_ORDER}; a gateway swaps words: set it to big words"
         )
     if values["version"] != MAP_VERSION:
-        raise ProtocolError(f"the controller has map version {values['version']}; this driver speaks {MAP_VERSION}")
+        raise ProtocolError(
+            f"the controller has map version {values['version']} and this driver {MAP_VERSION}, see docs/protocol.md; "
+            "bring both to one version"
+        )

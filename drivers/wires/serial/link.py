@@ -30,12 +30,14 @@ from drivers.registry import Context
 from drivers.reopening import Line, ReopeningLink
 from drivers.url import DriverUrl
 from drivers.wire import Patience, pieces
-from drivers.wires.serial.frames import Frame, decode, encode, split
+from drivers.wires.serial.frames import FROM_CONTROLLER, Frame, decode, encode, split
 from drivers.wires.serial.messages import (
-    POINTS_PER_FRAME,
+    COUNTS_PER_FRAME,
     Beat,
+    Give,
     Hello,
     Request,
+    Take,
     answer_of,
     hello_of,
     request_frame,
@@ -90,20 +92,33 @@ class SerialLink(ReopeningLink):
         self._require_open()
         request: Request
         if isinstance(command, Move):
-            stages, request = pieces(command, POINTS_PER_FRAME)
+            stages, request = pieces(command, COUNTS_PER_FRAME // command.set_points.shape[1])
             for stage in stages:
-                require_taken(self._again(partial(self._ask, sequence, stage, partial(answer_of, kind="POINTS"))))
+                taken = self._again(partial(self._ask, sequence, stage, partial(answer_of, kind="POINTS")))
+                if taken.result != Result.OK:
+                    require_taken(taken)
+                    return taken
         else:
             request = command
-        kind = request_frame(sequence, request).kind
+        kind = request_frame(sequence, self.session, request).kind
         answer = self._ask(sequence, request, partial(answer_of, kind=kind))
         require_taken(answer)
         return answer
 
+    def _ask_for(self, session: int) -> int:
+        before, self.session = self.session, session
+        try:
+            take = Take(self._patience.watchdog_ms)
+            return int(self._ask(self._next_question(), take, partial(answer_of, kind="TAKE")).result)
+        finally:
+            self.session = before
+
+    def _give_back(self) -> None:
+        self._ask(self._next_question(), Give(), partial(answer_of, kind="GIVE"))
+
     def state(self) -> RobotState:
         """Ask for the state, several times if need be, opening a lost port again."""
-        status = self._again(lambda: self._ask(self._next_question(), Beat(self._patience.watchdog_ms), status_of))
-        return self._taken(status.heartbeat, status.state)
+        return self._taken(self._again(lambda: self._ask(self._next_question(), Beat(), status_of)))
 
     def _greet(self) -> Capabilities:
         return self._ask(self._next_question(), Hello(), hello_of)
@@ -114,13 +129,13 @@ class SerialLink(ReopeningLink):
 
     def _ask(self, number: int, request: Request, read: Callable[[Frame], T | None]) -> T:
         """Send one frame and wait for what answers it."""
-        frame = request_frame(number, request)
+        frame = request_frame(number, self.session, request)
         data, kind = encode(frame), frame.kind
         time_on_wire = (len(data) + _ANSWER_BYTES) * self._seconds_per_byte
         try:
             self._port.write(data)
             deadline = self._clock.now() + self._patience.answer + time_on_wire
-            rest, n_bytes, n_frames = b"", 0, 0
+            rest, n_bytes, n_frames, unread = b"", 0, 0, False
             while (left := deadline - self._clock.now()) > 0.0:
                 received = self._port.read(left)
                 n_bytes += len(received)
@@ -133,6 +148,7 @@ class SerialLink(ReopeningLink):
                         raise ProtocolError(f"the controller could not answer {kind}: {trouble}")
                     if (answer := read(frame)) is not None:
                         return answer
+                    unread = unread or (frame.start == FROM_CONTROLLER and frame.kind == kind)
         except LinkLostError:
             self._drop()
             raise
@@ -141,6 +157,10 @@ class SerialLink(ReopeningLink):
             raise ProtocolError(
                 f"{self._port.name} brought {n_bytes} bytes but no whole frame {waited}; check the baud rate, the "
                 "cable, and what is at the other end"
+            )
+        if unread:
+            raise ProtocolError(
+                f"{self._port.name} brought an answer to {kind} whose arguments cannot be; see docs/protocol.md"
             )
         others = f"; {n_frames} other frames came" * (n_frames > 0)
         raise AnswerTimeoutError(f"{self._port.name} brought no answer to {kind} {waited}{others}")
@@ -168,7 +188,8 @@ class SerialDriver(ControllerClient):
         path = port_path(url)
         clock = context.clock or RealTimeClock()
         link = SerialLink(SerialPort(path, baud), clock, patience, seconds_per_byte=BITS_PER_BYTE / baud)
-        return cls(link, clock)
+        link.say = context.say
+        return cls(link, clock, limits=context.limits, say=context.say)
 
 
 def port_path(url: DriverUrl) -> str:

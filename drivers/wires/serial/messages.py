@@ -13,16 +13,16 @@ from typing import Final
 import numpy as np
 
 from drivers.commands import Answer, Reset, Stop
-from drivers.contract import Capabilities, Mode, RobotState
+from drivers.contract import Capabilities, Flag, Mode, RobotState
 from drivers.errors import ProtocolError
 from drivers.setpoints import AXES, SetPoints
-from drivers.wire import SPEEDS, Commit, Stage, speed_from_wire, speed_to_wire
+from drivers.wire import MOST_AXES, SCALES, SPEEDS, Commit, Stage, speed_from_wire, speed_to_wire
 from drivers.wires.serial.frames import FROM_CONTROLLER, MAX_BODY, TO_CONTROLLER, Frame, plain
 
-VERSION: Final = 1
+VERSION: Final = 2
 
-POINTS_PER_FRAME: Final = 12
-"""Via points of one frame: 12 of the longest fit beside the other arguments."""
+COUNTS_PER_FRAME: Final = 72
+"""Set-points of one frame: so many of the longest fit beside the other arguments; 12 via points of six axes."""
 
 _INTEGER = re.compile(r"0|-?[1-9][0-9]*")
 _COUNT = re.compile(r"0|-?[1-9][0-9]{0,9}")
@@ -38,7 +38,12 @@ class Hello:
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """How are you? Asks for the state, and is the client's heartbeat.
+    """How are you? Asks for the state; of the owner it is the heartbeat."""
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """Asks for the arm, or keeps it.
 
     Attributes:
         watchdog_ms: silence [ms] after which a moving arm shall stop.
@@ -47,68 +52,70 @@ class Beat:
     watchdog_ms: int
 
 
-Request = Hello | Beat | Stage | Commit | Stop | Reset
-
-
 @dataclass(frozen=True, slots=True)
-class Status:
-    """The answer to a `Beat`.
-
-    Attributes:
-        heartbeat: counts on while the controller lives, 0 to 65535.
-        state: all else.
-    """
-
-    heartbeat: int
-    state: RobotState
+class Give:
+    """Gives the arm back."""
 
 
-def request_frame(number: int, request: Request) -> Frame:
-    """The frame of a request."""
+Request = Hello | Beat | Take | Give | Stage | Commit | Stop | Reset
+
+
+def request_frame(number: int, session: int, request: Request) -> Frame:
+    """The frame of a request; a hello is of no session."""
     match request:
         case Hello(version):
             body = f"HELLO,{version}"
-        case Beat(watchdog_ms):
-            body = f"STATE,{watchdog_ms}"
+        case Beat():
+            body = _joined("STATE", session)
+        case Take(watchdog_ms):
+            body = _joined("TAKE", session, watchdog_ms)
+        case Give():
+            body = _joined("GIVE", session)
         case Stage(offset, points):
-            body = _joined("POINTS", offset, len(points), *points.ravel().tolist())
+            body = _joined("POINTS", session, offset, len(points), *points.ravel().tolist())
         case Commit(speed, count, crc, tail):
-            body = _joined("MOVE", speed, count, f"{crc:08X}", len(tail), *tail.ravel().tolist())
+            body = _joined("MOVE", session, speed, count, f"{crc:08X}", len(tail), *tail.ravel().tolist())
         case Stop():
-            body = "STOP"
+            body = _joined("STOP", session)
         case Reset():
-            body = "RESET"
+            body = _joined("RESET", session)
     return Frame(TO_CONTROLLER, number, body)
 
 
-def request_of(frame: Frame) -> Request | None:
-    """The request of a frame, or None where it is none of ours."""
+def request_of(frame: Frame, axes: int = AXES) -> tuple[int, Request] | None:
+    """Session and request of a frame to a controller of so many axes, or None where it is none of ours."""
     if frame.start != TO_CONTROLLER:
         return None
-    words = iter(frame.body.split(","))
+    kind, *rest = frame.body.split(",")
+    words = iter(rest)
     request: Request | None = None
     try:
-        match next(words):
+        session = 0 if kind == "HELLO" else _integer(words, 0, 65535)
+        match kind:
             case "HELLO":
                 request = Hello(_integer(words))
             case "STATE":
-                request = Beat(_integer(words, 0, 65535))
+                request = Beat()
+            case "TAKE":
+                request = Take(_integer(words, 0, 65535))
+            case "GIVE":
+                request = Give()
             case "POINTS":
-                request = Stage(_integer(words, 0), _points(words))
+                request = Stage(_integer(words, 0), _points(words, axes))
             case "MOVE":
-                request = Commit(_integer(words, 0, 65535), _integer(words, 1), _crc(words), _points(words))
+                request = Commit(_integer(words, 0, 65535), _integer(words, 1), _crc(words), _points(words, axes))
             case "STOP":
                 request = Stop()
             case "RESET":
                 request = Reset()
-        return None if any(True for _ in words) else request
+        return None if request is None or any(True for _ in words) else (session, request)
     except (ValueError, StopIteration):
         return None
 
 
-def answer_frame(kind: str, answer: Answer) -> Frame:
-    """The frame that answers POINTS, MOVE, STOP or RESET."""
-    return Frame(FROM_CONTROLLER, answer.sequence, _with_text(f"{kind},{int(answer.result)}", answer.detail))
+def answer_frame(number: int, kind: str, answer: Answer) -> Frame:
+    """The frame that answers all but HELLO and STATE."""
+    return Frame(FROM_CONTROLLER, number, _with_text(f"{kind},{int(answer.result)}", answer.detail))
 
 
 def answer_of(frame: Frame, kind: str) -> Answer | None:
@@ -122,36 +129,41 @@ def answer_of(frame: Frame, kind: str) -> Answer | None:
         return None
 
 
-def status_frame(number: int, status: Status) -> Frame:
+def status_frame(number: int, s: RobotState) -> Frame:
     """The frame that answers STATE."""
-    s = status.state
     body = _joined(
-        "STATE", status.heartbeat, s.boot, int(s.mode), int(s.standing), s.ack_sequence, int(s.ack_result),
-        s.done_sequence, int(s.done_result), s.queue_depth, int(s.fault_code), *s.axes.tolist(),
+        "STATE", s.heartbeat or 0, s.boot, s.flags, int(s.mode), s.owner, s.ack_sequence, int(s.ack_result),
+        s.done_sequence, int(s.done_result), s.queue_depth, int(s.fault_code), s.override, s.path,
+        len(s.axes), *s.axes.tolist(),
     )  # fmt: skip
     return Frame(FROM_CONTROLLER, number, _with_text(body, s.fault_sentence))
 
 
-def status_of(frame: Frame) -> Status | None:
+def status_of(frame: Frame) -> RobotState | None:
     """The state of a frame, or None."""
     name, words = _start(frame)
     if name != "STATE":
         return None
     try:
-        heartbeat, boot = _integer(words, 0, 65535), _integer(words, 0, 65535)
-        mode, standing = Mode(_integer(words, 0, 65535)), _integer(words, 0, 1) == 1
-        ack, ack_result, done, done_result, queue, fault = (_integer(words, 0, 65535) for _ in range(6))
-        axes = _axes(words)
-        state = RobotState(mode, axes, standing, ack, ack_result, done, done_result, queue, fault, _text(words), boot)
+        beat, boot, flags, mode, owner, ack, ack_result, done, done_result, queue, fault, override, path = (
+            _integer(words, 0, 65535) for _ in range(13)
+        )
+        axes = _axes(words, _integer(words, AXES, MOST_AXES))
+        return RobotState(
+            Mode(mode), axes, bool(flags & Flag.STANDS), ack, ack_result, done, done_result, queue, fault, _text(words),
+            boot, owner, beat, override, path, flags,
+        )  # fmt: skip
     except (ValueError, StopIteration, RuntimeError):
         return None
-    return Status(heartbeat, state)
 
 
 def hello_frame(number: int, able: Capabilities) -> Frame:
     """The frame that answers HELLO."""
     limits = [*able.lower.tolist(), *able.upper.tolist(), *able.max_step.tolist()]
-    body = _joined("HELLO", VERSION, speed_to_wire(able.max_speed), able.max_via or 0, *limits)
+    body = _joined(
+        "HELLO", VERSION, len(able.lower), round(able.time_scale * SCALES), speed_to_wire(able.max_speed),
+        able.max_via or 0, *limits,
+    )  # fmt: skip
     return Frame(FROM_CONTROLLER, number, _with_text(body, able.controller))
 
 
@@ -167,12 +179,16 @@ def hello_of(frame: Frame) -> Capabilities | None:
     try:
         version = _integer(words, 0)
         if version != VERSION:
-            raise ProtocolError(f"the controller speaks version {version} of the protocol; this driver {VERSION}")
-        speed, max_via = _integer(words, 1, SPEEDS), _integer(words, 0)
-        lower, upper, step = (_axes(words) for _ in range(3))
+            raise ProtocolError(
+                f"the controller speaks version {version} of the protocol and this driver {VERSION}, see "
+                "docs/protocol.md; bring both to one version"
+            )
+        axes, scale = _integer(words, AXES, MOST_AXES), _integer(words, 0, 2**32 - 1)
+        speed, max_via = _integer(words, 0, SPEEDS), _integer(words, 0)
+        lower, upper, step = (_axes(words, axes) for _ in range(3))
         return Capabilities(
             controller=_text(words), lower=lower, upper=upper, max_step=step, max_speed=speed_from_wire(speed),
-            max_via=max_via or None, hardware=True, simulated_time=False,
+            max_via=max_via or None, hardware=True, simulated_time=False, time_scale=scale / SCALES,
         )  # fmt: skip
     except (ValueError, StopIteration, RuntimeError):
         return None
@@ -214,8 +230,8 @@ def _integer(words: Iterator[str], least: int = -(2**63), most: int = 2**63 - 1)
     return int(word)
 
 
-def _axes(words: Iterator[str]) -> SetPoints:
-    return np.array([_integer(words, -(2**31), 2**31 - 1) for _ in range(AXES)], dtype=np.int32)
+def _axes(words: Iterator[str], axes: int) -> SetPoints:
+    return np.array([_integer(words, -(2**31), 2**31 - 1) for _ in range(axes)], dtype=np.int32)
 
 
 def _crc(words: Iterator[str]) -> int:
@@ -225,12 +241,12 @@ def _crc(words: Iterator[str]) -> int:
     return int(word, 16)
 
 
-def _points(words: Iterator[str]) -> SetPoints:
-    n = _integer(words, 1, POINTS_PER_FRAME)
-    taken = list(islice(words, n * AXES))
-    if len(taken) != n * AXES or not all(map(_COUNT.fullmatch, taken)):
+def _points(words: Iterator[str], axes: int) -> SetPoints:
+    n = _integer(words, 1, COUNTS_PER_FRAME // axes)
+    taken = list(islice(words, n * axes))
+    if len(taken) != n * axes or not all(map(_COUNT.fullmatch, taken)):
         raise ValueError("points")
-    counts = np.array(taken, dtype=np.int64).reshape(n, AXES)
+    counts = np.array(taken, dtype=np.int64).reshape(n, axes)
     points = counts.astype(np.int32)
     if (points != counts).any():
         raise ValueError("points")

@@ -1,0 +1,95 @@
+"""Ctrl-C, a polite kill and a closed terminal at random moments of an execution: told by name, resumed to the byte."""
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.scan import lock
+
+SIGNALS = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP"}
+MOMENTS = [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 34))]
+_WORD = ("--confirm-motion", "--speed", "100", "--accept-time-scale", "20")
+
+
+@pytest.fixture
+def run_folder(planned: Path, tmp_path: Path, blank_pictures: None) -> Path:
+    """A finished plan of its own, without executions."""
+    return Path(shutil.copytree(planned, tmp_path / "run"))
+
+
+def _scans(run: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((run / "executions" / "0001" / "scans").glob("*.npz"))}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize(("protocol", "name"), [("serial", "SIGINT"), ("modbus", "SIGTERM"), ("modbus-rtu", "SIGHUP")])
+def test_a_signal_ends_an_execution_that_goes_on_later(
+    protocol: str,
+    name: str,
+    moment: int,
+    run_folder: Path,
+    executed: Path,
+    emulate: Callable[..., Any],
+    start_cell: Callable[..., "subprocess.Popen[str]"],
+    run_cell: Callable[..., "subprocess.CompletedProcess[str]"],
+) -> None:
+    """The arm stands, the process is gone with its code and the signal's name, and the rest gives the same bytes."""
+    rng = np.random.default_rng([moment, list(SIGNALS).index(name)])
+    emulated = emulate(protocol, "--time-scale", "20")
+    process = start_cell("scan", run_folder, "--resolution", "1", *_WORD, "--driver", emulated.url)
+    deadline = time.monotonic() + 120
+    while not emulated.entries("move"):
+        assert time.monotonic() < deadline
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        time.sleep(0.005)
+    time.sleep(float(rng.uniform(0.0, 0.5)))
+    os.kill(process.pid, getattr(signal, name))
+    sent = time.monotonic()
+    _, said = process.communicate(timeout=60)
+    if process.returncode == 130:  # else it was faster
+        assert time.monotonic() - sent < 4.0  # 2 s, and a machine with other work
+        assert f"stopped by {SIGNALS[name]}" in said
+    again = ("scan", str(run_folder), "--resume", "latest", *_WORD, "--reset")
+    done = run_cell(*again, cwd=run_folder.parent)
+    assert done.returncode == (0 if process.returncode == 130 else 2), done.stderr
+    assert _scans(run_folder) == {
+        path.name: path.read_bytes() for path in sorted((executed / "executions" / "0001" / "scans").glob("*.npz"))
+    }
+
+
+def test_two_processes_cannot_work_on_one_execution(run_folder: Path, run_cell: Any, start_cell: Any) -> None:
+    """Whatever drives, `sim://` too: the second is told so at once, and the first ends in order."""
+    run_cell("scan", str(run_folder), "--resolution", "1", cwd=run_folder.parent)
+    (run_folder / "executions" / "0001" / "scans" / "0002.npz").unlink()
+    with lock.held(run_folder / "executions" / "0001"):
+        done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
+    assert done.returncode == 6, done.stderr
+    assert "another process works on execution 0001" in done.stderr
+    both = [start_cell("scan", run_folder, "--resume", "latest") for _ in range(2)]
+    said = [each.communicate(timeout=120)[1] for each in both]
+    codes = [each.returncode for each in both]
+    assert sorted(codes)[0] == 0, said
+    assert sorted(codes)[1] in (2, 6), said  # nothing left to resume, where it came after the first
+
+
+@pytest.mark.parametrize("resolution", ["1e-9", "1e-3"])
+def test_what_does_not_fit_is_refused_before_the_first_move(
+    resolution: str, run_folder: Path, run_cell: Any, emulate: Callable[..., Any]
+) -> None:
+    """More rays than memory: exit code 2 and no move, on a wire."""
+    emulated = emulate("modbus", "--time-scale", "20")
+    done = run_cell(
+        "scan", str(run_folder), "--resolution", resolution, *_WORD, "--driver", emulated.url, cwd=run_folder.parent
+    )
+    assert done.returncode == 2, done.stderr
+    assert "nothing was moved" in done.stderr
+    assert emulated.entries("move") == []
+    assert not (run_folder / "executions").exists()
