@@ -1,7 +1,7 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
 Every benchmark is a module of this folder with `run() -> list[dict]`; `chart(rows, folder)` beside it draws a picture.
-Two are studies with words and options of their own (`python -m benchmarks speed --help`): they keep their trials and
+Three are studies with words and options of their own (`python -m benchmarks speed --help`): they keep their trials and
 leave a folder with rows and pictures. Timings are of this machine and this moment: compare rows of one run, not runs.
 """
 
@@ -24,6 +24,7 @@ from cell.commands.failures import guarded
 STUDIES = {
     "speed": "seconds against error of what presets turn, and of the whole pipeline under each preset",
     "stability": "success and error of each method over the number that breaks it, and what the program says there",
+    "cover": "view selection at equal processor time beside HiGHS, CP-SAT and a textbook search: cost, bound, seconds",
 }
 """Modules of `benchmarks.methods`, each with an `app` of its own."""
 
@@ -36,7 +37,6 @@ REGISTRY = {
     "candidates": "candidate generators: seconds, views and coverable area of the plan on every part",
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked legs against float64 brute force; the matrix at 10,000 x 10,000; what Embree's share is",
-    "cover": "view selection: seconds, views, lower bound, gap per solver",
     "coverage_requests": "curve, overlap and promises: processor seconds beside the gap that is left",
     "timing": "time of joint moves: pairs per second beside the error against ruckig",
     "singularities": "beside the singularities: joint speed for 100 mm/s at the tool",

@@ -50,7 +50,7 @@ def run() -> list[dict[str, Any]]:
     """Three rows per part."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as scratch:
-        for name, options in _parts(Path(scratch)):
+        for name, options in parts(Path(scratch)):
             rows += _part(name, options)
     return rows
 
@@ -95,14 +95,15 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     figure.savefig(folder / "candidates.png", format="png", metadata={"Software": "scan-cell"})
 
 
-def _parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+def parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name and `[part]` table of each part, built-in ones first; meshes are written into the folder."""
     for name in NAMES:
         yield name, {"name": name}
     for name, (path, *_) in meshes(scratch):
         yield name, {"path": str(path), "units": "mm"}
 
 
-class _Bench:
+class Bench:
     """One part in its cell."""
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -127,18 +128,27 @@ class _Bench:
         self.casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (reference, others)]
 
     def reach_of(self, views: Viewpoints) -> Reach:
+        """Verdicts and joint solutions."""
         world = self.world
         return reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
 
+    def views(self, generator: str) -> Viewpoints:
+        """The generator's candidates; of `targeted`, the base set."""
+        scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
+        return generators.first(scene, self.settings, self.part, self.planning)
+
+    def measure_alone(self, views: Viewpoints) -> Measurability:
+        """M where nothing but the part itself occludes."""
+        return fill(views, self.features, self.scanner, self.casters[0])
+
     def measure(self, views: Viewpoints) -> Measurability:
-        M = fill(views, self.features, self.scanner, self.casters[0])
-        return occlude(M, views, self.scanner, self.casters[1])
+        """M in the cell."""
+        return occlude(self.measure_alone(views), views, self.scanner, self.casters[1])
 
     def plan(self, generator: str) -> tuple[Viewpoints, Reach, Measurability, Cover, float]:
         """Candidates, reach, M, selection, and the seconds that they took."""
-        scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
         start = perf_counter()
-        views = generators.first(scene, self.settings, self.part, self.planning)
+        views = self.views(generator)
         reached, M = self.reach_of(views), self.measure(views)
         if generator == "targeted":
             views, reached, M = generators.grow(
@@ -149,6 +159,7 @@ class _Bench:
         return views, reached, M, chosen, perf_counter() - start
 
     def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
+        """The fewest views for a share of the coverable area."""
         areas = M.features.areas
         return cover.solve(
             cover.Problem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)
@@ -156,7 +167,7 @@ class _Bench:
 
 
 def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:
-    bench = _Bench(options)
+    bench = Bench(options)
     seconds = {generator: np.inf for generator in GENERATORS}
     found = {}
     for _ in range(_RUNS):

@@ -1,0 +1,1 @@
+"""View selection examined: instances, rivals, runs in processes of their own, tables. `python -m benchmarks cover`."""
