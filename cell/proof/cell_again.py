@@ -106,7 +106,7 @@ def _turned(one: Floats, two: Floats) -> bool:
 
 
 def _at_reference(checked: mujoco.MjModel, again: mujoco.MjModel, body: int) -> Floats:
-    """(4,) how a body of `again` is turned at the reference angle that its joint has in `checked`: in the file, home."""
+    """(4,) how a body of `again` is turned at the reference angle of its joint in `checked`: home."""
     import mujoco
 
     quat = np.array(again.body_quat[body])
