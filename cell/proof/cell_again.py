@@ -75,7 +75,7 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
     for number in range(again.nbody):
         one, two = checked.body(number), again.body(number)
         pos = at.get(two.name, two.pos)  # mocap bodies stand at their placement in the file
-        turned = _quaternion(world.T_base_object) if two.name == "object" else two.quat
+        turned = _quaternion(world.T_base_object) if two.name == "object" else _at_reference(checked, again, number)
         if one.name != two.name or one.parentid != two.parentid or _apart(one.pos, pos) or _turned(one.quat, turned):
             return f"the body '{two.name}' is elsewhere"
     for number in range(again.njnt):
@@ -103,6 +103,20 @@ def _apart(one: Floats, two: Floats, near: float = _NEAR) -> bool:
 
 def _turned(one: Floats, two: Floats) -> bool:
     return bool(abs(abs(float(np.dot(one, two))) - 1.0) > _NEAR)
+
+
+def _at_reference(checked: mujoco.MjModel, again: mujoco.MjModel, body: int) -> Floats:
+    """(4,) how a body of `again` is turned at the reference angle of its joint in `checked`: home."""
+    import mujoco
+
+    quat = np.array(again.body_quat[body])
+    if again.body_jntnum[body]:
+        joint = again.body_jntadr[body]
+        turn, turned = np.empty(4), np.empty(4)
+        mujoco.mju_axisAngle2Quat(turn, again.jnt_axis[joint], float(checked.qpos0[joint] - again.qpos0[joint]))
+        mujoco.mju_mulQuat(turned, quat, turn)
+        quat = turned
+    return quat
 
 
 def _quaternion(T: Floats) -> Floats:
