@@ -49,7 +49,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 _ONE_SIDED = (Kind.OPEN, Kind.FLAT)
 
-_FEATURES, _SELECTION, _MOTION, _ENSEMBLE = 0, 2, 3, 4
+_FEATURES, SELECTION, MOTION, _ENSEMBLE = 0, 2, 3, 4
 EXECUTIONS, CURVE = 5, 6
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
@@ -153,7 +153,7 @@ def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> 
         UnreachableError: if the arm reaches none.
     """
     with run.step("reach") as progress:
-        reached = _reach_of(job, cell, candidates, progress)
+        reached = reach_of(job, cell, candidates, progress)
         plan_files.write_reach(run.folder, reached)
         if job.scene.plan.candidates != "targeted":  # those come in rounds, see `measure`
             check_named(job.scene.plan, reached)
@@ -168,25 +168,15 @@ def measure(
     """Step 5: the measurability matrix, grown where candidates are targeted, and the held-out samples."""
     plan = job.scene.plan
     with run.step("measurability") as progress:
-        casters = [surface.caster, caster_of(occluder_triangles(cell.world))]
-
-        def columns(views: Viewpoints) -> tuple[Measurability, Scanner]:
-            views = scanners.swept(job.scanner, views)
-            M = part_matrix(
-                job.scene, job.settings, surface, views,
-                narrator=run.narrator, use_cache=run.use_cache, progress=progress,
-            )  # fmt: skip
-            M = matrix.occlude(M, views, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
-            if plan.max_sigma_mm is None:
-                return M, job.scanner
-            may_be_empty = plan.candidates == "targeted"
-            return limit_sigma(M, views, job.scanner, plan.max_sigma_mm, casters, may_be_empty=may_be_empty)
-
-        M, scanner = columns(candidates)
+        casters = casters_of(surface, cell)
+        M, scanner = columns(
+            run, job, surface, casters, candidates, progress, may_be_empty=plan.candidates == "targeted"
+        )
         if plan.candidates == "targeted":
             candidates, reached, M = grow(
                 candidates, reached, M, standoff=job.settings.standoffs[0], scanner=scanner, casters=casters,
-                reach_of=lambda views: _reach_of(job, cell, views), measure=lambda views: columns(views)[0],
+                reach_of=lambda views: reach_of(job, cell, views),
+                measure=lambda views: columns(run, job, surface, casters, views, progress, may_be_empty=True)[0],
                 progress=progress,
             )  # fmt: skip
             plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
@@ -194,10 +184,39 @@ def measure(
         check_named(plan, reached)
         candidates = scanners.swept(job.scanner, candidates)
         plan_files.write_measurability(run.folder, M)
-        samples = held_out(surface.reference, surface.planning, run.seed)
-        poses = candidates.T_object_scanner[reached.reachable]
-        prediction = Prediction.of(samples, scanner, casters, poses, progress)
-        return Measured(candidates, reached, M, scanner, casters), prediction
+        measured = Measured(candidates, reached, M, scanner, casters)
+        return measured, predicted(run, surface, measured, progress)
+
+
+def columns(
+    run: Run, job: Job, surface: PartSurface, casters: Sequence[RayCaster], views: Viewpoints, progress: Progress,
+    *, may_be_empty: bool = False,
+) -> tuple[Measurability, Scanner]:  # fmt: skip
+    """M of viewpoints, occluders applied and the limit on sigma kept; and the scanner that keeps it.
+
+    `may_be_empty`: whether there are others, where these measure nothing so precisely.
+    """
+    views = scanners.swept(job.scanner, views)
+    M = part_matrix(
+        job.scene, job.settings, surface, views, narrator=run.narrator, use_cache=run.use_cache, progress=progress
+    )
+    M = matrix.occlude(M, views, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
+    limit = job.scene.plan.max_sigma_mm
+    if limit is None:
+        return M, job.scanner
+    return limit_sigma(M, views, job.scanner, limit, casters, may_be_empty=may_be_empty)
+
+
+def casters_of(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
+    """The part's and the occluders', object frame."""
+    return [surface.caster, caster_of(occluder_triangles(cell.world))]
+
+
+def predicted(run: Run, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
+    """The held-out samples, and what reachable candidates measure of them."""
+    samples = held_out(surface.reference, surface.planning, run.seed)
+    poses = measured.candidates.T_object_scanner[measured.reached.reachable]
+    return Prediction.of(samples, measured.scanner, measured.casters, poses, progress)
 
 
 def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Prediction) -> Problem:
@@ -223,7 +242,7 @@ def connect(run: Run, problem: Problem) -> ConnectedPlan:
     """Steps 6 to 8: the views, their order with a joint solution each, and free paths between them."""
     with run.step("select, order and connect") as progress:
         return choose_and_connect(
-            problem, selection_rng=run.rng(_SELECTION), motion_rng=run.rng(_MOTION), progress=progress
+            problem, selection_rng=run.rng(SELECTION), motion_rng=run.rng(MOTION), progress=progress
         )
 
 
@@ -243,7 +262,8 @@ def prove_and_time(
         return replace(chosen, tour=tour), measured, motion
 
 
-def _reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
+def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
+    """Verdicts and joint solutions of viewpoints."""
     poses, world = scanners.swept(job.scanner, views), cell.world
     return reach.solve(
         poses, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker, progress=progress

@@ -116,12 +116,11 @@ def _coverage(problem: Problem, chosen: ConnectedPlan) -> Coverage:
 
 
 def _views(problem: Problem, chosen: ConnectedPlan) -> list[ReportView]:
-    cover, tour = chosen.cover, chosen.tour
-    adds = dict(zip(cover.views.tolist(), (cover.marginal_area / cover.total_area).tolist(), strict=True))
+    tour, adds = chosen.tour, problem.prediction.adds(chosen.T_object_poses)
     return [
         ReportView(
             id=candidate,
-            adds=adds[candidate],
+            adds=float(adds[stop]),
             source_in_base_mm=(chosen.T_base_scanner[stop, :3, 3] * 1000).round(3).tolist(),
             q_deg=degrees(tour.q[stop]),
             roll_deg=np.degrees(problem.candidates.roll[candidate]).round(9),
