@@ -12,7 +12,22 @@ import sys
 import typer
 
 from cell import signals
-from cell.commands import check, cover, diff, edit, emulate, export, place, plan, replay, scan, sensors, study, view, why
+from cell.commands import (
+    check,
+    cover,
+    diff,
+    edit,
+    emulate,
+    export,
+    place,
+    plan,
+    replay,
+    scan,
+    sensors,
+    study,
+    view,
+    why,
+)
 from cell.commands.failures import guarded
 
 app = typer.Typer(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
+from planner.measurability.matrix import measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
