@@ -22,6 +22,7 @@ from cell.robot.frames import kuka_abc_from_pose
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
+from cell.scene.options import BUILT_IN
 from cell.scene.plan_settings import PlanKeys
 from cell.scene.scene import Scene
 from cell.world import shapes
@@ -212,6 +213,7 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
         asked["sensor"] = run_reader.report(run).settings.sensor
     return scene.model_copy(
         update={
+            "part": scene.part.model_copy(update={"units": resolved.part.units}),
             "scanner": scene.scanner.model_copy(update=asked),
             "plan": scene.plan.model_copy(update={"percent_kept": resolved.plan.percent_kept}),
         }
@@ -238,9 +240,9 @@ def _limits(resolved: ResolvedScene) -> dict[str, object]:
 
 def _part(run: RunRecord, resolved: ResolvedScene) -> dict[str, object]:
     """The keys of `[part]`: a built-in one by its name, another by the run's own mesh."""
-    if resolved.part.units is None:
+    if resolved.part.units is None and resolved.part.name in BUILT_IN:
         return {"name": resolved.part.name}
-    return {"path": str((run.folder / "reference.ply").absolute()), "units": resolved.part.units}
+    return {"path": str((run.folder / "reference.ply").absolute()), "units": resolved.part.units or "mm"}
 
 
 def _place(run: RunRecord, fixture: StandingFixture) -> Mapping[str, object]:
