@@ -15,7 +15,7 @@ EPILOG = (
     "Examples:\n\n"
     "cell why sim_runs/trial\n\n"
     "cell why sim_runs/trial --samples 20000 --json\n\n"
-    "Writes why.json, why.ply and why.png to why/ in the run folder; the plan stays as it is.\n\n"
+    "Writes why.json, why.ply, why.png and view.html to why/ in the run folder; the plan stays as it is.\n\n"
     "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
 )
 
