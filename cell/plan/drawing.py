@@ -3,7 +3,6 @@
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.plan.looks import HALF_PAGE
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.view_plan import ConnectedPlan
@@ -11,7 +10,7 @@ from cell.robot.model import dimensions
 from cell.run.folder import RunFolder
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
-from cell.view.contents import NAME, plan_play
+from cell.view.contents import HALF_PAGE, NAME, plan_play
 from cell.view.page import second_half
 from cell.world.model import World
 from planner.timing.motion import Motion

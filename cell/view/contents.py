@@ -35,6 +35,9 @@ from planner.values import Floats, Ints
 NAME = "view.html"
 """The page's file beside a report.md."""
 
+HALF_PAGE = "view.html.half"
+"""The page of an unfinished plan, without what is known at the end."""
+
 _NOTES = {
     "spacing": "the larger distance between neighbouring points, of the view in which it is smallest",
     "sigma": "expected standard deviation of a point along its ray, of the view in which it is smallest",
