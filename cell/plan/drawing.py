@@ -10,8 +10,6 @@ from cell.robot.model import dimensions
 from cell.run.folder import RunFolder
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
-from cell.view.contents import HALF_PAGE, NAME, plan_play
-from cell.view.page import second_half
 from cell.world.model import World
 from planner.timing.motion import Motion
 from planner.values import Floats
@@ -86,6 +84,10 @@ def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
 
 def finish_page(folder: RunFolder, report: Report, plan: PlanFile, motion: Motion) -> None:
     """Add to the page what is known at the end: views, motion, numbers."""
+    # What draws is kept out of the start-up.
+    from cell.view.contents import HALF_PAGE, NAME, plan_play
+    from cell.view.page import second_half
+
     half = folder.path / HALF_PAGE
     folder.write_text(NAME, half.read_text(encoding="utf-8") + second_half(plan_play(report, plan.views, motion)))
     half.unlink()
