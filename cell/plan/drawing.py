@@ -12,7 +12,7 @@ from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
 from cell.world.model import World
 from planner.timing.motion import Motion
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 _STEPS = 12  # of the scanner's way between two via points
 
@@ -23,6 +23,7 @@ def draw_views(
     part: Workpiece,
     problem: Problem,
     chosen: ConnectedPlan,
+    seen: Bools,
 ) -> None:
     """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict.
 
@@ -32,6 +33,7 @@ def draw_views(
         part: the part.
         problem: the candidates.
         chosen: the views.
+        seen: (S, n) which held-out samples each of them measures.
     """
     cover, world = chosen.cover, problem.world
     drawing.send(
@@ -39,6 +41,7 @@ def draw_views(
         folder.path / "views.png",
         T_object_poses=chosen.T_object_poses,
         T_object_scanner=chosen.T_object_scanner,
+        seen=seen,
     )
     via, steps = chosen.tour.via, np.linspace(0, 1, _STEPS)[None, :, None]
     drawing.send(

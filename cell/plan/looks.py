@@ -20,7 +20,7 @@ from cell.view.contents import HALF_PAGE, of_views, part_of
 from cell.view.page import Stage, first_half, three
 from cell.view.pieces import Cell, cell_of_run
 from cell.view.surface import Canvas, canvas_of
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 _STILL = (800, 600)
 
@@ -49,16 +49,17 @@ def make_ready(folder: Path) -> None:
     _READY[folder] = _Ready(cell, cell_of_run(run, cell.scene), canvas_of(cell.reference, samples))
 
 
-def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floats) -> None:
+def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floats, seen: Bools) -> None:
     """views.png, and beside it the first half of the page, for they colour the same surface.
 
     Args:
         path: of views.png in the run folder.
         T_object_poses: (n, K, 4, 4) views in visiting order, all their poses [m].
         T_object_scanner: (n, 4, 4) the middle pose of each [m].
+        seen: (S, n) which held-out samples each view measures.
     """
     ready = _READY[path.parent]
-    surface = of_views(ready.cell, ready.canvas.samples, list(T_object_poses))
+    surface = of_views(ready.cell, ready.canvas.samples, list(T_object_poses), seen)
     opening = np.radians(ready.cell.scanner_keys.opening_deg)
     pictures.part_and_views(path, ready.canvas, surface, T_object_scanner, opening)
     stage = Stage(f"View plan of {ready.cell.scene.part.name}", ready.shown, [part_of(ready.canvas, surface)])

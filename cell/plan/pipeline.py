@@ -32,6 +32,7 @@ from cell.run.report_json import Curve, Report
 from cell.scene import doubts
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
+from planner.measurability import coverage
 from planner.surface.mesh import TriangleMesh
 
 log = logging.getLogger(__name__)
@@ -115,12 +116,13 @@ def finish(
         chosen: the plan.
         told: fields of the report that are known otherwise.
     """
-    draw_views(run.drawing, run.folder, job.part, problem, chosen)
+    seen = problem.prediction.seen(chosen.T_object_poses)
+    draw_views(run.drawing, run.folder, job.part, problem, chosen, seen)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     promised, curve = _further(run, problem, chosen)
     with run.step("report"):
-        report = plan_report(job, planning, problem, chosen, clearance, motion, promised, curve)
+        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(seen), promised, curve)
         report = report.model_copy(update=dict(told))
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)

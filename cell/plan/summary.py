@@ -15,6 +15,7 @@ from cell.world.clearance import MotionClearance
 from planner.measurability.quality import best_sigma
 from planner.surface.mesh import TriangleMesh, face_areas
 from planner.timing.motion import Motion, jerk_free_duration
+from planner.values import Floats
 
 
 def plan_report(
@@ -24,6 +25,7 @@ def plan_report(
     chosen: ConnectedPlan,
     clearance: MotionClearance,
     motion: Motion,
+    adds: Floats,
     promise: Promise | None,
     curve: Curve | None,
 ) -> Report:
@@ -36,6 +38,7 @@ def plan_report(
         chosen: views in visiting order.
         clearance: of the motion.
         motion: timed.
+        adds: (n,) share of the surface that each view adds to those before it.
         promise: under pose errors, where that was asked for.
         curve: over the number of views, where that was asked for.
     """
@@ -54,7 +57,7 @@ def plan_report(
         verdicts=Verdicts(**{verdict.name.lower(): count for verdict, count in problem.reached.counts().items()}),
         blockers=problem.reached.blockers(),
         dropped=[Dropped(id=lost.candidate, reason=lost.reason) for lost in chosen.dropped],
-        views=_views(problem, chosen),
+        views=_views(problem, chosen, adds),
         motion=_motion(chosen, motion, job.scene.robot.speed_scaling),
         most_coverage=requests.most_coverage_of(chosen.selected, cover.total_area),
         overlap=requests.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
@@ -115,8 +118,8 @@ def _coverage(problem: Problem, chosen: ConnectedPlan) -> Coverage:
     )
 
 
-def _views(problem: Problem, chosen: ConnectedPlan) -> list[ReportView]:
-    tour, adds = chosen.tour, problem.prediction.adds(chosen.T_object_poses)
+def _views(problem: Problem, chosen: ConnectedPlan, adds: Floats) -> list[ReportView]:
+    tour = chosen.tour
     return [
         ReportView(
             id=candidate,

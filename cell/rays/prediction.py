@@ -79,13 +79,9 @@ class Prediction:
         """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable."""
         return self.visible(T_object_scanner).area / self.coverable.area if self.coverable.area > 0 else 1.0
 
-    def adds(self, T_object_scanner: Floats) -> Floats:
-        """(n,) share of the surface that each of the views (n, K, 4, 4) [m] adds to those before it."""
-        seen = measured(T_object_scanner, self.samples, self.scanner, self.casters, each=True)
-        some, first = seen.any(axis=1), seen.argmax(axis=1)
-        added = np.bincount(first[some], self.samples.areas[some], len(T_object_scanner)).astype(np.float64)
-        shares: Floats = added / float(self.samples.areas.sum())
-        return shares
+    def seen(self, T_object_scanner: Floats) -> NDArray[np.bool_]:
+        """(S, n) which samples each of the views (n, K, 4, 4) [m] measures."""
+        return measured(T_object_scanner, self.samples, self.scanner, self.casters, each=True)
 
     def coverable_with(self, visible: Coverage) -> float:
         """Coverable share of the surface, what a plan's own poses measure included (they differ by micrometres)."""
