@@ -197,6 +197,7 @@ def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
     for k, (points, _) in enumerate(soak.commanded):
         index[json.dumps(points.tolist())] = k
     began, ended = Counter[int](), dict[int, int]()
+    faulted: set[int] = set()  # done, and a fault was latched before the next one
     last, current = -1, (-1, -1, -1)
     path: NDArray[Any] = np.zeros((1, 6))
     for entry in journal:
@@ -209,12 +210,15 @@ def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
             path = np.array([entry["from"], *entry["set_points"]], dtype=np.float64)
         elif entry["event"] == "end" and (entry["boot"], entry["sequence"]) == current[:2]:
             ended[current[2]] = entry["result"]
+        elif entry["event"] == "fault":
+            faulted.add(current[2])
         elif entry["event"] == "start" and len(path) > 1:
             verdict.off_path = max(verdict.off_path, _distance(np.array(entry["axes"], dtype=np.float64), path))
     verdict.twice = sum(count - 1 for count in began.values())
     for k, (_, outcome) in enumerate(soak.commanded):
         verdict.lost += outcome == "done" and not (began[k] == 1 and ended.get(k) == 0)
-        verdict.lost += outcome in ("fault", "stopped") and not (began[k] == 1 and ended.get(k) in (20, 21))
+        ends = (0, 20, 21) if outcome == "fault" and k in faulted else (20, 21)
+        verdict.lost += outcome in ("fault", "stopped") and not (began[k] == 1 and ended.get(k) in ends)
     # The next move begins where a stopped one stands: there the arm is compared with the path that was commanded.
     here: NDArray[Any] | None = None
     for entry in journal:

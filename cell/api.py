@@ -7,6 +7,7 @@
     execution = scan(run)
     execution.mesh, execution.deviation
     run = open_run("sim_runs/20261121T030106Z-1f0c2a9b")
+    other = run.edited(drop=[4], turn={7: 90}, repair=True)
 
 What the command line offers as `--max-views 8` is the keyword `max_views=8` here. Arrays are in metres and radians;
 a name that ends in a unit (`_mm`, `_deg`) is in that unit. Nothing is printed: notes are logged under `cell.narrator`.
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import trimesh
 
+    from cell.edit.editable import EditableRun
     from cell.narrator import Narrator
     from cell.part.workpiece import Workpiece
     from cell.run.executed import ExecutedRun
@@ -44,7 +46,7 @@ def plan(
     progress: "Progress | Narrator | None" = None,
     argv: Sequence[str] = (),
     **wishes: object,
-) -> "PlannedRun":
+) -> "EditableRun":
     """Plan the views that measure a part, and write a run folder.
 
     Args:
@@ -64,8 +66,8 @@ def plan(
     Raises:
         CellError: in one sentence; the run folder keeps what was finished.
     """
+    from cell.edit.editable import EditableRun
     from cell.plan import pipeline
-    from cell.run.planned import open_run as opened
 
     checked, workpiece = _scene(part, scene, wishes)
     folder = pipeline.plan(
@@ -77,7 +79,7 @@ def plan(
         use_cache=use_cache,
         narrator=_narrator(progress),
     )
-    return opened(folder)
+    return EditableRun.opened(folder)
 
 
 def scan(
@@ -120,15 +122,15 @@ def scan(
     return open_execution(outcome.folder)
 
 
-def open_run(folder: "str | Path") -> "PlannedRun":
+def open_run(folder: "str | Path") -> "EditableRun":
     """A run folder of `cell plan`, as `plan` returned it.
 
     Raises:
         FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
     """
-    from cell.run.planned import open_run as opened
+    from cell.edit.editable import EditableRun
 
-    return opened(Path(folder))
+    return EditableRun.opened(Path(folder))
 
 
 def _scene(

@@ -12,7 +12,22 @@ import sys
 import typer
 
 from cell import signals
-from cell.commands import check, cover, diff, emulate, export, place, plan, replay, scan, sensors, study, view, why
+from cell.commands import (
+    check,
+    cover,
+    diff,
+    edit,
+    emulate,
+    export,
+    place,
+    plan,
+    replay,
+    scan,
+    sensors,
+    study,
+    view,
+    why,
+)
 from cell.commands.failures import guarded
 
 app = typer.Typer(
@@ -32,6 +47,7 @@ app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=scan.EPILOG)(scan.scan)
 app.command(epilog=why.EPILOG)(why.why)
 app.command(epilog=diff.EPILOG)(diff.diff)
+app.command(epilog=edit.EPILOG)(edit.edit)
 app.add_typer(study.app, name="study")
 app.command(epilog=place.EPILOG)(place.place)
 app.command(epilog=export.EPILOG)(export.export)

@@ -32,7 +32,8 @@ def require_ended_well(state: RobotState) -> None:
     """Look at how the last move ended.
 
     Raises:
-        StoppedError, FaultError, EmergencyStopError: if it did not end at its last set-point.
+        StoppedError: if it was stopped on its path.
+        FaultError, EmergencyStopError: if a fault ended it, or was latched when it had just been done.
     """
     where = f"the arm stands at {text(state.axes)}"
     if state.done_result in (Result.STOPPED, Result.STOPPED_BY_OTHER):
@@ -40,7 +41,8 @@ def require_ended_well(state: RobotState) -> None:
     fault = status.latched(state)
     if state.done_result != Result.OK or fault:
         kind = EmergencyStopError if state.mode is Mode.EMERGENCY_STOP else FaultError
-        raise kind(f"{fault or sentence_of(state.done_result)}; {where}", state.fault_code)
+        done = "the move was done just before; " if state.done_result == Result.OK else ""
+        raise kind(f"{fault or sentence_of(state.done_result)}; {done}{where}", state.fault_code)
 
 
 def require_arrived(move: Move, state: RobotState, took: float, profile: float) -> None:

@@ -219,7 +219,8 @@ class Driver(AbstractContextManager["Driver"], Protocol):
         Raises:
             SetPointError: the set-points are broken; nothing was sent.
             RefusedError: outside limits, speed or step, or in a fault; nothing moved.
-            StoppedError, FaultError, EmergencyStopError: the move ended elsewhere, on its path.
+            StoppedError: the move ended elsewhere, on its path.
+            FaultError, EmergencyStopError: so it did by a fault, or one was latched when it had just been done.
             StateUnknownError: whether the move was executed cannot be told.
             ArrivalError: the arm arrived sooner than it can, or elsewhere.
             OverdueError: it did not arrive in time, and was told to stop.

@@ -32,6 +32,7 @@ from numba.core.dispatcher import Dispatcher
 
 from cell.plan import picture_process
 from cell.run import digest
+from cell.view.contents import HALF_PAGE
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
 # `--hypothesis-profile=full` has four times as many.
@@ -128,21 +129,37 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 
 
 class _DrawingHere(picture_process.Drawing):
-    """Draws in this process what the plan's process for pictures draws."""
+    """Draws in this process what the plan's process for pictures draws, or leaves empty files in its place.
+
+    Most tests look at no picture, and drawing them takes half of what a small plan takes.
+    """
+
+    draws = False
 
     def __init__(self) -> None:
         self._sent = []
 
     def send(self, picture: str, path: Path, **arrays: Any) -> None:
-        picture_process.draw(picture, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
         self._sent.append(path)
+        if self.draws:
+            picture_process.draw(picture, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+        elif picture != "make_ready":
+            path.write_bytes(b"")
+            (path.parent / HALF_PAGE).write_bytes(b"")
 
     def _wait(self) -> None:
         pass
 
 
+@contextlib.contextmanager
+def _drawn() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_DrawingHere, "draws", True)
+        yield
+
+
 @pytest.fixture(scope="session", autouse=True)
-def pictures_drawn_here() -> Iterator[None]:
+def drawing_is_here() -> Iterator[None]:
     """A plan made in this process needs no other for its pictures; those of `start_cell` have their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(picture_process, "beside", lambda: contextlib.nullcontext(_DrawingHere()))
@@ -150,9 +167,20 @@ def pictures_drawn_here() -> Iterator[None]:
 
 
 @pytest.fixture
+def drawn_pictures() -> Iterator[None]:
+    """Plans made in this process have true pictures and a true page, for a test that looks at them."""
+    with _drawn():
+        yield
+
+
+@pytest.fixture
 def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files without content in place of pictures, for a test that looks at none: half of what a command takes."""
+    """Files without content in place of all pictures and pages, for a test that looks at none."""
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path, **_: Path(path).write_bytes(b""))
+    monkeypatch.setattr("cell.scan.post_processing.part_and_views", lambda path, *_: path.write_bytes(b""))
+    monkeypatch.setattr("cell.view.pictures.reasons", lambda path, *_: path.write_bytes(b""))
+    for page in ("execution_page", "why_page"):
+        monkeypatch.setattr(f"cell.view.contents.{page}", lambda *_: "")
 
 
 @pytest.fixture(scope="session")
@@ -203,7 +231,8 @@ def planned(
     """Run folder of one finished plan of the small part."""
 
     def make(folder: Path) -> None:
-        done = run_cell("plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
+        with _drawn():
+            done = run_cell("plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
         assert done.returncode == 0, done.stderr
         assert json.loads(done.stdout)["n_views"] > 1
 

@@ -39,4 +39,10 @@ def check(
         terminal.pairs("Scene", result.rows())
         for problem in result.problems:
             terminal.error(f"wrong: {problem}")
+        given = [f"{flag(name)}={text}" for name, text in wishes.items()]
+        at = [] if scene is None else [scene]
+        if result.problems:
+            terminal.then(("cell", "check", *at, *(["--part", part] if part else []), *given))
+        else:
+            terminal.then(("cell", "plan", *([part] if part else []), *(["--scene", *at] if at else []), *given))
     raise typer.Exit(result.exit_code)

@@ -41,6 +41,13 @@ def diff(
         terminal.say("nothing differs")
     else:
         _say(terminal, found)
+        terminal.then(*_next(b, found.kind))
+
+
+def _next(b: Path, kind: str) -> list[tuple[object, ...]]:
+    if kind == "plan":
+        return [("cell", "scan", b)]
+    return [("cell", "replay", b.parent.parent, "--execution", b.name)]
 
 
 def _say(terminal: "Terminal", found: "Difference") -> None:

@@ -87,3 +87,4 @@ def _announce(url: str) -> None:
     sys.stdout.write(url + "\n")
     sys.stdout.flush()
     sys.stderr.write("cell: an emulated arm, no machine, answers there until Ctrl-C\n")
+    sys.stderr.write(f"next, in another terminal:\n  cell scan RUN --driver {url}\n")

@@ -116,3 +116,4 @@ def export(
         sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.write("".join(f"{path}\n" for path in outcome.files))
+        Terminal(quiet_stdout=True).then(("cell", "replay", run))

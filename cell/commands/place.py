@@ -1,6 +1,7 @@
 """`cell place` as the command line gives it: a part and a range in, the best place and how sure it is out."""
 
 import json
+import shlex
 import sys
 from typing import Annotated
 
@@ -33,6 +34,7 @@ def place(
     """Search where the part should stand: most coverage, then fewest views, then the shortest cycle."""
     from cell.commands.terminal import Terminal
     from cell.study.place import pictures, search, sentences
+    from cell.study.placement import place_option
     from cell.study.study import StudyResult, study_folder, write_folder
     from cell.study.workers import open_workers
 
@@ -51,3 +53,7 @@ def place(
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
         tell(terminal, result)
+        given = [f"{flag(name)}={text}" for name, text in wishes.items()]
+        at = ["--scene", scene] if scene else []
+        best = shlex.split(place_option(found.ten[0]))
+        terminal.then(("cell", "plan", *([part] if part else []), *at, *given, *best))

@@ -55,4 +55,8 @@ def plan(
     else:
         rows = [*table(run.report), ("digest", run.digest[:SHOWN]), ("run folder", str(run.folder))]
         terminal.pairs(f"View plan of {run.report.part.name}", rows)
+        terminal.then(
+            ("cell", "view", run.folder), ("cell", "scan", run.folder), ("cell", "why", run.folder),
+            ("cell", "export", run.folder),
+        )  # fmt: skip
     raise typer.Exit(run.exit_code)

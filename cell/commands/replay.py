@@ -65,6 +65,7 @@ def replay(
     made = run_replay(run, wanted, Terminal())
     if made:
         sys.stdout.write(made + "\n")
+    Terminal(quiet_stdout=True).then(("cell", "scan" if execution is None else "why", run))
 
 
 def _angles(text: str) -> tuple[float, float]:

@@ -85,6 +85,9 @@ def scan(
     else:
         rows = [*execution_page.table(outcome.summary), ("execution", str(outcome.folder))]
         terminal.pairs(f"Scan of {outcome.summary.part.name}", rows)
+        number = outcome.folder.name
+        missing = [("cell", "scan", run, "--resume", number)] if outcome.summary.missing_views else []
+        terminal.then(*missing, ("cell", "replay", run, "--execution", number))
     raise typer.Exit(outcome.exit_code)
 
 

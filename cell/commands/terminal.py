@@ -1,6 +1,7 @@
 """What a person sees while a command runs: stages with progress on stderr, notes, and the tables at the end."""
 
 import logging
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -89,6 +90,12 @@ class Terminal:
     def say(self, sentence: str) -> None:
         """Say something as a result."""
         self._results.print(sentence, markup=False, soft_wrap=True)
+
+    def then(self, *commands: Sequence[object]) -> None:
+        """What to do next: lines that can be pasted, of words."""
+        self.say("next:")
+        for words in commands:
+            self.say(f"  {shlex.join(str(word) for word in words)}")
 
     def pairs(self, title: str, rows: Iterable[tuple[str, str]]) -> None:
         """A result of names and values, under a title."""

@@ -1,7 +1,9 @@
 """`cell why` as the command line gives it: options in, a table or one JSON object out."""
 
 import json
+import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +19,7 @@ EPILOG = (
     "cell why sim_runs/trial\n\n"
     "cell why sim_runs/trial --samples 20000 --json\n\n"
     "cell why sim_runs/trial --advise\n\n"
-    "Writes why.json, why.ply and why.png to why/ in the run folder; the plan stays as it is.\n\n"
+    "Writes why.json, why.ply, why.png and view.html to why/ in the run folder; the plan stays as it is.\n\n"
     "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
 )
 
@@ -38,6 +40,7 @@ def why(
 ) -> None:
     """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
     from cell.commands.terminal import Terminal
+    from cell.run.record import open_run
     from cell.why import files as why_files
     from cell.why.explain import explain
 
@@ -56,6 +59,11 @@ def why(
         else:
             terminal.say("nothing stays open")
         terminal.say(f"files: {outcome.folder}")
+        settings = [change.setting for group in summary.groups for change in group.changes]
+        better = [tuple(shlex.split(setting)) for setting in settings if setting.startswith("--")][:1]
+        planned = _without_out(open_run(run).manifest.argv)
+        again = [("cell", *planned, *setting) for setting in better if planned[:1] == ["plan"]]
+        terminal.then(*again, ("cell", "scan", run))
 
 
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
@@ -75,3 +83,12 @@ def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
     terminal.grid(("", "what could be done", "of the surface, by any pose"), rows, title)
     for number, advice in enumerate(found, 1):
         terminal.say(f"{number}: {advice.command}")
+
+
+def _without_out(argv: Sequence[str]) -> list[str]:
+    """The words of a command that would make another folder."""
+    words = [word for word in argv if not word.startswith("--out=")]
+    while "--out" in words:
+        at = words.index("--out")
+        del words[at : at + 2]
+    return words

@@ -3,7 +3,6 @@
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.plan.looks import HALF_PAGE
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.view_plan import ConnectedPlan
@@ -11,11 +10,9 @@ from cell.robot.model import dimensions
 from cell.run.folder import RunFolder
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
-from cell.view.contents import NAME, plan_play
-from cell.view.page import second_half
 from cell.world.model import World
 from planner.timing.motion import Motion
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 _STEPS = 12  # of the scanner's way between two via points
 
@@ -26,6 +23,7 @@ def draw_views(
     part: Workpiece,
     problem: Problem,
     chosen: ConnectedPlan,
+    seen: Bools,
 ) -> None:
     """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict.
 
@@ -35,6 +33,7 @@ def draw_views(
         part: the part.
         problem: the candidates.
         chosen: the views.
+        seen: (S, n) which held-out samples each of them measures.
     """
     cover, world = chosen.cover, problem.world
     drawing.send(
@@ -42,6 +41,7 @@ def draw_views(
         folder.path / "views.png",
         T_object_poses=chosen.T_object_poses,
         T_object_scanner=chosen.T_object_scanner,
+        seen=seen,
     )
     via, steps = chosen.tour.via, np.linspace(0, 1, _STEPS)[None, :, None]
     drawing.send(
@@ -87,6 +87,10 @@ def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
 
 def finish_page(folder: RunFolder, report: Report, plan: PlanFile, motion: Motion) -> None:
     """Add to the page what is known at the end: views, motion, numbers."""
+    # What draws is kept out of the start-up.
+    from cell.view.contents import HALF_PAGE, NAME, plan_play
+    from cell.view.page import second_half
+
     half = folder.path / HALF_PAGE
     folder.write_text(NAME, half.read_text(encoding="utf-8") + second_half(plan_play(report, plan.views, motion)))
     half.unlink()

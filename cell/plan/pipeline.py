@@ -5,11 +5,12 @@ next one starts.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 
 from cell import scanners
 from cell.errors import FileError
@@ -23,14 +24,15 @@ from cell.plan import request as requests
 from cell.plan.drawing import draw_motion, draw_views, finish_page
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
-from cell.plan.summary import plan_report
+from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.folder import RunFolder
-from cell.run.plan_json import Promise
-from cell.run.report_json import Curve, Report
+from cell.run.report_json import Report
 from cell.scene import doubts
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
+from planner.measurability import coverage
+from planner.surface.mesh import TriangleMesh
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +46,7 @@ def plan(
     argv: Sequence[str],
     use_cache: bool,
     narrator: Narrator,
+    steps_of: Callable[[Run, Job], int] | None = None,
 ) -> Path:
     """Plan and write the run folder.
 
@@ -55,6 +58,7 @@ def plan(
         argv: for the manifest.
         use_cache: whether matrices may be taken from and left in the cache.
         narrator: is told what goes on.
+        steps_of: what is done once part, scanner and folder are there, in place of steps 2 to 9.
 
     Returns:
         The run folder.
@@ -76,7 +80,7 @@ def plan(
             folder.named(plan_files.named_files(scene, scene_path))
             scanner = scanners.make(scene.scanner.type, settings.scanner)
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
-            exit_code = _steps(run, Job(scene, part, settings, scanner))
+            exit_code = (steps_of or _steps)(run, Job(scene, part, settings, scanner))
             folder.seal()
         return folder.finish(exit_code)
 
@@ -91,22 +95,44 @@ def _steps(run: Run, job: Job) -> int:
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
     problem = steps.ask(run, job, cell, measured, prediction)
     problem, chosen = steps.connect(run, problem, surface)
-    draw_views(run.drawing, run.folder, job.part, problem, chosen)
+    return 3 if _below(run.narrator, finish(run, job, surface.planning, problem, chosen)) else 0
+
+
+def finish(
+    run: Run,
+    job: Job,
+    planning: TriangleMesh,
+    problem: Problem,
+    chosen: ConnectedPlan,
+    told: Mapping[str, object] = MappingProxyType({}),
+) -> Report:
+    """Prove and time the motion of a connected plan, draw it, and write what is known of it.
+
+    Args:
+        run: the open run.
+        job: what is planned.
+        planning: the part's decimated copy.
+        problem: candidates and cell.
+        chosen: the plan.
+        told: fields of the report that are known otherwise.
+    """
+    seen = problem.prediction.seen(chosen.T_object_poses)
+    draw_views(run.drawing, run.folder, job.part, problem, chosen, seen)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
-    promised, curve = _further(run, problem, chosen)
-    lost = steps.what_is_lost(run, problem, chosen)
+    further = _further(run, problem, chosen)
     with run.step("report"):
-        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, promised, curve, lost)
+        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(seen), further)
+        report = report.model_copy(update=dict(told))
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)
         run.drawing.finish(run.folder)
         finish_page(run.folder, report, plan_file, motion)
-    return 3 if _below(run.narrator, report) else 0
+    return report
 
 
-def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[Promise | None, Curve | None]:
-    """What is worked out beyond a plain plan: the promise simulated, the curve."""
+def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> Further:
+    """What is worked out beyond the plan itself: what is lost, the promise simulated, the curve."""
     selected, wishes = chosen.selected, problem.request.plan
     if selected.note:
         run.narrator.note(selected.note)
@@ -120,7 +146,7 @@ def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[Promise
             curve = curves.curve_of(problem.request, selected, chosen.matrix, problem.reached, run.rng(steps.CURVE))
             curves.write(run.folder, run.drawing, curve, len(chosen.cover.views), chosen.cover.covered_area)
         fewest = curves.fewest_of(curve)
-    return promised, fewest
+    return Further(steps.what_is_lost(run, problem, chosen), promised, fewest)
 
 
 def _below(narrator: Narrator, report: Report) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.errors import UnreachableError
 from cell.plan.request import Request
 from cell.rays.prediction import Prediction
 from cell.world.collision import MujocoCollisionChecker
@@ -14,6 +15,22 @@ from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits, Kinematics
 from planner.reach.reach import Reach
 from planner.viewpoints.viewpoints import Viewpoints
+
+
+class PinnedOutError(UnreachableError):
+    """A candidate that has to be in the plan cannot be part of a motion.
+
+    Attributes:
+        candidate: row of the viewpoints.
+        reason: why, without a full stop.
+    """
+
+    def __init__(self, candidate: int, reason: str) -> None:
+        super().__init__(
+            f"candidate {candidate} is pinned and cannot be part of a motion: {reason}; pin another, or change the "
+            "placement"
+        )
+        self.candidate, self.reason = candidate, reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@
 `planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.plan_settings`).
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,9 +26,10 @@ from planner.cover.robust import RobustCover, robust_cover, views_for_promise
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.order.seconds_of_views import least_moves
+from planner.order.tour import Tour
 from planner.ports import JointLimits
 from planner.reach.reach import Reach, Verdict
-from planner.values import Floats
+from planner.values import Floats, Ints
 from planner.viewpoints.viewpoints import Viewpoints
 
 _RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
@@ -47,11 +49,15 @@ class Request:
         plan: the scene's table, which names and explains them.
         costs: (V,) seconds that each view is priced at; None where the number of views counts.
         layer: probabilities of the matrix' entries; None where poses count as exact.
+        order: candidates in the order in which they are visited, others where they cost least; None: in any order.
+        known: gives the motion through (n,) candidates at their (m, 6) joint solutions [rad] where one is known.
     """
 
     plan: PlanSettings = field(default_factory=PlanSettings)
     costs: Floats | None = None
     layer: ProbabilityLayer | None = None
+    order: tuple[int, ...] | None = None
+    known: Callable[[Ints, Sequence[Floats]], Tour | None] | None = None
 
     @property
     def overlap(self) -> Overlap | None:
@@ -64,7 +70,7 @@ class Request:
     def exchangeable(self) -> bool:
         """Whether a view may be exchanged for others that measure the same: no wish hangs on it itself."""
         plain = self.plan.max_views is None and self.plan.multiplicity == 1
-        return plain and self.overlap is None and self.layer is None
+        return plain and self.overlap is None and self.layer is None and self.order is None
 
     @property
     def standing(self) -> float:

@@ -49,7 +49,7 @@ from planner.timing.motion import Motion
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 
-_FEATURES, _SELECTION, _MOTION, _ENSEMBLE = 0, 2, 3, 4
+_FEATURES, SELECTION, MOTION, _ENSEMBLE = 0, 2, 3, 4
 EXECUTIONS, CURVE, _SCOUTS, _ASKED, _FRESH = 5, 6, 7, 8, 9
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
@@ -153,7 +153,7 @@ def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> 
         UnreachableError: if the arm reaches none.
     """
     with run.step("reach") as progress:
-        reached = _reach_of(job, cell, candidates, progress)
+        reached = reach_of(job, cell, candidates, progress)
         plan_files.write_reach(run.folder, reached)
         if job.scene.plan.candidates != GROWN:
             require_reachable(job.scene.plan, job.part, reached)
@@ -173,11 +173,11 @@ def grow_candidates(
         return candidates, reached
     with run.step("grow the candidates") as progress:
         scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(_SCOUTS))
-        casters = _casters(surface, cell)
+        casters = casters_of(surface, cell)
         scanner = limited(job.scene, job.scanner)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
         grown = grow(candidates, reached.reachable, scouts, arm, progress)
-        reached = join_reach([reached, _reach_of(job, cell, grown)])
+        reached = join_reach([reached, reach_of(job, cell, grown)])
         candidates = join_viewpoints([candidates, grown])
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
         plan_files.write_reach(run.folder, reached)
@@ -189,23 +189,43 @@ def measure(
     run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Measured, Prediction]:
     """Step 5: the measurability matrix, and the held-out samples."""
-    plan = job.scene.plan
     with run.step("measurability") as progress:
-        casters = _casters(surface, cell)
-        candidates = scanners.swept(job.scanner, candidates)
-        M = part_matrix(
-            job.scene, job.settings, surface, candidates,
-            narrator=run.narrator, use_cache=run.use_cache, progress=progress,
-        )  # fmt: skip
-        M = matrix.occlude(M, candidates, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
-        scanner: Scanner = job.scanner
-        if plan.max_sigma_mm is not None:
-            M, scanner = limit_sigma(M, candidates, job.scanner, plan.max_sigma_mm, casters)
+        casters = casters_of(surface, cell)
+        M, scanner = columns(run, job, surface, casters, candidates, progress)
         plan_files.write_measurability(run.folder, M)
-        samples = held_out(surface.reference, surface.planning, run.seed)
-        poses = candidates.T_object_scanner[reached.reachable]
-        prediction = Prediction.of(samples, scanner, casters, poses, progress)
-        return Measured(candidates, reached, M, scanner, casters), prediction
+        measured = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
+        return measured, predicted(run, surface, measured, progress)
+
+
+def columns(
+    run: Run, job: Job, surface: PartSurface, casters: Sequence[RayCaster], views: Viewpoints, progress: Progress,
+    *, may_be_empty: bool = False,
+) -> tuple[Measurability, Scanner]:  # fmt: skip
+    """M of viewpoints, occluders applied and the limit on sigma kept; and the scanner that keeps it.
+
+    `may_be_empty`: whether there are others, where these measure nothing so precisely.
+    """
+    views = scanners.swept(job.scanner, views)
+    M = part_matrix(
+        job.scene, job.settings, surface, views, narrator=run.narrator, use_cache=run.use_cache, progress=progress
+    )
+    M = matrix.occlude(M, views, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
+    limit = job.scene.plan.max_sigma_mm
+    if limit is None:
+        return M, job.scanner
+    return limit_sigma(M, views, job.scanner, limit, casters, may_be_empty=may_be_empty)
+
+
+def casters_of(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
+    """The part's and the occluders', object frame."""
+    return [surface.caster, caster_of(occluder_triangles(cell.world))]
+
+
+def predicted(run: Run, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
+    """The held-out samples, and what reachable candidates measure of them."""
+    samples = held_out(surface.reference, surface.planning, run.seed)
+    poses = measured.candidates.T_object_scanner[measured.reached.reachable]
+    return Prediction.of(samples, measured.scanner, measured.casters, poses, progress)
 
 
 def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Prediction) -> Problem:
@@ -236,12 +256,12 @@ def connect(run: Run, problem: Problem, surface: PartSurface) -> tuple[Problem, 
         The problem with the samples that were added, and its plan.
     """
     with run.step("select, order and connect") as progress:
-        chooses, matrix_before = run.rng(_SELECTION), problem.M
+        chooses, matrix_before = run.rng(SELECTION), problem.M
         problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH))
         if problem.M is not matrix_before:
             plan_files.write_measurability(run.folder, problem.M)
         chosen = choose_and_connect(
-            problem, selected, selection_rng=chooses, motion_rng=run.rng(_MOTION), progress=progress
+            problem, selected, selection_rng=chooses, motion_rng=run.rng(MOTION), progress=progress
         )
         return problem, chosen
 
@@ -270,12 +290,8 @@ def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainabl
         return attainable.of_plan(problem, chosen.visible, arm, run.rng(_ASKED))
 
 
-def _casters(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
-    """The part's and the occluders', object frame."""
-    return [surface.caster, caster_of(occluder_triangles(cell.world))]
-
-
-def _reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
+def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
+    """Verdicts and joint solutions of viewpoints."""
     poses, world = scanners.swept(job.scanner, views), cell.world
     return reach.solve(
         poses, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker, progress=progress

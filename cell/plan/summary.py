@@ -1,5 +1,7 @@
 """What a plan amounts to: the value that report.json, the page and the table are made of."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from cell.part.workpiece import Workpiece
@@ -15,6 +17,22 @@ from cell.world.clearance import MotionClearance
 from planner.measurability.quality import best_sigma
 from planner.surface.mesh import TriangleMesh, face_areas
 from planner.timing.motion import Motion, jerk_free_duration
+from planner.values import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Further:
+    """What is worked out beyond a plain plan.
+
+    Attributes:
+        lost: what any pose measures that the robot takes up.
+        promise: under pose errors, where that was asked for.
+        curve: over the number of views, where that was asked for.
+    """
+
+    lost: Attainable
+    promise: Promise | None = None
+    curve: Curve | None = None
 
 
 def plan_report(
@@ -24,9 +42,8 @@ def plan_report(
     chosen: ConnectedPlan,
     clearance: MotionClearance,
     motion: Motion,
-    promise: Promise | None,
-    curve: Curve | None,
-    lost: Attainable,
+    adds: Floats,
+    further: Further,
 ) -> Report:
     """Everything that the report says.
 
@@ -37,9 +54,8 @@ def plan_report(
         chosen: views in visiting order.
         clearance: of the motion.
         motion: timed.
-        promise: under pose errors, where that was asked for.
-        curve: over the number of views, where that was asked for.
-        lost: what any pose measures.
+        adds: (n,) share of the surface that each view adds to those before it.
+        further: what was worked out beyond the plan.
     """
     cover, plan = chosen.cover, job.scene.plan
     return Report(
@@ -48,7 +64,7 @@ def plan_report(
         n_views=len(cover.views),
         n_features=problem.M.shape[0],
         coverage=_coverage(problem, chosen),
-        attainable=lost,
+        attainable=further.lost,
         sigma=None if plan.max_sigma_mm is None else _sigma(problem, chosen, plan.max_sigma_mm),
         solver=cover.solver,
         status=_sentence(chosen) + _at_target(chosen.target, plan.coverage),
@@ -57,14 +73,14 @@ def plan_report(
         verdicts=Verdicts(**{verdict.name.lower(): count for verdict, count in problem.reached.counts().items()}),
         blockers=problem.reached.blockers(),
         dropped=[Dropped(id=lost.candidate, reason=lost.reason) for lost in chosen.dropped],
-        views=_views(problem, chosen),
+        views=_views(problem, chosen, adds),
         motion=_motion(chosen, motion, job.scene.robot.speed_scaling),
         most_coverage=requests.most_coverage_of(chosen.selected, cover.total_area),
         overlap=requests.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
-        promise=promise,
+        promise=further.promise,
         multiplicity=requests.multiplicity_of(chosen.selected),
         cost=requests.cost_of(cover),
-        curve=curve,
+        curve=further.curve,
         clearance=clearance_of(clearance, motion, problem.world.collision),
     )
 
@@ -118,13 +134,12 @@ def _coverage(problem: Problem, chosen: ConnectedPlan) -> Coverage:
     )
 
 
-def _views(problem: Problem, chosen: ConnectedPlan) -> list[ReportView]:
-    cover, tour = chosen.cover, chosen.tour
-    adds = dict(zip(cover.views.tolist(), (cover.marginal_area / cover.total_area).tolist(), strict=True))
+def _views(problem: Problem, chosen: ConnectedPlan, adds: Floats) -> list[ReportView]:
+    tour = chosen.tour
     return [
         ReportView(
             id=candidate,
-            adds=adds[candidate],
+            adds=float(adds[stop]),
             source_in_base_mm=(chosen.T_base_scanner[stop, :3, 3] * 1000).round(3).tolist(),
             q_deg=degrees(tour.q[stop]),
             roll_deg=np.degrees(problem.candidates.roll[candidate]).round(9),

@@ -13,7 +13,7 @@ import numpy as np
 
 from cell.errors import SceneError, UnreachableError
 from cell.plan import view_exchange
-from cell.plan.problem import Problem
+from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.request import Request, Selected, select
 from cell.plan.sweeping_views import SweepingViews
 from cell.plan.views import Groups, Next, Views
@@ -23,6 +23,7 @@ from planner.cover.overlap import Connection
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import Measurability
 from planner.order import tour
+from planner.order.given_order import in_order
 from planner.order.order_overlap import overlapping
 from planner.order.orderings import Ordering
 from planner.order.seconds_of_views import home_share
@@ -228,6 +229,8 @@ def _motion(
         T_base_home=problem.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
         passages=views.passages(groups.views),
     )
+    if problem.request.known is not None and (known := problem.request.known(groups.views, groups.configurations)):
+        return known
     ordering = _ordering(problem.request, selected)
     # The pipeline proves the clearance of the motion that is kept.
     return tour.plan_motion(
@@ -291,14 +294,11 @@ def _not_pinned(lost: Mapping[int, str], request: Request) -> Mapping[int, str]:
     """The candidates that cannot be part of a motion, none of which the user asked for.
 
     Raises:
-        UnreachableError: if one of them is pinned.
+        PinnedOutError: if one of them is pinned.
     """
     for view, reason in lost.items():
         if view in request.plan.pinned:
-            raise UnreachableError(
-                f"candidate {view} is pinned and cannot be part of a motion: {reason}; pin another, or change the "
-                "placement"
-            )
+            raise PinnedOutError(view, reason)
     return lost
 
 
@@ -306,7 +306,9 @@ _TOLD = 3  # candidates whose reasons are given when none is left
 
 
 def _ordering(request: Request, selected: Selected) -> str | Ordering:
-    """How the views are ordered: by time alone, or so that each overlaps an earlier one as well."""
+    """How the views are ordered: as they are told, by time alone, or so that each overlaps an earlier one as well."""
+    if request.order is not None:
+        return in_order([int(np.flatnonzero(selected.cover.views == candidate)[0]) for candidate in request.order])
     if request.plan.overlap_in_order and isinstance(selected.answer, Connection):
         return overlapping(selected.answer.joined)
     return "joint-space"

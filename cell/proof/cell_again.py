@@ -12,6 +12,7 @@ import numpy as np
 
 from cell.proof.artefacts import refuse
 from cell.proof.compare import difference
+from cell.robot import model as robot
 from cell.run import reader
 from cell.run.cell import scene_of_run, world_of
 from cell.run.described import limits_deg, standing_fixtures
@@ -54,7 +55,7 @@ def compiled(run: RunRecord, resolved: ResolvedScene) -> World:
         )
         if key := difference(resolved, due):
             refuse(path, f"contradicts itself, or the part, at {key}")
-        fastest = np.asarray(limits_deg(world.limits)["joint_velocity_limits_deg_s"])
+        fastest = np.asarray(limits_deg(robot.limits(world.model))["joint_velocity_limits_deg_s"])
         if (np.asarray(resolved.joint_velocity_limits_deg_s) > fastest + 1e-6).any():
             refuse(path, "has joint_velocity_limits_deg_s above those of the robot model")
     if what := _other_shape(reader.cell_model(run), world):

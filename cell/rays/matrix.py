@@ -168,6 +168,8 @@ def limit_sigma(
     scanner: Scanner,
     max_sigma_mm: float,
     casters: Sequence[RayCaster],
+    *,
+    may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:
     """Only what is measured precisely enough: the matrix with its layer of sigma, and the scanner that keeps the limit.
 
@@ -177,6 +179,7 @@ def limit_sigma(
         scanner: the sensor's law.
         max_sigma_mm: largest expected standard deviation of a point [mm], inclusive.
         casters: the part's and the occluders'.
+        may_be_empty: whether there are others where these measure nothing so precisely.
 
     Raises:
         SceneError: if the scanner does not know its sigma, or no candidate measures anything so precisely.
@@ -189,7 +192,7 @@ def limit_sigma(
     precise = cast(SigmaScanner, scanner)
     layered = quality.sigma_layer(M, candidates, precise, casters=casters)
     kept = quality.within(layered, max_sigma_mm / 1000)
-    if len(M.indices) and not len(kept.indices):
+    if len(M.indices) and not len(kept.indices) and not may_be_empty:
         best = 1000 * float(layered.sigma.min()) if layered.sigma is not None else float("nan")
         raise SceneError(
             f"plan.max_sigma_mm is {max_sigma_mm:g} and no candidate measures anything so precisely: the best point "

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
+from planner.measurability.matrix import measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
@@ -77,6 +78,10 @@ class Prediction:
     def share_of_coverable(self, T_object_scanner: Floats) -> float:
         """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable."""
         return self.visible(T_object_scanner).area / self.coverable.area if self.coverable.area > 0 else 1.0
+
+    def seen(self, T_object_scanner: Floats) -> NDArray[np.bool_]:
+        """(S, n) which samples each of the views (n, K, 4, 4) [m] measures."""
+        return measured(T_object_scanner, self.samples, self.scanner, self.casters, each=True)
 
     def coverable_with(self, visible: Coverage) -> float:
         """Coverable share of the surface, what a plan's own poses measure included (they differ by micrometres)."""

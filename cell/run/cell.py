@@ -22,6 +22,8 @@ from cell.robot.frames import kuka_abc_from_pose
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
+from cell.scene.options import BUILT_IN
+from cell.scene.plan_settings import PlanKeys
 from cell.scene.scene import Scene
 from cell.world import shapes
 from cell.world.model import World, compile_world
@@ -156,11 +158,17 @@ def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = (
     Raises:
         FileError: if the run's files are damaged.
     """
-    return compile_world(scene_of_run(run, without), part.vertices, part_faces=part.faces)
+    keys = run_reader.scene(run).scanner
+    baseline_mm = scanners.baseline_mm(keys.own, scanners.make(keys.type, keys.own))
+    return compile_world(scene_of_run(run, without), part.vertices, part_faces=part.faces, baseline_mm=baseline_mm)
 
 
 def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
-    """What stood in the cell, as a scene; scanner and plan keep their defaults (but for baseline and collision).
+    """The scene that a run was planned in, what it left open settled; its part is the run's own reference.ply.
+
+    Args:
+        run: a run folder.
+        without: names of fixtures to leave out; "post" leaves out the post.
 
     Raises:
         FileError: if the run's files are damaged.
@@ -171,22 +179,24 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
     built_in = {fixture.name: fixture for fixture in left if fixture.built_in}
     pedestal, post = built_in.get("pedestal"), built_in.get("post")
     with understood(run.folder / "scene.resolved.json"):
-        return Scene.model_validate(
+        scene = Scene.model_validate(
             {
                 "clearance_mm": resolved.clearance_mm,
-                "plan": {"collision": "hull" if resolved.plan.collision == "hull" else "exact"},
+                "plan": _plan(resolved),
                 "robot": {
+                    **_limits(resolved),
                     "home_deg": resolved.home_deg,
                     "pedestal_height_mm": 0.0 if pedestal is None else pedestal.size_mm[2],
                     **({} if pedestal is None else {"pedestal_size_mm": pedestal.size_mm[:2]}),
                 },
-                "scanner": {"baseline_mm": resolved.scanner.number("baseline_mm") or 0.0},
+                "scanner": {"type": resolved.scanner.type, **resolved.scanner.own},
                 "mount": _pose(resolved.T_flange_scanner),
                 "housing": {
                     **_pose(T_scanner_housing),
                     "size_mm": resolved.housing.size_mm,
                     "bracket_diameter_mm": resolved.housing.bracket_diameter_mm,
                 },
+                "part": _part(run, resolved),
                 "placement": _pose(resolved.T_base_object @ resolved.T_object_centre),
                 "post": {"enabled": False} if post is None else {"diameter_mm": post.size_mm[0]},
                 "fixtures": [
@@ -196,6 +206,43 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
                 ],
             }
         )
+    # What the tables would not take beside what is settled: the resolution of planning is no key of every scanner, and
+    # a percentage of the faces stands in no table beside their number.
+    asked: dict[str, object] = {"planning_resolution_deg": resolved.planning_resolution_deg}
+    if run.has("report.json"):
+        asked["sensor"] = run_reader.report(run).settings.sensor
+    return scene.model_copy(
+        update={
+            "part": scene.part.model_copy(update={"units": resolved.part.units}),
+            "scanner": scene.scanner.model_copy(update=asked),
+            "plan": scene.plan.model_copy(update={"percent_kept": resolved.plan.percent_kept}),
+        }
+    )
+
+
+def _plan(resolved: ResolvedScene) -> dict[str, object]:
+    """The keys of `[plan]`; what earlier versions took convex pieces for is taken as triangles."""
+    keys = {name: getattr(resolved.plan, name) for name in PlanKeys.model_fields if name != "percent_kept"}
+    return keys | {"collision": "hull" if resolved.plan.collision == "hull" else "exact"}
+
+
+def _limits(resolved: ResolvedScene) -> dict[str, object]:
+    """The keys of `[robot]` that say how fast the axes may be."""
+    jerk = resolved.joint_jerk_limits_deg_s3 or (None,) * len(resolved.joint_limits_deg)
+    return {
+        "velocity_deg_s": resolved.joint_velocity_limits_deg_s,
+        "acceleration_deg_s2": resolved.joint_acceleration_limits_deg_s2,
+        "jerk_deg_s3": tuple(float("inf") if limit is None else limit for limit in jerk),
+        "speed_scaling": resolved.speed_scaling,
+        "acceleration_scaling": resolved.acceleration_scaling,
+    }
+
+
+def _part(run: RunRecord, resolved: ResolvedScene) -> dict[str, object]:
+    """The keys of `[part]`: a built-in one by its name, another by the run's own mesh."""
+    if resolved.part.units is None and resolved.part.name in BUILT_IN:
+        return {"name": resolved.part.name}
+    return {"path": str((run.folder / "reference.ply").absolute()), "units": resolved.part.units or "mm"}
 
 
 def _place(run: RunRecord, fixture: StandingFixture) -> Mapping[str, object]:
@@ -208,5 +255,7 @@ def _place(run: RunRecord, fixture: StandingFixture) -> Mapping[str, object]:
 
 
 def _pose(T: Floats) -> Mapping[str, tuple[float, ...]]:
+    """The numbers of a pose without the dust of the conversion: those that a person gave come back."""
     position, abc = kuka_abc_from_pose(T)
-    return {"position_mm": tuple((position * 1000).tolist()), "abc_deg": tuple(np.degrees(abc).tolist())}
+    numbers = {"position_mm": (position * 1000).round(9) + 0.0, "abc_deg": np.degrees(abc).round(9) + 0.0}
+    return {key: tuple(values.tolist()) for key, values in numbers.items()}

@@ -22,9 +22,11 @@ from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, arrays, artefact, understood
 from cell.run.report_json import Report
 from cell.run.scene_json import ResolvedScene
+from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits
 from planner.reach.reach import Reach
 from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
 from planner.timing.motion import Motion
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -122,6 +124,20 @@ def reached(run: RunRecord) -> Reach:
     stored = arrays(run, "reach.npz")
     with understood(run.folder / "reach.npz"):
         return Reach(stored["verdict"], stored["q"], stored["offsets"], tuple(stored["blocker"].tolist()))
+
+
+def measurability(run: RunRecord) -> Measurability:
+    """The measurability matrix with occluders applied, and its features.
+
+    Raises:
+        FileError: if measurability.npz is missing, changed or damaged.
+    """
+    stored = arrays(run, "measurability.npz")
+    with understood(run.folder / "measurability.npz"):
+        features = SurfaceSamples(*(stored[name] for name in ("points", "normals", "areas", "face", "planning_face")))
+        return Measurability(
+            stored["indptr"], stored["indices"], features, int(stored["shape"][1]), stored.get("sigma")
+        )
 
 
 def cell_spec(run: RunRecord) -> mujoco.MjSpec:

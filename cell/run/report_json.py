@@ -92,7 +92,7 @@ class ReportView(JsonTable):
     """A view for a person's table."""
 
     id: int = Field(description="candidate, row of viewpoints.npz")
-    adds: float = Field(description="what it measures that the views chosen before it do not, fraction of the surface")
+    adds: float = Field(description="what it measures that the views before it do not, fraction of the surface")
     source_in_base_mm: Triple = Field(description="place of the laser source")
     q_deg: JointAngles = Field(description="set-points A1 to A6, multiples of 1e-4")
     roll_deg: float = Field(description="about the viewing axis")

@@ -239,8 +239,8 @@ def achieved(
         predicted=predicted,
         sampled=coverage.sampled(cloud.points, samples, radius).fraction,
         radius=radius,
-        adds=_added(measured),
-        largest_first=_added(measured[:, order]),
+        adds=coverage.added(measured),
+        largest_first=coverage.added(measured[:, order]),
         surface=surface,
     )
 
@@ -248,13 +248,6 @@ def achieved(
 def _share(measured: NDArray[np.bool_], samples: SurfaceSamples) -> float:
     covered = np.any(measured, axis=1)
     return float(samples.areas[covered].sum()) / float(samples.areas.sum())
-
-
-def _added(measured: NDArray[np.bool_]) -> Floats:
-    """(n,) share of samples that each column adds to those before it; the samples stand for equal areas."""
-    before = np.logical_or.accumulate(measured, axis=1)
-    added: Floats = np.diff(before.sum(axis=0), prepend=0) / len(measured)
-    return added
 
 
 def _largest_first(measured: NDArray[np.bool_]) -> list[int]:

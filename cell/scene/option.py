@@ -55,7 +55,7 @@ class Option:
     examples: tuple[str, ...] = ()
     counts: tuple[int, ...] = ()
     separator: str = ","
-    made: Callable[[Sequence[float]], Sequence[float]] | None = None
+    made: Callable[[Sequence[Any]], Sequence[Any]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,10 +30,13 @@ from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.timing.motion import Motion
-from planner.values import Floats, Ints
+from planner.values import Bools, Floats, Ints
 
 NAME = "view.html"
 """The page's file beside a report.md."""
+
+HALF_PAGE = "view.html.half"
+"""The page of an unfinished plan, without what is known at the end."""
 
 _NOTES = {
     "spacing": "the larger distance between neighbouring points, of the view in which it is smallest",
@@ -112,11 +115,11 @@ def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Ca
     return canvas_of(cell.reference, samples), of_views(cell, samples, poses)
 
 
-def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) -> Surface:
-    """What some views measure of samples; arguments as in `measured`."""
+def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats], seen: Bools | None = None) -> Surface:
+    """What some views measure of samples; arguments as in `measured` and `surface_of`."""
     stacked = np.stack(poses) if len(poses) else np.zeros((0, 1, 4, 4))
     casters, angle = (cell.part_caster, cell.occluder_caster), resolution_deg(cell.scanner_keys)
-    return surface_of(samples, stacked, cell.scanner, casters, angle)
+    return surface_of(samples, stacked, cell.scanner, casters, angle, seen)
 
 
 def resolution_deg(keys: ScannerKeys) -> float | None:

@@ -21,7 +21,7 @@ from planner.ports import RayCaster, Scanner
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh, face_centres, face_normals
 from planner.surface.sample import SurfaceSamples
-from planner.values import Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Value
 from planner.viewpoints.lines_of_sight import Targets, in_view
 
 _WALL = 0.02  # of the diagonal: two samples that look apart by a right angle count as 1.4 times this far apart
@@ -102,6 +102,7 @@ def surface_of(
     scanner: Scanner,
     casters: Sequence[RayCaster],
     resolution_deg: float | None,
+    seen: Bools | None = None,
 ) -> Surface:
     """Ask the views about the samples.
 
@@ -111,9 +112,11 @@ def surface_of(
         scanner: the sensor's law.
         casters: the part's and the occluders'.
         resolution_deg: larger angle between neighbouring rays; None for a scanner without such a grid.
+        seen: (S, n) which samples each view measures, where that is known; None asks.
     """
     poses = np.asarray(T_object_scanner)
-    seen = measured(poses, samples, scanner, casters, each=True)
+    if seen is None:
+        seen = measured(poses, samples, scanner, casters, each=True)
     sigma_of = getattr(scanner, "sigma", None)
     best = {"spacing": resolution_deg is not None, "sigma": sigma_of is not None}
     layers = {name: np.full(len(samples), np.inf) for name, known in best.items() if known}

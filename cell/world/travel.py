@@ -43,7 +43,8 @@ class TravelBound:
         import mujoco
 
         data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)  # at A1..A6 = 0
+        data.qpos[:] = 0.0  # a cell.xml opens at home
+        mujoco.mj_kinematics(model, data)
         joints = [model.joint(axis).id for axis in AXES]
         self._anchors, self._axes = data.xanchor[joints].copy(), data.xaxis[joints].copy()
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]

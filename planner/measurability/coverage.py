@@ -101,6 +101,17 @@ def sampled(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Cove
     return _coverage(np.asarray(distance <= radius), samples)
 
 
+def added(seen: Bools) -> Floats:
+    """(n,) share of the surface that each view adds to those before it.
+
+    Args:
+        seen: (S, n) whether a view measures a sample; the samples stand for equal areas, as those of `sample` do.
+    """
+    before = np.logical_or.accumulate(seen, axis=1)
+    shares: Floats = np.diff(before.sum(axis=0), prepend=0) / len(seen)
+    return shares
+
+
 def _coverage(covered: Bools, samples: SurfaceSamples) -> Coverage:
     if not len(samples):
         raise PlannerError("there are no samples; coverage is a share of at least one")

@@ -184,3 +184,25 @@ def test_a_resolution_is_none_of_a_line_sensor_s_options(
     assert done.returncode == 2
     assert done.stderr.startswith("cell: --resolution is the angle between rays, and the scanner laser-line has none")
     assert not (run / "executions").exists()
+
+
+def test_sweeps_can_be_edited(
+    line_plan: tuple[Path, subprocess.CompletedProcess[str]], run_cell: Run, tmp_path: Path
+) -> None:
+    """Nothing changed is the same bytes; dropped, turned and reordered, each view is still the sweep about its pose."""
+    run, _ = line_plan
+    before = json.loads((run / "plan.json").read_text())["views"]
+    assert run_cell("edit", run, "--out", "same", "--json", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "same" / "motion.npz").read_bytes() == (run / "motion.npz").read_bytes()
+    assert json.loads((tmp_path / "same" / "plan.json").read_text())["views"] == before
+    order = [*range(len(before), 1, -1)]
+    options = ("--drop", "1", "--turn", "2:180", "--order", ",".join(map(str, order)), "--out", "edited", "--json")
+    done = run_cell("edit", run, *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    after = json.loads((tmp_path / "edited" / "plan.json").read_text())["views"]
+    assert [view["id"] for view in after][:-1] == [before[number - 1]["id"] for number in order[:-1]]
+    candidates = np.load(tmp_path / "edited" / "viewpoints.npz")["T_object_scanner"]
+    for view in after:
+        np.testing.assert_allclose(view["sweep"]["T_object_scanner"], candidates[view["id"]], atol=2e-5)
+    turned = np.array(before[1]["T_object_scanner"]) @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    np.testing.assert_allclose(after[-1]["T_object_scanner"], turned, atol=2e-5)

@@ -64,6 +64,7 @@ def test_equal_input_and_seed_give_equal_bytes(
     assert first["artefacts"] == second["artefacts"]
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_a_calculated_matrix_equals_the_cached_one(
     planned: Path, part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:

@@ -186,7 +186,7 @@ def test_frames_through_the_command_line(planned: Path, tmp_path: Path, run_cell
     """Frames are numbered PNGs of the asked size that differ; a folder with frames is refused."""
     arguments = ("replay", str(planned), "--frames", "film", "--every", "90", "--size", "320x240")
     done = run_cell(*arguments, cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
     frames = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "film").glob("frame_*.png"))]
     assert f"{len(frames)} frames in film" in done.stdout
     assert len(frames) > 2
@@ -205,7 +205,7 @@ def test_a_still_needs_no_opengl_and_leaves_out_what_it_is_told(
 
     def drawn(*options: str) -> NDArray[np.uint8]:
         done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", *options, cwd=tmp_path)
-        assert (done.returncode, done.stderr) == (0, "")
+        assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
         return np.asarray(Image.open(tmp_path / "p.png"))
 
     first = drawn()

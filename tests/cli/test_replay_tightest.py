@@ -101,7 +101,7 @@ def test_a_picture_of_another_moment_does_not_have_the_pair(planned: Path, show:
 def test_the_command_draws_it(planned: Path, tmp_path: Path, run_cell: Run) -> None:
     """`--tightest --picture` is another picture than that of the tour; with --view it is refused."""
     done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
     done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", cwd=tmp_path)
     pictures = [np.asarray(Image.open(tmp_path / name)).astype(int) for name in ("t.png", "p.png")]
     assert (np.abs(pictures[0] - pictures[1]) > 25).any(axis=2).mean() > 0.2

@@ -54,6 +54,7 @@ def test_a_plain_plan_says_nothing_of_requests(planned: Path) -> None:
     assert not (planned / "curve.png").exists()
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
     ask: Callable[..., tuple[Path, dict[str, Any]]], planned: Path
 ) -> None:

@@ -375,3 +375,22 @@ def test_a_reset_whose_answer_was_lost_is_looked_up(link: ScriptedLink, client: 
     link.after = times(1, AnswerTimeoutError("lost"), Reset)
     assert client.reset().mode is Mode.IDLE
     assert len(link.sent) == 1
+
+
+def test_a_fault_right_after_a_move_is_told_by_it() -> None:
+    """The arm stands at its goal and the emergency stop is pressed: nobody may scan, so move() does not just return."""
+    link = ScriptedLink()
+
+    class Pressing(SimulatedClock):
+        def wait(self, seconds: float) -> None:
+            super().wait(seconds)
+            if link.controller.state().done_sequence:
+                link.controller.emergency_stop()
+
+    link.clock = Pressing()
+    link.controller = Controller(IdealPlant(to_rad(START)), kr16(), link.clock)
+    client = ControllerClient(link, link.clock)
+    client.connect()
+    with pytest.raises(EmergencyStopError, match="the move was done just before"):
+        client.move(at(10), 1.0)
+    assert client.state().axes.tolist() == at(10)[-1].tolist()

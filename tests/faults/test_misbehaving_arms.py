@@ -238,7 +238,7 @@ def test_an_arm_that_never_stands_after_a_stop_is_given_up(wire: Any) -> None:
     assert wire.clock.now() - began < 6.0
 
 
-MOMENTS = [*range(6), *(pytest.param(k, marks=pytest.mark.slow) for k in range(6, 100))]
+MOMENTS = [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 100))]
 
 
 @pytest.mark.parametrize("moment", MOMENTS)

@@ -253,7 +253,7 @@ def _cases(cases: list[Any], sample: int) -> Any:
     return pytest.mark.parametrize(("name", "wrong", "phase", "wire"), marked)
 
 
-@_cases(CASES, 90)
+@_cases(CASES, 45)
 def test_a_field_that_is_wrong(rig: Callable[[str], Rig], name: str, wrong: str, phase: str, wire: str) -> None:
     """All fields, all that can be wrong, at each phase, on every wire."""
     made = rig(wire)
@@ -263,7 +263,7 @@ def test_a_field_that_is_wrong(rig: Callable[[str], Rig], name: str, wrong: str,
     made.judge(surely, CAUSES[name])
 
 
-@_cases(REGISTERS, 30)
+@_cases(REGISTERS, 15)
 def test_a_register_that_is_wrong(rig: Callable[[str], Rig], name: str, wrong: str, phase: str, wire: str) -> None:
     """What the frames of the serial line do not have."""
     made = rig(wire)

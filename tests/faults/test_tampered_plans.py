@@ -243,9 +243,9 @@ def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path
     rng = np.random.default_rng(13)
     of_sweeps, fixtures = json_changes(run, "plan.json", ".sweep"), json_changes(run, "scene.resolved.json", "fixtures")
     chosen = [
-        *(of_sweeps[k] for k in rng.choice(len(of_sweeps), 15, replace=False).tolist()),
-        *(fixtures[k] for k in rng.choice(len(fixtures), 10, replace=False).tolist()),
-        *array_changes(run, "motion.npz", rng, 1)[::8],
+        *(of_sweeps[k] for k in rng.choice(len(of_sweeps), 7, replace=False).tolist()),
+        *(fixtures[k] for k in rng.choice(len(fixtures), 4, replace=False).tolist()),
+        *array_changes(run, "motion.npz", rng, 1)[::20],
     ]
     assert judged(run, chosen, resealed) == []
 

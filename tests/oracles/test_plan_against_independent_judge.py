@@ -43,18 +43,23 @@ def links(q_deg: np.ndarray) -> list[np.ndarray]:
     return frames
 
 
-@pytest.fixture(scope="module")
-def run(planned: Path) -> dict[str, Any]:
-    """Everything that the judge reads."""
+def files_of(folder: Path) -> dict[str, Any]:
+    """Everything that the judge reads of a run folder."""
     found: dict[str, Any] = {
-        name: json.loads((planned / f"{name}.json").read_text()) for name in ("plan", "scene.resolved", "report")
+        name: json.loads((folder / f"{name}.json").read_text()) for name in ("plan", "scene.resolved", "report")
     }
     for name in ("viewpoints", "reach", "motion", "measurability"):
-        with np.load(planned / f"{name}.npz") as arrays:
+        with np.load(folder / f"{name}.npz") as arrays:
             found[name] = dict(arrays)
-    found["reference"] = trimesh.load(planned / "reference.ply", process=False)
-    found["folder"] = planned
+    found["reference"] = trimesh.load(folder / "reference.ply", process=False)
+    found["folder"] = folder
     return found
+
+
+@pytest.fixture(scope="module")
+def run(planned: Path) -> dict[str, Any]:
+    """The plan of the small part."""
+    return files_of(planned)
 
 
 def test_every_view_is_where_its_joint_angles_put_it(run: dict[str, Any]) -> None:

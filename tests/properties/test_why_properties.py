@@ -202,7 +202,7 @@ def test_the_files_repeat_and_the_plan_stays_as_it_is(run_folder: Path, run: Run
         folder = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500).folder
         contents.append({path.name: path.read_bytes() for path in sorted(folder.iterdir())})
     assert contents[0] == contents[1]
-    assert set(contents[0]) == {"why.json", "why.ply", "why.png"}
+    assert set(contents[0]) == {"view.html", "why.json", "why.ply", "why.png"}
     for name in run.manifest.artefacts:
         artefact(run, name)
 

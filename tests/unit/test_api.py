@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from cell.api import open_run, plan, scan
+from cell.edit.editable import EditableRun
 from cell.errors import FileError, SceneError, UsageError
 from cell.run.planned import PlannedRun
 from cell.scene.scene import load_scene
@@ -26,7 +27,7 @@ def _cache(cache: Path) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory: pytest.TempPathFactory) -> PlannedRun:
+def planned(tmp_path_factory: pytest.TempPathFactory) -> EditableRun:
     """A small plan of a ball in memory."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     return plan(ball, units="mm", out=tmp_path_factory.mktemp("api") / "run", **_QUICK)
@@ -82,6 +83,12 @@ def test_a_mesh_in_memory_is_planned_as_its_file(
     assert of_file.candidate.tolist() == of_scene.candidate.tolist()
     assert len(of_file.candidate) == len(planned.candidate)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: EditableRun, tmp_path: Path) -> None:
+    """The part is the run's own mesh; a view less, the others where they were."""
+    edited = planned.edited(drop=1, keep_order=True, out=tmp_path / "edited")
+    assert edited.candidate.tolist() == planned.candidate.tolist()[1:]
 
 
 def test_an_execution_is_a_value_too(planned: PlannedRun) -> None:

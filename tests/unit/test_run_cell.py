@@ -24,6 +24,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.world.model import World, compile_world
+from cell.world.travel import TravelBound
 from planner.surface.decimate import decimate
 
 SCENE = """
@@ -186,3 +187,12 @@ def _extent(model: mujoco.MjModel, name: str) -> np.ndarray:
     mujoco.mju_quat2Mat(R, geom.quat)
     placed = vertices @ R.reshape(3, 3).T + geom.pos
     return np.stack([placed.min(axis=0), placed.max(axis=0)])
+
+
+def test_how_far_an_arm_is_off_is_that_of_the_cell_that_was_checked(written: tuple[RunRecord, World]) -> None:
+    """Bit for bit, although cell.xml opens with the robot at home."""
+    run, world = written
+    rng = np.random.default_rng(0)
+    begin = rng.uniform(-1.0, 1.0, (20, 6))
+    end = begin + rng.uniform(-0.01, 0.01, (20, 6))
+    assert (read_cell(run).travel(begin, end) == TravelBound(world.model)(begin, end)).all()

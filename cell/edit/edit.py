@@ -1,0 +1,267 @@
+"""`cell edit`: a plan whose views are changed by hand, as a new run made by the plan's own steps.
+
+The cell is read back from the run's files, and so are candidates, reach and matrix, bit for bit; poses that were no
+candidates become further rows of all three, made by the functions that made the others. From there on everything is
+asked again: own arm, motion, clearance, timing, coverage. Where views, order and poses stay what they were, the motion
+is the run's.
+"""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cell import scanners
+from cell.edit.known_motion import known_motion
+from cell.edit.options import Edit, Pose
+from cell.edit.views import EditedViews, check, edited_views
+from cell.errors import UnreachableError, UsageError
+from cell.narrator import Narrator
+from cell.part.workpiece import Workpiece
+from cell.plan import files as plan_files
+from cell.plan import pipeline, steps
+from cell.plan.candidates import limited
+from cell.plan.problem import PinnedOutError, Problem
+from cell.plan.steps import Cell, Job, Measured, Run
+from cell.plan.view_plan import ConnectedPlan
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import PartSurface
+from cell.run import reader
+from cell.run.cell import scene_of_run
+from cell.run.planned import PlannedRun
+from cell.run.report_json import Report
+from cell.scene.plan_settings import PlanSettings
+from cell.scene.scene import Scene, pose
+from planner.cover import CoverStatus
+from planner.measurability.columns import join_measurability
+from planner.reach.reach import Reach, Verdict, join_reach
+from planner.values import Floats
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
+
+_KEPT = ("reference.ply", "planning.ply")
+
+_ROUNDING = 1e-9  # of shares that were summed in another order
+
+_PLAIN = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order", "pose_sd_mm",
+          "pose_sd_deg", "curve", "solver")  # fmt: skip
+"""Wishes that the choice of views answers: without meaning where the views are given."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Before:
+    """The run that is edited, as its files say it."""
+
+    run: PlannedRun
+    candidates: Viewpoints
+    reached: Reach
+
+
+def edit(
+    run: PlannedRun, wanted: Edit, *, out: Path | None, argv: Sequence[str], use_cache: bool, narrator: Narrator
+) -> Path:
+    """Make a new run of an edited plan.
+
+    Args:
+        run: a finished plan; nothing in its folder changes.
+        wanted: what changes.
+        out: the run folder to make; None makes one below sim_runs/.
+        argv: for the manifest.
+        use_cache: whether matrices may be taken from and left in the cache.
+        narrator: is told what goes on.
+
+    Returns:
+        The new run folder.
+
+    Raises:
+        UsageError: if the edit names what is not there, or cannot be.
+        UnreachableError: if the arm cannot take an edited view or cannot get there, with the condition and what is in
+            the way.
+        FileError: if the run is damaged, or the new folder cannot be written.
+    """
+    if wanted.repair and run.report.most_coverage is not None:
+        raise UsageError(
+            f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "
+            "leave repair out, or plan with a coverage"
+        )
+    check(wanted, len(run.candidate), run.report.verdicts.total)
+    before = _Before(run, reader.candidates(run.record), reader.reached(run.record))
+    resolved = reader.scene(run.record)
+    part = Workpiece(resolved.part.name, reader.mesh(run.record, "reference.ply"), resolved.part.sha256)
+    return pipeline.plan(
+        scene_of_run(run.record), part=part, scene_path=run.folder / "scene.toml", out=out, argv=argv,
+        use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, before, wanted),
+    )  # fmt: skip
+
+
+def _steps(before: _Before, wanted: Edit, run: Run, job: Job) -> int:
+    """The steps of an edit; returns 0, or 3 where the plan stays below a coverage that was asked for."""
+    surface = _surface(before, run, job)
+    cell = steps.compile_cell(run, job, surface)
+    run.drawing.make_ready(run.folder.path)
+    edited = _views(before, wanted, job, cell, surface)
+    measured = _measured(before, edited, run, job, surface, cell)
+    job = replace(job, scene=_without_dropped(job, edited))
+    asked = replace(job, scene=job.scene.model_copy(update={"plan": _asked(wanted, edited, job, measured)}))
+    with run.step("held-out samples") as progress:
+        prediction = steps.predicted(run, surface, measured, progress)
+    problem = steps.ask(run, asked, cell, measured, prediction)
+    same = edited.views == tuple(before.run.candidate.tolist()) and edited.order in (None, edited.views)
+    order = edited.views if same else edited.order
+    known = known_motion(before.run) if same else None
+    problem = replace(problem, request=replace(problem.request, order=order, known=known))
+    problem, chosen = _connected(run, problem, surface, edited)
+    holds, chosen = _bounded(before, edited, problem, chosen)
+    told: dict[str, object] = {"part": before.run.report.part}
+    if not holds:
+        told["status"] = "edited by hand; how few views would do is not known"
+    for view in edited.views:
+        if not (chosen.matrix.indices == view).any():
+            run.narrator.note(f"{edited.called[view]} measures none of the samples")
+    added = [f"{view}" for view in chosen.candidate.tolist() if view not in edited.views]
+    if wanted.repair:
+        run.narrator.note(f"repaired by adding candidate {', '.join(added)}" if added else "there is nothing to repair")
+    report = pipeline.finish(run, job, surface.planning, problem, chosen, told)
+    return 3 if _below(run.narrator, report) else 0
+
+
+def _surface(before: _Before, run: Run, job: Job) -> PartSurface:
+    """The part and the rows of the matrix; the files of the meshes stay what they were, to the byte."""
+    with run.step("read the plan"):
+        for name in _KEPT:
+            shutil.copyfile(before.run.folder / name, run.folder.path / name)
+            run.folder.adopt(name)
+        reference = job.part.reference
+        return PartSurface(
+            reference, reader.mesh(before.run.record, "planning.ply"), reader.measurability(before.run.record).features,
+            EmbreeRayCaster(reference.vertices, reference.faces),
+        )  # fmt: skip
+
+
+def _views(before: _Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
+    """The views that are asked for; of a sensor that sweeps they are named by the middle poses of their sweeps."""
+    T_view_scanner = getattr(job.scanner, "T_view_scanner", np.eye(4)[None])
+    T_scanner_view = np.linalg.inv(T_view_scanner[len(T_view_scanner) // 2])
+    known = before.candidates
+    middle = known.T_object_scanner[:, [known.T_object_scanner.shape[1] // 2]] @ T_scanner_view
+    T_object_base = np.linalg.inv(cell.world.T_base_object)
+
+    def T_object_view(given: Pose) -> Floats:
+        T: Floats = T_object_base @ pose(given[:3], given[3:]) @ T_scanner_view
+        return T
+
+    def standoff(T: Floats) -> float:
+        hit = surface.caster.first_hit(T[None, :3, 3], T[None, :3, 2]).distance[0]
+        return float(hit) if np.isfinite(hit) else float(np.linalg.norm(T[:3, 3] - job.part.centre))
+
+    views = Viewpoints(middle, known.face, known.standoff, known.roll)
+    return edited_views(wanted, before.run.candidate.tolist(), views, T_object_view, standoff)
+
+
+def _measured(before: _Before, edited: EditedViews, run: Run, job: Job, surface: PartSurface, cell: Cell) -> Measured:
+    """Candidates, reach and matrix of the run, and further rows for the poses that were no candidates.
+
+    Raises:
+        UnreachableError: if the arm cannot take a view.
+    """
+    candidates, reached, M = before.candidates, before.reached, reader.measurability(before.run.record)
+    casters, scanner = steps.casters_of(surface, cell), limited(job.scene, job.scanner)
+    if len(edited.appended):
+        with run.step("reach and measurability of new poses") as progress:
+            reached = join_reach([reached, steps.reach_of(job, cell, edited.appended, progress)])
+    _require_reached(edited, reached)
+    if len(edited.appended):
+        with run.step("measurability of new poses") as progress:
+            more, scanner = steps.columns(run, job, surface, casters, edited.appended, progress, may_be_empty=True)
+            M = join_measurability([M, more])
+            candidates = join_viewpoints([candidates, scanners.swept(job.scanner, edited.appended)])
+    plan_files.write_viewpoints(run.folder, candidates)
+    plan_files.write_reach(run.folder, reached)
+    plan_files.write_measurability(run.folder, M)
+    return Measured(candidates, reached, M, scanner, casters)
+
+
+def _require_reached(edited: EditedViews, reached: Reach) -> None:
+    for view in edited.views:
+        if not reached.reachable[view]:
+            verdict, blocker = Verdict(int(reached.verdict[view])), reached.blocker[view]
+            raise UnreachableError(
+                f"{edited.called[view]} cannot be taken: it is {verdict.sentence}"
+                + (f" ({blocker})" if blocker else "")
+                + "; move it elsewhere, or drop it"
+            )
+
+
+def _without_dropped(job: Job, edited: EditedViews) -> Scene:
+    """The scene; a pinned view that is dropped is pinned no more."""
+    plan = job.scene.plan
+    pinned = tuple(candidate for candidate in plan.pinned if candidate not in edited.dropped)
+    return job.scene.model_copy(update={"plan": plan.model_copy(update={"pinned": pinned})})
+
+
+def _asked(wanted: Edit, edited: EditedViews, job: Job, measured: Measured) -> PlanSettings:
+    """What selection is asked: these views and, to repair, the fewest beside them; otherwise no other."""
+    plan = job.scene.plan
+    if wanted.repair:
+        pinned = dict.fromkeys((*edited.views, *plan.pinned))
+        return plan.model_copy(update={"pinned": tuple(pinned), "banned": (*plan.banned, *edited.dropped)})
+    others = np.setdiff1d(np.arange(len(measured.reached)), edited.views)
+    defaults = {key: PlanSettings.model_fields[key].default for key in _PLAIN}
+    given = {"coverage": 1.0, "pinned": edited.views, "banned": tuple(others.tolist())}
+    return plan.model_copy(update={**defaults, **given})
+
+
+def _connected(run: Run, problem: Problem, surface: PartSurface, edited: EditedViews) -> tuple[Problem, ConnectedPlan]:
+    """The views with the motion through them, and the problem with the samples that a repair added.
+
+    Raises:
+        UnreachableError: if no motion leads through a view, with the reason.
+    """
+    try:
+        return steps.connect(run, problem, surface)
+    except PinnedOutError as error:
+        called = edited.called.get(error.candidate, f"pinned candidate {error.candidate}")
+        raise UnreachableError(
+            f"{called} cannot be part of a motion: {error.reason}; move it elsewhere, or drop it"
+        ) from error
+
+
+def _bounded(
+    before: _Before, edited: EditedViews, problem: Problem, chosen: ConnectedPlan
+) -> tuple[bool, ConnectedPlan]:
+    """Whether the run's bound on the number of views still holds, and the plan with that bound, or with none (1).
+
+    It holds where the same candidates were asked for as much: none is new, none that was pinned is left out, and what
+    the run was asked to cover is covered.
+    """
+    cover, M, said = chosen.cover, chosen.matrix, before.run.plan
+    coverable = float(M.features.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
+    target = said.coverage.target_on_features or 1.0
+    holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
+    holds &= not set(edited.dropped) & set(reader.scene(before.run.record).plan.pinned)
+    holds &= said.most_coverage is None
+    bound = min(said.lower_bound, len(cover.views)) if holds else 1
+    proven = bound == len(cover.views)
+    status = CoverStatus.PROVEN if proven else CoverStatus.BOUNDED
+    cover = replace(cover, lower_bound=bound, status=status, solver="edited", coverable_area=coverable)
+    return holds, replace(chosen, cover=cover, selected=replace(chosen.selected, target=target))
+
+
+def _below(narrator: Narrator, report: Report) -> bool:
+    """Whether the plan stays below a coverage that was asked for; says which, and what would help."""
+    coverage, settings = report.coverage, report.settings
+    share, visible = coverage.visible_of_coverable, coverage.visible
+    missed = settings.coverage < 1 and share < settings.coverage
+    if missed:
+        narrator.note(
+            f"the plan measures {100 * share:.2f} % of what can be measured, less than the "
+            f"{100 * settings.coverage:g} % asked for; repair adds the fewest views that restore it"
+        )
+    if visible < settings.required_visible:
+        narrator.note(
+            f"the plan measures {100 * visible:.2f} % of the surface, less than the "
+            f"{100 * settings.required_visible:g} % required; repair adds the fewest views that restore it"
+        )
+    return missed or visible < settings.required_visible

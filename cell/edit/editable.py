@@ -1,0 +1,56 @@
+"""A finished plan that can be edited: what `cell.api.plan` and `cell.api.open_run` return."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from cell.edit.edit import edit
+from cell.edit.options import Edit
+from cell.narrator import Narrator, Quiet
+from cell.run.planned import PlannedRun, open_run
+from cell.scene.option import read
+
+
+@dataclass(frozen=True, eq=False)  # no slots: what is read later is kept
+class EditableRun(PlannedRun):
+    """A finished plan; `edited` makes a new one of it."""
+
+    @classmethod
+    def opened(cls, folder: Path) -> Self:
+        """A run folder of `cell plan`.
+
+        Raises:
+            FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
+        """
+        run = open_run(folder)
+        return cls(run.record, run.plan, run.report)
+
+    def edited(
+        self,
+        wanted: Edit | None = None,
+        *,
+        out: str | Path | None = None,
+        use_cache: bool = True,
+        progress: Narrator | None = None,
+        argv: Sequence[str] = (),
+        **wishes: object,
+    ) -> "EditableRun":
+        """A new run with views dropped, moved, turned, added or in another order; everything is checked again.
+
+        Args:
+            wanted: as one value; None makes it of the wishes.
+            out: run folder to make; None makes one below sim_runs/.
+            use_cache: whether measurability matrices are taken from and left in the user's cache.
+            progress: told how far the work is; None works in silence.
+            argv: kept in the manifest.
+            **wishes: options of `cell edit` by name: `drop=[4]`, `turn={7: 90}`, `add_candidate=533`, `repair=True`,
+                `move={7: (x, y, z, a, b, c)}` (mm and deg, KUKA ABC, scanner in base).
+
+        Raises:
+            CellError: in one sentence; where the arm cannot, with the condition and what is in the way.
+        """
+        asked = read(Edit, wishes) if wanted is None else wanted
+        where = None if out is None else Path(out)
+        narrator = Quiet(None) if progress is None else progress
+        return EditableRun.opened(edit(self, asked, out=where, argv=argv, use_cache=use_cache, narrator=narrator))

@@ -1,0 +1,47 @@
+"""`cell edit` as a user meets it: a new run, what it gains or costs, exit codes."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Cell = Callable[..., Any]
+
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
+
+def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """The table ends with gains and costs and lines to paste; the JSON object has the difference; RUN is untouched."""
+    before = {path: path.read_bytes() for path in planned.iterdir() if path.is_file()}
+    done = run_cell("edit", planned, "--drop", "2", "--out", "without", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = " ".join(done.stdout.replace("│", " ").split())
+    assert "5 views instead of 6" in text
+    assert "loses" in text
+    assert "cell edit without --repair" in text
+    done = run_cell("edit", "without", "--repair", "--keep-order", "--out", "repaired", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["against"]["views"]["lost"] == []
+    assert len(said["against"]["views"]["new"]) == 1
+    assert said["against"]["surface"]["gained_mm2"] > 0
+    assert {path: path.read_bytes() for path in planned.iterdir() if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        (("--drop", "9"), 2, "drop names view 9; the plan has the views 1 to 6"),
+        (("--move", "2:9000,0,0,0,0,0"), 4, "view 2 cannot be taken: it is out of the arm's reach"),
+    ],
+)
+def test_refusals_have_a_sentence_and_a_code(
+    options: tuple[str, ...], code: int, told: str, planned: Path, run_cell: Cell, tmp_path: Path
+) -> None:
+    """What cannot be is said, and no finished folder is left."""
+    done = run_cell("edit", planned, *options, "--out", "edited", cwd=tmp_path)
+    assert done.returncode == code
+    assert told in done.stderr
+    assert not (tmp_path / "edited").exists()

@@ -1,0 +1,151 @@
+"""What an edit may say, and the two ends of it: nothing changed, and what cannot be."""
+
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.api import open_run
+from cell.edit.options import Edit, Move, Pose, Turn
+from cell.errors import UnreachableError, UsageError
+from cell.robot.frames import kuka_abc_from_pose
+from cell.run import reader
+from cell.scene.option import flag, read
+from planner.order import generalised_tsp as gtsp
+from planner.order.given_order import in_order
+from planner.order.moves import Moves
+from planner.ports import JointLimits
+
+POSE = (812.0, 430.0, 655.0, 90.0, 0.0, 180.0)
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path, blank_pictures: None) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+
+
+@pytest.mark.parametrize(
+    "wishes",
+    [
+        {"drop": "4,7", "move": "7:812,430,655,90,0,180,8:812,430,655,90,0,180", "turn": "1:90,2:-45.5"},
+        {"drop": [4, 7], "move": {7: POSE, 8: POSE}, "turn": {1: 90, 2: -45.5}},
+        {"drop": np.array([4, 7]), "move": [(7, *POSE), (8, *POSE)], "turn": [(1, 90), (2, -45.5)]},
+    ],
+    ids=["texts", "tables", "sequences"],
+)
+def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
+    """Whatever holds the numbers, the edit is the same value; view 7 is edited once only."""
+    with pytest.raises(UsageError, match="view 7 twice"):
+        read(Edit, wishes)
+    edit = read(Edit, wishes | {"drop": 4})
+    assert edit.drop == (4,)
+    assert edit.move == (Move(7, Pose(*POSE)), Move(8, Pose(*POSE)))
+    assert edit.turn == (Turn(1, 90.0), Turn(2, -45.5))
+
+
+@pytest.mark.parametrize(
+    ("wishes", "told"),
+    [
+        ({"move": "7:1,2,3"}, "--move 7:1,2,3 must be number:x,y,z,a,b,c"),
+        ({"turn": "1.5:90"}, "--turn 1.5:90 must be number:angle"),
+        ({"turn": "x"}, "--turn x must be number:angle"),
+        ({"add_pose": "1,2,3,4,5"}, "--add-pose 1,2,3,4,5 must be x,y,z,a,b,c"),
+        ({"drop": "0"}, "--drop.*must be at least 1"),
+        ({"order": "1,2,2"}, "view 2 twice"),
+        ({"order": "1,2", "keep_order": True}, "give one of them"),
+        ({"drop": "1", "turn": "1:90"}, "view 1 twice"),
+    ],
+)
+def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
+    """One sentence with the option as its user wrote it."""
+    with pytest.raises(UsageError, match=told):
+        read(Edit, wishes, flag)
+
+
+@pytest.mark.parametrize(
+    ("wishes", "told"),
+    [
+        ({"drop": 99}, "drop names view 99; the plan has the views 1 to"),
+        ({"add_candidate": 9999}, "there is no candidate 9999 to add; there are candidates 0 to 239"),
+        ({"order": [2, 1]}, "the order leaves out 3"),
+        ({"order": [*range(1, 30)]}, "the order names 7"),
+        ({"drop": [1, 2, 3, 4, 5, 6]}, "leaves no view"),
+    ],
+)
+def test_what_is_not_there_is_refused_before_a_folder_is_made(
+    wishes: dict[str, Any], told: str, planned: Path, tmp_path: Path
+) -> None:
+    """The plan's own numbers stand in the sentence."""
+    run = open_run(planned)
+    assert len(run.candidate) == 6
+    with pytest.raises(UsageError, match=told):
+        run.edited(out=tmp_path / "edited", **wishes)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("wishes", [{}, {"keep_order": True}, {"turn": {2: 360}}, {"order": [*range(1, 7)]}])
+def test_an_edit_that_changes_nothing_changes_nothing(wishes: dict[str, Any], planned: Path, tmp_path: Path) -> None:
+    """The same views in the same order, and artefacts that are the same bytes."""
+    run = open_run(planned)
+    same = run.edited(out=tmp_path / "same", **wishes)
+    names = ("motion.npz", "viewpoints.npz", "reach.npz", "measurability.npz", "reference.ply", "planning.ply")
+    for name in (*names, "cell.xml", "scene.toml"):
+        assert (same.folder / name).read_bytes() == (planned / name).read_bytes(), name
+    assert same.plan.model_copy(update={"solver": run.plan.solver}).as_json() == run.plan.as_json()
+    assert reader.scene(same.record).as_json() == reader.scene(run.record).as_json()
+
+
+def test_a_view_that_collides_is_refused_with_what_it_collides_with(planned: Path, tmp_path: Path) -> None:
+    """A scanner in the part: the verdict, between what, and which view."""
+    run = open_run(planned)
+    reached = reader.reached(run.record)
+    assert reached.reachable[run.candidate[0]]
+    deeper = run.T_base_scanner[0, :3, 3] + 0.26 * run.T_base_scanner[0, :3, 2]
+    a, b, c = np.degrees(kuka_abc_from_pose(run.T_base_scanner[0])[1])
+    with pytest.raises(UnreachableError, match=r"view 1 cannot be taken: .* collides \(\w+ with part\)"):
+        run.edited(out=tmp_path / "edited", move={1: (*(deeper * 1000), a, b, c)})
+
+
+def test_a_pose_that_is_a_view_already_is_refused(planned: Path, tmp_path: Path) -> None:
+    """Twice the same view is an oversight."""
+    run = open_run(planned)
+    with pytest.raises(UsageError, match="view 7 would be the same pose as view 3"):
+        run.edited(out=tmp_path / "edited", add_candidate=int(run.candidate[2]))
+
+
+def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
+    """Candidates keep their numbers through edits of edits; repair adds no more views than were dropped."""
+    run = open_run(planned)
+    without = run.edited(drop=[2], out=tmp_path / "without")
+    assert without.coverage.visible < run.coverage.visible
+    assert without.bound == 1
+    back = without.edited(add_candidate=int(run.candidate[1]), out=tmp_path / "back")
+    assert sorted(back.candidate) == sorted(run.candidate)
+    assert back.coverage.visible == pytest.approx(run.coverage.visible, abs=1e-6)
+    repaired = without.edited(repair=True, out=tmp_path / "repaired")
+    assert len(repaired.candidate) == len(run.candidate)
+    assert repaired.coverage.planned_on_features == pytest.approx(run.coverage.planned_on_features)
+    assert set(without.candidate) <= set(repaired.candidate)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_given_orders_against_all_choices(seed: int) -> None:
+    """Joint solutions as good as the best of all; what is left out goes, one by one, where it costs least."""
+    rng = np.random.default_rng(seed)
+    limits = JointLimits(*(sign * np.full(6, size) for sign, size in ((-1, 9.0), (1, 9.0), (1, 2.0), (1, 4.0))))
+    moves = Moves.straight([rng.uniform(-2, 2, (2, 6)) for _ in range(5)], np.zeros(6), limits)
+    problem = moves.instance()
+    for given in ([3, 0, 4, 1, 2], [3, 0, 4, 1], [2]):
+        found = in_order(given)(moves, np.tile(np.eye(4), (5, 1, 1)), rng, bound_work=None)
+        assert [view for view in found.order if view in given] == given
+        assert sorted(found.order) == list(range(5))
+        choices = np.stack(np.meshgrid(*[[0, 1]] * 5), axis=-1).reshape(-1, 5)
+        tours = [[0, *(1 + 2 * found.order + choice)] for choice in choices]
+        assert found.duration == pytest.approx(min(problem.length(np.array(tour)) for tour in tours))
+        orders = [o for o in permutations(range(5)) if [v for v in o if v in given] == given]
+        best = min(gtsp.best_nodes(problem, np.array(order) + 1)[0] for order in orders)
+        assert found.duration >= best - 1e-9
+        if len(given) > 3:
+            assert found.duration == pytest.approx(best)
