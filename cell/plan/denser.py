@@ -41,13 +41,13 @@ def chosen_where_kept(
     Returns:
         The problem with its samples, and the views; they fall short only where fresh samples show nothing more.
     """
-    selected = first_choice(problem, rng)
+    selected = first_choice(problem, rng, look=True)
     for _ in range(ROUNDS):
         more = with_samples(problem, selected, surface, fresh) if falls_short(problem, selected) else None
         if more is None:
             break
-        problem, selected = more, first_choice(more, rng)
-    return problem, selected
+        problem, selected = more, first_choice(more, rng, look=True)
+    return problem, first_choice(problem, rng, looked=selected)
 
 
 def falls_short(problem: Problem, selected: Selected) -> bool:

@@ -20,7 +20,7 @@ from cell.rays.prediction import Prediction
 from cell.run import plan_json
 from cell.scene.plan_settings import PlanSettings
 from planner import cover
-from planner.cover import Cover, Overlap, Problem
+from planner.cover import Cover, CoverStatus, Overlap, Problem
 from planner.cover.overlap import Connection, connection
 from planner.cover.robust import RobustCover, robust_cover, views_for_promise
 from planner.measurability.matrix import Measurability
@@ -37,6 +37,9 @@ LEAST_COST = 1e-6
 """Seconds that a view is taken to cost at least, as a cover's costs are above 0."""
 
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
+
+_LOOK_WORK = cover.DEFAULT_WORK // 5
+"""Of a short search: nine of ten have the views of the whole work; what that adds is mostly proof."""
 
 _MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
 
@@ -113,12 +116,16 @@ def select(
     *,
     banned: tuple[int, ...],
     rng: np.random.Generator,
+    looked: Selected | None = None,
+    look: bool = False,
 ) -> Selected:
     """Answer a request.
 
     A coverage below 1 is a promise about the surface: where a cover keeps it on the matrix' samples but not on the
     held-out ones, its target on the matrix is raised. Two promises are kept on the matrix alone: the most coverage
     with k views has no target, and probabilities are not known of samples that were not planned for.
+
+    The raises are found by short searches, which seldom miss a view; the whole work goes into the last target alone.
 
     Args:
         request: the wishes.
@@ -128,6 +135,8 @@ def select(
         prediction: held-out samples.
         banned: candidates that turned out to be of no use; those that the user bans come on top.
         rng: randomness of the selection.
+        looked: the answer of a look at the same; it is searched on from there.
+        look: whether a short search is enough.
     """
     plan = request.plan
     wish = Problem(
@@ -141,24 +150,56 @@ def select(
     if request.layer is not None:
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, plan.coverage, robust.sentence, robust)
-    target, raises, least = plan.coverage, 0, 0.0
+    if plan.coverage >= 1 or plan.multiplicity > 1:  # of the matrix' samples that is all that it can be asked
+        return _cover(request, wish, rng, cover.DEFAULT_WORK)
+
+    def short(selected: Selected) -> float:
+        return plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
+
+    short_work = request.costs is None and request.overlap is None
+    work = _LOOK_WORK if short_work else cover.DEFAULT_WORK
+    found = looked or _raised(request, wish, rng, work, short)
+    if look or not short_work or found.cover.status is CoverStatus.PROVEN:
+        return found
+    thorough = _cover(request, replace(wish, coverage=found.target), rng, cover.DEFAULT_WORK)
+    if len(thorough.cover.views) < len(found.cover.views) and (short(thorough) <= 0 or found.target >= 1):
+        return thorough
+    return _with_bound(found, thorough.cover.lower_bound)
+
+
+def _raised(
+    request: Request, wish: Problem, rng: np.random.Generator, work: int, short: Callable[[Selected], float]
+) -> Selected:
+    """The first cover that keeps the promise, its target raised where it has to be."""
+    target, raises, least = request.plan.coverage, 0, 0.0
     while True:
-        asked = replace(wish, coverage=target)
-        if request.overlap is not None:
-            joined = cover.solve(asked, rng=rng, budget=_MOST_WORK)
-            how = connection(asked, joined)
-            selected = Selected(joined, target, joined.sentence if how.connected else how.sentence, how)
-        else:
-            chosen = cover.solve(asked, rng=rng, solver=plan.solver)
-            least = least if raises else chosen.cost_bound
-            selected = Selected(chosen, target, chosen.sentence, cost_bound=least)
-        if target >= 1 or plan.multiplicity > 1:  # full coverage of the matrix' samples is all that it can be asked
-            return selected
-        short = plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
-        if short <= 0:
-            return selected
+        found = _cover(request, replace(wish, coverage=target), rng, work)
+        least = least if raises else found.cost_bound
+        found = replace(found, cost_bound=least)
+        lacks = short(found) if target < 1 else 0.0
+        if lacks <= 0:
+            return found
         raises += 1
-        target = 1.0 if raises == _RAISES else min(1.0, target + short + _STEP)
+        target = 1.0 if raises == _RAISES else min(1.0, target + lacks + _STEP)
+
+
+def _cover(request: Request, wish: Problem, rng: np.random.Generator, work: int) -> Selected:
+    """The fewest or cheapest views for a target, which hang together where that is asked."""
+    if request.overlap is not None:
+        joined = cover.solve(wish, rng=rng, budget=_MOST_WORK)
+        how = connection(wish, joined)
+        return Selected(joined, wish.coverage, joined.sentence if how.connected else how.sentence, how)
+    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, budget=work)
+    return Selected(chosen, wish.coverage, chosen.sentence, cost_bound=chosen.cost_bound)
+
+
+def _with_bound(selected: Selected, bound: int) -> Selected:
+    """With a bound that a longer search for the same target has proven."""
+    bound = max(bound, selected.cover.lower_bound)
+    proven = bound >= len(selected.cover.views)
+    status = CoverStatus.PROVEN if proven else selected.cover.status
+    cover = replace(selected.cover, lower_bound=min(bound, len(selected.cover.views)), status=status)
+    return replace(selected, cover=cover, sentence=cover.sentence, cost_bound=cover.cost_bound)
 
 
 def check_named(plan: PlanSettings, reached: Reach) -> None:

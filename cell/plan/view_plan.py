@@ -113,13 +113,21 @@ class _Again:
     refused: Mapping[int, str] = field(default_factory=dict)
 
 
-def first_choice(problem: Problem, rng: np.random.Generator) -> Selected:
+def first_choice(
+    problem: Problem, rng: np.random.Generator, *, looked: Selected | None = None, look: bool = False
+) -> Selected:
     """Views that answer the request before any motion is known, for `choose_and_connect`.
+
+    Args:
+        problem: candidates, cell and wishes.
+        rng: randomness of the selection.
+        looked: the answer of a look at the same problem; it is searched on from there.
+        look: whether a short search is enough.
 
     Raises:
         UnreachableError: if no view measures anything.
     """
-    return _choose(problem, _views_of(problem), {}, rng)
+    return _choose(problem, _views_of(problem), {}, rng, looked=looked, look=look)
 
 
 def choose_and_connect(
@@ -156,7 +164,15 @@ def _views_of(problem: Problem) -> Views:
     return ViewsAtRest(problem) if problem.at_rest else SweepingViews(problem)
 
 
-def _choose(problem: Problem, views: Views, refused: Mapping[int, str], rng: np.random.Generator) -> Selected:
+def _choose(
+    problem: Problem,
+    views: Views,
+    refused: Mapping[int, str],
+    rng: np.random.Generator,
+    *,
+    looked: Selected | None = None,
+    look: bool = False,
+) -> Selected:
     """Views that answer the request as far as is known by now."""
     selected = select(
         problem.request,
@@ -166,6 +182,8 @@ def _choose(problem: Problem, views: Views, refused: Mapping[int, str], rng: np.
         problem.prediction,
         banned=tuple(refused),
         rng=rng,
+        looked=looked,
+        look=look,
     )
     if not len(selected.cover.views):
         told = [f"candidate {view}: {reason}" for view, reason in {**refused, **views.shaded}.items()]
