@@ -15,16 +15,17 @@ from cell.plan.request import Selected
 from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
 from planner.measurability import quality
+from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability, fill, measured, occlude
 from planner.measurability.quality import Limited
 from planner.measurability.rows import add_rows
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.viewpoints.viewpoints import pick_viewpoints
 
 ROUNDS = 6
 """Times that samples are added at most; each time the views are chosen again."""
 
 _FRESH = 20_000  # samples that a round looks at
-_RAISED = 0.003  # share by which a target is raised on the matrix before samples are added: one raise is usual
 
 
 def chosen_where_kept(
@@ -41,24 +42,24 @@ def chosen_where_kept(
     Returns:
         The problem with its samples, and the views; they fall short only where fresh samples show nothing more.
     """
+    if not _adds(problem):
+        return problem, first_choice(problem, rng)
     selected = first_choice(problem, rng, look=True)
     for _ in range(ROUNDS):
-        more = with_samples(problem, selected, surface, fresh) if falls_short(problem, selected) else None
+        if not selected.short:
+            return problem, first_choice(problem, rng, looked=selected)
+        more = with_samples(problem, selected, surface, fresh)
         if more is None:
             break
         problem, selected = more, first_choice(more, rng, look=True)
-    return problem, first_choice(problem, rng, looked=selected)
+    return problem, first_choice(problem, rng)
 
 
-def falls_short(problem: Problem, selected: Selected) -> bool:
-    """Whether the matrix shows too little: the held-out samples made it ask for more, or all of it is not enough."""
+def _adds(problem: Problem) -> bool:
+    """Whether more samples help: a plain coverage below 1 is asked for, of samples."""
     plan = problem.request.plan
     plain = plan.max_views is None and plan.multiplicity == 1 and problem.request.layer is None
-    raised = selected.target >= min(1.0, plan.coverage + _RAISED)
-    if not (plain and raised and plan.coverage < 1 and plan.fill == "aimed"):
-        return False
-    poses = problem.candidates.T_object_scanner[selected.cover.views]
-    return selected.target < 1 or problem.prediction.share_of_coverable(poses) < plan.coverage
+    return plain and plan.coverage < 1 and plan.fill == "aimed"
 
 
 def with_samples(
@@ -84,10 +85,11 @@ def with_samples(
 
 
 def _rows(problem: Problem, features: SurfaceSamples) -> Measurability:
-    """What the candidates measure of further features, occluders applied, the limit on sigma kept."""
-    candidates, scanner = problem.candidates, problem.prediction.scanner
+    """What reachable candidates measure of further features, occluders applied, the limit on sigma kept."""
+    usable = np.flatnonzero(problem.reached.reachable)
+    candidates, scanner = pick_viewpoints(problem.candidates, usable), problem.prediction.scanner
     part, others = problem.prediction.casters
     M = occlude(fill(candidates, features, scanner, part), candidates, scanner, others, ray_caster=part)
     if isinstance(scanner, Limited):
         M = quality.sigma_layer(M, candidates, scanner.scanner, casters=(part, others))
-    return M
+    return spread_measurability(M, usable, len(problem.candidates))

@@ -38,8 +38,13 @@ LEAST_COST = 1e-6
 
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
 
+RAISED = 0.002
+"""Share by which a target is raised on the matrix before samples are added to it: one raise is usual."""
+
 _LOOK_WORK = cover.DEFAULT_WORK // 5
 """Of a short search: nine of ten have the views of the whole work; what that adds is mostly proof."""
+
+_LAST_WORK = cover.DEFAULT_WORK // 2  # after a look
 
 _MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
 
@@ -91,6 +96,8 @@ class Selected:
         sentence: the status in words with its numbers.
         answer: what is known beyond the cover, which for most requests says all; else None.
         cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
+        short: share of what is coverable on the held-out samples that a coverage below 1 misses there; 0 where it is
+            kept, or was not looked at.
     """
 
     cover: Cover
@@ -98,6 +105,7 @@ class Selected:
     sentence: str
     answer: Connection | RobustCover | None = None
     cost_bound: float = 0.0
+    short: float = 0.0
 
     @property
     def note(self) -> str:
@@ -136,7 +144,7 @@ def select(
         banned: candidates that turned out to be of no use; those that the user bans come on top.
         rng: randomness of the selection.
         looked: the answer of a look at the same; it is searched on from there.
-        look: whether a short search is enough.
+        look: whether a short search is enough, and a cover that misses the promise by more than `RAISED`.
     """
     plan = request.plan
     wish = Problem(
@@ -156,31 +164,39 @@ def select(
     def short(selected: Selected) -> float:
         return plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
 
-    short_work = request.costs is None and request.overlap is None
-    work = _LOOK_WORK if short_work else cover.DEFAULT_WORK
-    found = looked or _raised(request, wish, rng, work, short)
-    if look or not short_work or found.cover.status is CoverStatus.PROVEN:
+    brief = request.costs is None and request.overlap is None
+    work = _LOOK_WORK if brief else cover.DEFAULT_WORK
+    found = looked or _raised(request, wish, rng, work, short, most=RAISED if look else 1.0)
+    if look or not brief or found.cover.status is CoverStatus.PROVEN:
         return found
-    thorough = _cover(request, replace(wish, coverage=found.target), rng, cover.DEFAULT_WORK)
+    thorough = _cover(request, replace(wish, coverage=found.target), rng, _LAST_WORK)
     if len(thorough.cover.views) < len(found.cover.views) and (short(thorough) <= 0 or found.target >= 1):
         return thorough
     return _with_bound(found, thorough.cover.lower_bound)
 
 
 def _raised(
-    request: Request, wish: Problem, rng: np.random.Generator, work: int, short: Callable[[Selected], float]
+    request: Request,
+    wish: Problem,
+    rng: np.random.Generator,
+    work: int,
+    short: Callable[[Selected], float],
+    most: float,
 ) -> Selected:
-    """The first cover that keeps the promise, its target raised where it has to be."""
+    """The first cover that keeps the promise, its target raised where it has to be.
+
+    Where it would have to be raised by more than `most`, the cover that does not keep the promise.
+    """
     target, raises, least = request.plan.coverage, 0, 0.0
     while True:
         found = _cover(request, replace(wish, coverage=target), rng, work)
         least = least if raises else found.cost_bound
-        found = replace(found, cost_bound=least)
         lacks = short(found) if target < 1 else 0.0
-        if lacks <= 0:
-            return found
+        found = replace(found, cost_bound=least, short=max(lacks, 0.0))
         raises += 1
         target = 1.0 if raises == _RAISES else min(1.0, target + lacks + _STEP)
+        if lacks <= 0 or target > request.plan.coverage + most:
+            return found
 
 
 def _cover(request: Request, wish: Problem, rng: np.random.Generator, work: int) -> Selected:

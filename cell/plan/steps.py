@@ -38,6 +38,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.possible import require_possible
 from planner.measurability import matrix
+from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Scanner
 from planner.reach import reach
@@ -47,7 +48,7 @@ from planner.surface.sample import sample
 from planner.timing import motion as timing
 from planner.timing.motion import Motion
 from planner.viewpoints import growth
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
 _FEATURES, SELECTION, MOTION, _ENSEMBLE = 0, 2, 3, 4
 EXECUTIONS, CURVE, _SCOUTS, _ASKED, _FRESH = 5, 6, 7, 8, 9
@@ -188,10 +189,12 @@ def grow_candidates(
 def measure(
     run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Measured, Prediction]:
-    """Step 5: the measurability matrix, and the held-out samples."""
+    """Step 5: the measurability matrix, whose columns are asked where the arm gets to, and the held-out samples."""
     with run.step("measurability") as progress:
         casters = casters_of(surface, cell)
-        M, scanner = columns(run, job, surface, casters, candidates, progress)
+        usable = np.flatnonzero(reached.reachable)
+        M, scanner = columns(run, job, surface, casters, pick_viewpoints(candidates, usable), progress)
+        M = spread_measurability(M, usable, len(candidates))
         plan_files.write_measurability(run.folder, M)
         measured = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
         return measured, predicted(run, surface, measured, progress)

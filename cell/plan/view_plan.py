@@ -122,7 +122,7 @@ def first_choice(
         problem: candidates, cell and wishes.
         rng: randomness of the selection.
         looked: the answer of a look at the same problem; it is searched on from there.
-        look: whether a short search is enough.
+        look: whether a short search is enough, and views that miss what is asked for by some.
 
     Raises:
         UnreachableError: if no view measures anything.
