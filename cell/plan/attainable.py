@@ -6,28 +6,29 @@ them; of the rest up to `planner.viewpoints.attainable.ASKED` are drawn and sear
 
 import numpy as np
 
+from cell.plan.candidates import arm_of
 from cell.plan.problem import Problem
 from cell.run.report_json import Attainable
 from planner.measurability.coverage import Coverage
 from planner.viewpoints.attainable import ASKED, attainable
-from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
 
 TOLD_BELOW = 0.8
 """Share of the surface below which a plan says why it measures no more."""
 
 
-def of_plan(problem: Problem, visible: Coverage, arm: Arm, rng: np.random.Generator) -> Attainable:
+def of_plan(problem: Problem, visible: Coverage, rng: np.random.Generator) -> Attainable:
     """What this robot can measure here.
 
     Args:
         problem: the held-out samples and what reachable candidates measure of them.
         visible: what the plan measures of them.
-        arm: the scanner and what it can take up.
         rng: draws the samples that are asked about.
     """
-    samples = problem.prediction.samples
-    known = np.asarray(problem.prediction.coverable.covered | visible.covered)
+    prediction = problem.prediction
+    arm = arm_of(problem.world, problem.kinematics, problem.checker, prediction.scanner, prediction.casters)
+    samples = prediction.samples
+    known = np.asarray(prediction.coverable.covered | visible.covered)
     rest = np.flatnonzero(~known)
     asked = np.sort(rng.permutation(rest)[:ASKED])
     found = attainable(Targets.of(samples.points[asked], samples.normals[asked]), arm)

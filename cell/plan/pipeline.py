@@ -17,10 +17,9 @@ from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
+from cell.plan import answers, picture_process, promise, steps
 from cell.plan import curve as curves
 from cell.plan import files as plan_files
-from cell.plan import picture_process, promise, steps
-from cell.plan import request as requests
 from cell.plan.drawing import draw_motion, draw_views, finish_page
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
@@ -137,7 +136,7 @@ def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> Further:
     if selected.note:
         run.narrator.note(selected.note)
     promised, fewest = None, None
-    if robust := requests.robust_of(selected, chosen.cover.total_area):
+    if robust := answers.robust_of(selected, chosen.cover.total_area):
         with run.step("simulate executions") as progress:
             rng = run.rng(steps.EXECUTIONS)
             promised = promise.simulate(wishes, robust, chosen.T_object_poses, problem.prediction, rng, progress)

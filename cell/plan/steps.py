@@ -204,10 +204,7 @@ def columns(
     run: Run, job: Job, surface: PartSurface, casters: Sequence[RayCaster], views: Viewpoints, progress: Progress,
     *, may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:  # fmt: skip
-    """M of viewpoints, occluders applied and the limit on sigma kept; and the scanner that keeps it.
-
-    `may_be_empty`: whether there are others, where these measure nothing so precisely.
-    """
+    """M of viewpoints past occluders, within the limit on sigma (`limit_sigma`), and the scanner that keeps it."""
     views = scanners.swept(job.scanner, views)
     M = part_matrix(
         job.scene, job.settings, surface, views, narrator=run.narrator, use_cache=run.use_cache, progress=progress
@@ -251,13 +248,7 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
 
 
 def connect(run: Run, problem: Problem, surface: PartSurface) -> tuple[Problem, ConnectedPlan]:
-    """Steps 6 to 8: the views, their order with a joint solution each, and free paths between them.
-
-    Where the views fall short of the coverage asked for, samples are added to the matrix and they are chosen again.
-
-    Returns:
-        The problem with the samples that were added, and its plan.
-    """
+    """Steps 6 to 8: the problem with the samples that its promise took, and its views connected by free paths."""
     with run.step("select, order and connect") as progress:
         chooses, matrix_before = run.rng(SELECTION), problem.M
         problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH))
@@ -288,9 +279,7 @@ def prove_and_time(
 def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainable:
     """What any pose would measure that the robot takes up here, beside what the plan measures."""
     with run.step("what is lost"):
-        known, world = problem.prediction, problem.world
-        arm = arm_of(world, problem.kinematics, problem.checker, known.scanner, known.casters)
-        return attainable.of_plan(problem, chosen.visible, arm, run.rng(_ASKED))
+        return attainable.of_plan(problem, chosen.visible, run.rng(_ASKED))
 
 
 def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.plan import request as requests
+from cell.plan import answers
 from cell.plan.clearances import clearance_of
 from cell.plan.problem import Problem
 from cell.plan.steps import Job
@@ -75,11 +75,11 @@ def plan_report(
         dropped=[Dropped(id=lost.candidate, reason=lost.reason) for lost in chosen.dropped],
         views=_views(problem, chosen, adds),
         motion=_motion(chosen, motion, job.scene.robot.speed_scaling),
-        most_coverage=requests.most_coverage_of(chosen.selected, cover.total_area),
-        overlap=requests.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
+        most_coverage=answers.most_coverage_of(chosen.selected, cover.total_area),
+        overlap=answers.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
         promise=further.promise,
-        multiplicity=requests.multiplicity_of(chosen.selected),
-        cost=requests.cost_of(cover),
+        multiplicity=answers.multiplicity_of(chosen.selected),
+        cost=answers.cost_of(cover),
         curve=further.curve,
         clearance=clearance_of(clearance, motion, problem.world.collision),
     )
@@ -115,7 +115,7 @@ def _settings(job: Job, chosen: ConnectedPlan) -> ReportSettings:
         coverage=scene.plan.coverage,
         required_visible=scene.plan.required_visible,
         seed=scene.plan.seed,
-        **requests.settings(scene.plan),
+        **answers.settings(scene.plan),
         **{key: list(value) if isinstance(value, tuple) else value for key, value in own.items()},
     )
 
