@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -12,18 +13,19 @@ from cell.study.tables import TOLERANCE_POINTS
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-_TABLE = ("study", "table2", "--part", "mug", "--faces-share", "0.1", "--processes", "1")
+_TABLE = ("study", "table2", "--part", "mug", "--faces-share", "0.05", "--processes", "1")
 
 
 _COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
 
 @pytest.fixture(scope="module")
-def table(run_cell: Run, made_once: Callable[..., Path]) -> Path:
+def table(run_cell: Run, made_once: Callable[..., Path], drawn: Callable[[], AbstractContextManager[None]]) -> Path:
     """A reduced table of one part."""
 
     def make(folder: Path) -> None:
-        done = run_cell(*_TABLE, "--out", "table", cwd=folder)
+        with drawn():
+            done = run_cell(*_TABLE, "--out", "table", cwd=folder)
         assert done.returncode == 0, done.stderr
         assert "4 trials computed now" in done.stdout
 
@@ -56,6 +58,7 @@ def test_the_paper_s_trend_and_that_ours_needs_no_more_views(table: Path) -> Non
         assert int(row["bound rays"]) <= int(row["views rays"])
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
     table: Path, tmp_path: Path, run_cell: Run
 ) -> None:

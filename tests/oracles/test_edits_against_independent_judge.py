@@ -80,7 +80,7 @@ def wrist_in_reach(T_base_flange: np.ndarray) -> bool:
 
 @pytest.mark.parametrize("seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 60))])
 def test_random_edits(
-    seed: int, planned: Path, judge: ModuleType, tmp_path: Path, blank_pictures: None,
+    seed: int, planned: Path, judge: ModuleType, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch, cache: Path,
 ) -> None:  # fmt: skip
     """Poses where they were asked for, every check of the judge, order as told; or the condition that fails."""

@@ -52,7 +52,7 @@ def _study() -> Study:
 
 
 @pytest.fixture
-def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: None) -> Path:
     """A study of three trials, one of which fails."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = conduct(_study(), _Workers(), out=tmp_path / "out", narrator=Terminal(quiet_stdout=True))
