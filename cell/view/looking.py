@@ -7,6 +7,7 @@ import sys
 import tempfile
 import webbrowser
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from cell import scanners
@@ -66,7 +67,7 @@ def scene_page(scene: Scene, watched: str = "") -> tuple[Stage, Play]:
     keys = ScannerKeys(**scanners.described(scene.scanner.type, made.scanner))
     far = (keys.pair("range_mm") or _DRAWN_RANGE_MM)[1] / 1000
     cell = cell_of_world(made.world, keys.opening_deg, far)
-    stage = Stage(f"Cell with {made.part.name}", cell, [Shown("part", thinned(made.part.reference))], watched)
+    stage = Stage(f"Cell with {made.part.name}", cell, [Shown("part", thinned(made.part.reference))], watched=watched)
     return stage, Play(rows=result.rows(), problems=result.problems)
 
 
@@ -117,7 +118,7 @@ def watch(
                 if stage is None:
                     raise
                 narrator.note(str(error))
-                stage = Stage(stage.title, stage.cell, stage.surfaces, stamp)
+                stage = replace(stage, watched=stamp)
                 play = Play(problems=[str(error)], notes=[_WITHOUT_PART])
             first, path = path is None or not before, write(html_of(stage, play), path)
             path.with_name(path.name + ".stamp.js").write_text(f"drawn({stamp!r});\n", encoding="utf-8")

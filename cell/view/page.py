@@ -43,16 +43,20 @@ class View:
     """A view that can be clicked.
 
     Attributes:
-        number: in visiting order, from 1.
+        number: in visiting order, from 1, with what tells it apart where the page has views of two runs.
         T_base_scanner: (4, 4) [m].
-        time: of the motion, at which the scanner is there [s].
+        time: of the motion, at which the scanner is there [s]; None: never.
         rows: what is said of it.
+        commands: that do something with it; words as in `Play.next`.
+        colour: of its frustum.
     """
 
-    number: int
+    number: str
     T_base_scanner: Floats
-    time: float
+    time: float | None
     rows: Sequence[tuple[str, str]]
+    commands: Sequence[str] = ()
+    colour: str = palette.SEEN[4]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,12 +67,14 @@ class Stage:
         title: heading.
         cell: robot and surroundings.
         surfaces: part, and what was measured of it; coloured at first by the first layer of the first.
+        toward: (3,) unit vector from the part to the eye that looks at it at first, object frame; None: the whole cell.
         watched: stamp of a page that is written again and again; "" is none.
     """
 
     title: str
     cell: Cell
     surfaces: Sequence[Shown] = ()
+    toward: Floats | None = None
     watched: str = ""
 
 
@@ -149,14 +155,18 @@ def _stage(stage: Stage) -> Mapping[str, object]:
         mesh = stage.surfaces[0].mesh
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         middle, near = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3], 2.6 * mesh.diagonal
+    eye = np.array([np.cos(a := np.arctan2(middle[1], middle[0]) - 0.9), np.sin(a), np.tan(0.35)])
+    if stage.toward is not None:
+        eye = cell.T_base_object[:3, :3] @ stage.toward
     floor = next((piece.vertices[0, 2] for piece in cell.pieces if piece.name == "floor"), 0.0)
     return {
         "title": stage.title,
         "look": {
             "target": rounded(0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6])),
             "distance": round(2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6, 6),
-            "azimuth": round(float(np.arctan2(middle[1], middle[0])) - 0.9, 6),
-            "elevation": 0.35,
+            "azimuth": round(float(np.arctan2(eye[1], eye[0])), 6),
+            "elevation": round(float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))), 6),
+            "close": stage.toward is not None,
             "part": rounded(middle),
             "near": round(near, 6),
         },
@@ -186,13 +196,15 @@ def _stage(stage: Stage) -> Mapping[str, object]:
 
 
 def _play(play: Play) -> Mapping[str, object]:
+    stops = [view.time for view in play.views if view.time is not None]
     return {
         "views": [
-            {"number": view.number, "T_base_scanner": rounded(view.T_base_scanner, 9), "time": round(view.time, 6),
-             "rows": view.rows}
+            {"number": view.number, "T_base_scanner": rounded(view.T_base_scanner, 9),
+             "time": None if view.time is None else round(view.time, 6), "rows": view.rows,
+             "commands": view.commands, "colour": view.colour}
             for view in play.views
         ],
-        "motion": None if play.motion is None else packed_motion(*play.motion, [view.time for view in play.views]),
+        "motion": None if play.motion is None else packed_motion(*play.motion, stops),
         "cloud": None if play.cloud is None or not len(play.cloud) else packed_points(play.cloud),
         "rows": play.rows,
         "problems": play.problems,
@@ -206,7 +218,6 @@ _PALETTE = {
     "open": [palette.OPEN],
     "seen": palette.SEEN,
     "measured": [palette.MEASURED],
-    "reasons": palette.REASONS,
     "lengths": palette.LENGTHS,
     "signed": palette.SIGNED,
     "plain": ["#d6ccb8"],
