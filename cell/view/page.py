@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -114,28 +115,26 @@ def first_half(stage: Stage) -> str:
     Raises:
         CellError: if trimesh's viewer is not the one that this version knows.
     """
-    filled = {
-        "$WATCHED": " file:" if stage.watched else "",
-        "$TITLE": html.escape(stage.title),
-        "$CSS": _text("css"),
-        "$THREE": three(),
-        "$STAGE": _json(_stage(stage)),
-    }
-    made, rest = [], _text("html").partition("$PLAY")[0]
-    for name, value in filled.items():  # one after the other: what is filled in is never looked at again
-        before, _, rest = rest.partition(name)
-        made += [before, value]
-    return "".join([*made, rest])
+    return filled(
+        text("page.html").partition("$PLAY")[0],
+        WATCHED=" file:" if stage.watched else "", TITLE=html.escape(stage.title), THREE=three(),
+        CSS=text("look.css") + text("page.css"), STAGE=_json(_stage(stage)),
+    )  # fmt: skip
 
 
 def second_half(play: Play) -> str:
     """The rest of the file."""
-    between, _, end = _text("html").partition("$PLAY")[2].partition("$SCRIPT")
-    return "".join([_json(_play(play)), between, _text("js"), end])
+    return _json(_play(play)) + filled(text("page.html").partition("$PLAY")[2], SCRIPT=text("page.js"))
 
 
-def _text(kind: str) -> str:
-    return (resources.files("cell.view") / f"page.{kind}").read_text(encoding="utf-8")
+def filled(template: str, **values: str) -> str:
+    """A template with `$NAME` filled in; what is filled in is never looked at again."""
+    return re.sub(r"\$([A-Z]+)", lambda found: values[found[1]], template)
+
+
+def text(name: str) -> str:
+    """A file beside this module."""
+    return (resources.files("cell.view") / name).read_text(encoding="utf-8")
 
 
 def _json(content: Mapping[str, object]) -> str:
@@ -237,8 +236,8 @@ def three() -> str:
 
     template = resources.files("trimesh") / "resources" / "templates" / "viewer.zip"
     with template.open("rb") as file, zipfile.ZipFile(file) as archive:
-        text = archive.read("viewer.html.template").decode("utf-8")
-    script, found, _ = text.partition("<script>")[2].partition(_OWN_START)
+        viewer = archive.read("viewer.html.template").decode("utf-8")
+    script, found, _ = viewer.partition("<script>")[2].partition(_OWN_START)
     if not found or "THREE" not in script:
         raise CellError("this version of trimesh has another viewer, and pages need its three.js; install trimesh 5.2")
     return script
