@@ -11,6 +11,7 @@ import io
 import json
 import logging
 import os
+import re
 import select
 import shutil
 import signal
@@ -233,6 +234,18 @@ def _surroundings(cache: Path) -> dict[str, str]:
 def small_plan() -> tuple[str, ...]:
     """Options of the plan that `planned` holds."""
     return _SMALL_PLAN
+
+
+@pytest.fixture(scope="session")
+def data_of() -> Callable[[str], dict[str, Any]]:
+    """What the script of a page reads."""
+
+    def read(page: str) -> dict[str, Any]:
+        kept = r'<script type="application/json" id="(?:stage|play-data)">(.*?)</script>'
+        stage, play = re.findall(kept, page, re.DOTALL)
+        return json.loads(stage) | json.loads(play)
+
+    return read
 
 
 @pytest.fixture(scope="session")
