@@ -19,4 +19,7 @@ def sensors(
         known = [library.load(name).summary() for name in library.names()]
         sys.stdout.write(json.dumps({"schema": SCHEMA, "sensors": known}, indent=2, allow_nan=False) + "\n")
     else:
+        from cell.commands.terminal import Terminal
+
         library.print_table()
+        Terminal().then(("cell", "plan", "--sensor", library.names()[0], "--baseline", 100))

@@ -91,11 +91,11 @@ class Terminal:
         """Say something as a result."""
         self._results.print(sentence, markup=False, soft_wrap=True)
 
-    def then(self, *commands: Sequence[object]) -> None:
-        """What to do next: lines that can be pasted, of words."""
+    def then(self, *commands: Sequence[object] | str) -> None:
+        """What to do next: lines that can be pasted, of words, or as they are."""
         self.say("next:")
         for words in commands:
-            self.say(f"  {shlex.join(str(word) for word in words)}")
+            self.say(f"  {words if isinstance(words, str) else shlex.join(map(str, words))}")
 
     def pairs(self, title: str, rows: Iterable[tuple[str, str]]) -> None:
         """A result of names and values, under a title."""
@@ -142,3 +142,12 @@ class Terminal:
             transient=True,
             disable=not self._errors.is_terminal,
         )
+
+
+def without(argv: Sequence[str], option: str) -> list[str]:
+    """The words of a command without an option and its value."""
+    words = [word for word in argv if not word.startswith(f"{option}=")]
+    while option in words:
+        at = words.index(option)
+        del words[at : at + 2]
+    return words

@@ -53,3 +53,15 @@ def view(
         looking.watch(what, out, terminal, opened, time.sleep)
     else:
         opened(looking.page_of(what, out, terminal))
+        Terminal(quiet_stdout=True).then(*_next(what))
+
+
+def _next(what: Path | None) -> list[tuple[object, ...]]:
+    """What can be done with a scene, a run or an execution."""
+    from cell.run.executions import FOLDER
+
+    if what is None or not what.is_dir():
+        return [("cell", "plan", *(["--scene", what] if what else []))]
+    if (folder := what.absolute()).parent.name == FOLDER:
+        return [("cell", "replay", what.parent.parent, "--execution", folder.name)]
+    return [("cell", "scan", what), ("cell", "why", what), ("cell", "edit", what, "--drop", 1)]

@@ -13,6 +13,9 @@ from planner import cover
 from planner.cover.budget import DEFAULT_WORK, UNLIMITED_WORK, WORK_PER_SECOND
 from planner.errors import PlannerError
 
+DEFAULT_S = DEFAULT_WORK / WORK_PER_SECOND
+"""Work where none is asked for [seconds of a usual core]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverOutcome:
