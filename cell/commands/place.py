@@ -6,7 +6,7 @@ import sys
 from typing import Annotated
 
 from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields
-from cell.commands.study import planned, tell
+from cell.commands.study import tell
 from cell.scene.option import flag, offers
 from cell.scene.options import scene_of
 from cell.scene.scene import Scene
@@ -53,4 +53,7 @@ def place(
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
         tell(terminal, result)
-        terminal.then(planned(part, scene, wishes, *shlex.split(place_option(found.ten[0]))))
+        given = [f"{flag(name)}={text}" for name, text in wishes.items()]
+        at = ["--scene", scene] if scene else []
+        best = shlex.split(place_option(found.ten[0]))
+        terminal.then(("cell", "plan", *([part] if part else []), *at, *given, *best))

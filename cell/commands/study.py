@@ -1,7 +1,6 @@
 """`cell study ...`: one command a study, all with the same options for where it runs and what it leaves."""
 
 import json
-import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,9 +18,7 @@ from cell.study.options import ScannerNumber, StudyRun
 if TYPE_CHECKING:
     from cell.commands.terminal import Terminal
     from cell.study.curves import SceneWith
-    from cell.study.study import Row, Study, StudyResult
-
-    Next = Callable[[Sequence[Row]], Sequence[Sequence[object] | str]]
+    from cell.study.study import Study, StudyResult
 
 EPILOG = (
     "Examples:\n\n"
@@ -42,8 +39,8 @@ app = typer.Typer(
 _NOTHING = 2  # every trial failed: what was asked for cannot be
 
 
-def conducted(make: "Callable[[], Study]", run: StudyRun, as_json: bool, then: "Next") -> None:
-    """Run a study, show what it says, and what to do next with its rows."""
+def conducted(make: "Callable[[], Study]", run: StudyRun, as_json: bool) -> None:
+    """Run a study and show what it says."""
     from cell.commands.terminal import Terminal
     from cell.study.study import conduct
     from cell.study.workers import open_workers
@@ -55,8 +52,6 @@ def conducted(make: "Callable[[], Study]", run: StudyRun, as_json: bool, then: "
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
         tell(terminal, result)
-        if result.rows:
-            terminal.then(*then(result.rows))
     if not result.rows:
         raise typer.Exit(_NOTHING)
 
@@ -72,38 +67,6 @@ def tell(terminal: "Terminal", result: "StudyResult") -> None:
     kept = f"{result.computed} trials computed now" if result.rows else "nothing succeeded"
     failed = f", {len(result.failed)} failed (see report.md)" if result.failed else ""
     terminal.say(f"{kept}{failed}; study folder {result.folder}")
-
-
-def planned(part: str | None, scene: Path | None, wishes: Wishes, *words: object) -> list[object]:
-    """`cell plan` of the part, scene and wishes that a study was asked about, with more words."""
-    given = [f"{flag(name)}={text}" for name, text in wishes.items()]
-    return ["cell", "plan", *([part] if part else []), *(["--scene", scene] if scene else []), *given, *words]
-
-
-def with_best(
-    knob: str, rows: "Sequence[Row]", part: str | None, scene: Path | None, wishes: Wishes
-) -> list[Sequence[object] | str]:
-    """A plan with the best setting of a knob: by its option, or by a scene file where it has none."""
-    from cell.study.curves import KNOBS, best_of, setting, toml
-
-    shown = best_of(rows)[KNOBS[knob].title]
-    if option := KNOBS[knob].option:
-        return [planned(part, scene, wishes, option, shown if isinstance(shown, str) else f"{shown:g}")]
-    if scene is not None:
-        return [planned(part, scene, wishes)]  # the sentence says what to write into it
-    return [
-        "printf " + shlex.quote(toml(knob, setting(knob, shown)).replace("\n", "\\n")) + " > best.toml",
-        planned(part, Path("best.toml"), wishes),
-    ]
-
-
-_OWN = {
-    "table1": ("table2",),
-    "table2": ("standoff", "mug"),
-    "table3": ("scanner", "mug", "--fov", "10:90:10"),
-    "table4": ("scanner", "mug", "--resolution", "0.25:2:0.25"),
-}
-"""The study that asks of one's own part what a table of the paper asks."""
 
 
 def _table(name: str, help_text: str) -> None:
@@ -127,8 +90,7 @@ def _table(name: str, help_text: str) -> None:
                 raise UsageError(f"--part {each} is not built in; there are {', '.join(NAMES)}")
         if not 0 < faces_share <= 1:
             raise UsageError(f"--faces-share {faces_share:g} must be above 0 and at most 1")
-        conducted(lambda: table_study(name, faces_share=faces_share, parts=part or []), run, as_json,
-                  lambda _: [("cell", "study", *_OWN.get(name, ("placement", "mug")))])  # fmt: skip
+        conducted(lambda: table_study(name, faces_share=faces_share, parts=part or []), run, as_json)
 
     command.__doc__ = help_text
     app.command(name, epilog=EPILOG)(command)
@@ -167,15 +129,12 @@ def placement(
     as_json: AsJson = False,
 ) -> None:
     """Map where the part can stand: reach, coverage, views and cycle time over its position."""
-    from cell.study.placement import best_of, place_option, placement_study
+    from cell.study.placement import placement_study
     from cell.study.ranges import values
 
     grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
     base = scene_maker(part, scene, wishes)({})
-    conducted(
-        lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]), run, as_json,
-        lambda rows: [planned(part, scene, wishes, *shlex.split(place_option(best_of(rows))))],
-    )  # fmt: skip
+    conducted(lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]), run, as_json)
 
 
 @app.command(epilog="Example:\n\ncell study standoff mug --values 50:500:50")
@@ -196,10 +155,7 @@ def standoff(
 
     wanted = range_of("--values", values)
     make = scene_maker(part, scene, wishes)
-    conducted(
-        lambda: knob_study(make, "standoff", wanted, robot=robot), run, as_json,
-        lambda rows: with_best("standoff", rows, part, scene, wishes),
-    )  # fmt: skip
+    conducted(lambda: knob_study(make, "standoff", wanted, robot=robot), run, as_json)
 
 
 @app.command(
@@ -238,10 +194,7 @@ def scanner(
         wanted = library.names() if text == "all" else text.split(",")
     else:
         wanted = range_of(flag(name), text)
-    conducted(
-        lambda: knob_study(make, name, wanted, robot=robot), run, as_json,
-        lambda rows: with_best(name, rows, part, scene, wishes),
-    )  # fmt: skip
+    conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json)
 
 
 def _moved(name: str) -> None:

@@ -4,7 +4,6 @@ The paper's "optimum scanning zone" and "optimum scanner configuration". Best is
 the surface (within half a point of the most, which nobody would pay for) with the fewest views.
 """
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,42 +34,24 @@ class Knob:
     Attributes:
         title: for people, with the unit.
         tables: keys of the scene for a setting of its kind.
-        option: of `cell plan` that sets it; "" where only a scene file does.
     """
 
     title: str
     tables: Callable[..., Mapping[str, Mapping[str, object]]]
-    option: str = ""
 
 
 KNOBS = {
-    "standoff": Knob("standoff distance [mm]", lambda value: {"plan": {"standoffs_mm": [value]}}, "--standoff"),
+    "standoff": Knob("standoff distance [mm]", lambda value: {"plan": {"standoffs_mm": [value]}}),
     "fov": Knob("field of view, both ways [deg]", lambda value: {"scanner": {"fov_deg": [value, value]}}),
     "resolution": Knob("angle between rays [deg]", lambda value: {"scanner": {"resolution_deg": [value, value]}}),
-    "baseline": Knob("baseline [mm]", lambda value: {"scanner": {"baseline_mm": value}}, "--baseline"),
+    "baseline": Knob("baseline [mm]", lambda value: {"scanner": {"baseline_mm": value}}),
     "grazing": Knob("grazing limit [deg from the normal]", lambda value: {"scanner": {"grazing_max_deg": value}}),
     "range": Knob(
         "range [mm]",  # the standoff is in its middle
         lambda ends: {"scanner": {"range_mm": list(ends)}, "plan": {"standoffs_mm": [sum(ends) / 2]}},
     ),
-    "sensors": Knob("sensor", lambda name: {"scanner": {"sensor": name}}, "--sensor"),
+    "sensors": Knob("sensor", lambda name: {"scanner": {"sensor": name}}),
 }
-
-
-def setting(knob: str, shown: float | str) -> Setting:
-    """The setting of a knob that a row shows."""
-    if knob != "range":
-        return shown
-    near, far = map(float, str(shown).split("-"))
-    return near, far
-
-
-def toml(knob: str, value: Setting) -> str:
-    """A setting as a scene file says it; JSON's numbers and lists are TOML's."""
-    return "".join(
-        f"[{name}]\n" + "".join(f"{key} = {json.dumps(each)}\n" for key, each in table.items())
-        for name, table in KNOBS[knob].tables(value).items()
-    )
 
 
 def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, robot: bool) -> Study:
@@ -100,7 +81,7 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, r
 
     return Study(
         knob, f"Views and coverage over {title}", [trial for _, trial in asked], rows,
-        lambda rows: pictures(knob, title, rows), lambda rows: sentences(knob, rows),
+        lambda rows: pictures(knob, title, rows), lambda rows: sentences(title, rows),
     )  # fmt: skip
 
 
@@ -125,9 +106,8 @@ def best_of(rows: Sequence[Row]) -> Row:
     )
 
 
-def sentences(knob: str, rows: Sequence[Row]) -> list[str]:
+def sentences(title: str, rows: Sequence[Row]) -> list[str]:
     """What a buyer of a scanner, or whoever sets it up, needs to know."""
-    title = KNOBS[knob].title
     best, most = best_of(rows), max(rows, key=lambda row: row["visible %"])
     said = [
         f"Best {title}: **{_value(best[title])}**. {best['views']} views measure {best['visible %']:.1f} % of the "
@@ -144,9 +124,6 @@ def sentences(knob: str, rows: Sequence[Row]) -> list[str]:
             f"Worst is {_value(worst[title])}: {worst['views']} views and {worst['visible %']:.1f} %. Views and "
             "coverage are those of the best plan at each value, not of one plan that is used at all of them."
         )
-    if not KNOBS[knob].option:
-        written = toml(knob, setting(knob, best[title])).strip().replace("]\n", "] ").replace("\n", "; ")
-        said.append(f"To plan with the best, write it into a scene file: `{written}`.")
     return said
 
 
