@@ -79,7 +79,7 @@ def cover(
         from cell.commands.terminal import Terminal, without
 
         terminal = Terminal()
-        terminal.pairs(f"{outcome.path.name}: {outcome.result.sentence}", outcome.rows())
+        terminal.pairs(f"{outcome.path.name}: {outcome.sentence}", outcome.rows())
         again = ["cell", *sys.argv[1:]]
         if outcome.result.gap <= 0:
             terminal.then(f"{shlex.join(again)} --json > cover.json")

@@ -55,6 +55,12 @@ class CoverOutcome:
             "seconds": round(self.seconds, 3),
         }
 
+    @property
+    def sentence(self) -> str:
+        """What is proven, in the words of a set-cover file."""
+        told = self.result.sentence.replace(" for these candidates and samples", "")
+        return told.replace("views", "columns").replace("view", "column")
+
     def rows(self) -> list[tuple[str, str]]:
         """What a terminal shows: the problem, the cover, what is proven about it, and the columns."""
         said, result = self.as_json(), self.result
