@@ -21,5 +21,12 @@ def sensors(
     else:
         from cell.commands.terminal import Terminal
 
-        library.print_table()
-        Terminal().then(("cell", "plan", "--sensor", library.names()[0], "--baseline", 100))
+        terminal = Terminal()
+        heading, *rows = library.table_rows()
+        terminal.grid(heading, rows)
+        terminal.say(
+            "distance: from the housing; line: its length at the near and the far end; range: depth from the laser "
+            "source (the fan's apex); you give: keys of scanner that no source states. cell sensors --json has the "
+            "sources."
+        )
+        terminal.then(("cell", "plan", "--sensor", library.names()[0], "--baseline", 100))
