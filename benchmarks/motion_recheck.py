@@ -97,11 +97,11 @@ def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
         "contacts": sum(contacts.values()),
         "between": ", ".join(contacts),
         "nearest mm": 1000 * triangles.nearest(dense.q[:: max(1, len(dense.q) // _DISTANCES)]),
-        "over limits": max(_excess(motion), _excess(dense)),
+        "over limits": max(excess(motion), excess(dense)),
     }
 
 
-def _excess(motion: Motion) -> float:
+def excess(motion: Motion) -> float:
     """Largest relative excess of position, speed, acceleration and jerk over the limits; at most 0 where all are kept.
 
     Speeds and accelerations are the recorded ones and the differences of angles and of speeds; jerks are differences of

@@ -119,7 +119,7 @@ def scene_maker(part: str | None, scene: Path | None, wishes: Wishes) -> "SceneW
     own = tables(wishes, part, flag)
 
     def scene_with(more: Mapping[str, Mapping[str, object]]) -> Scene:
-        asked = {**own, **more, "plan": {**own.get("plan", {}), **more.get("plan", {})}}
+        asked = {table: {**own.get(table, {}), **more.get(table, {})} for table in {**own, **more}}
         return load_scene(scene, asked, spelled(own, flag))
 
     return scene_with
@@ -176,7 +176,8 @@ def standoff(
 
 @app.command(
     epilog="Examples:\n\ncell study scanner mug --fov 10:90:10\n\n"
-    "cell study scanner --range 50-150,100-300,200-600\n\ncell study scanner --sensors gocator-2340,gocator-2530"
+    "cell study scanner --range 50-150,100-300,200-600\n\n"
+    "cell study scanner --sensors gocator-2340,gocator-2350 --baseline 100"
 )
 @from_fields
 def scanner(
@@ -195,6 +196,8 @@ def scanner(
     from cell.study.ranges import values as range_of
 
     given = number.model_dump(exclude_none=True)
+    if given.keys() == {"sensors", "baseline"}:  # no sensor of the library states its baseline
+        wishes = {**wishes, "baseline": given.pop("baseline")}
     if len(given) != 1:
         raise UsageError(
             "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
@@ -207,7 +210,8 @@ def scanner(
     elif name == "sensors":
         from cell.scene import sensors as library
 
-        wanted = library.names() if text == "all" else text.split(",")
+        complete = [name for name in library.names() if not library.load(name).not_stated.keys() - {"baseline_mm"}]
+        wanted = complete if text == "all" else text.split(",")
     else:
         wanted = range_of(flag(name), text)
     conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json, plan_words(part, scene, wishes))

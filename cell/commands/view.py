@@ -54,3 +54,18 @@ def view(
         looking.watch(what, out, terminal, opened, time.sleep)
     else:
         opened(looking.page_of(what, out, terminal))
+        if further := _next(what):
+            Terminal(quiet_stdout=True).then(*further)
+
+
+def _next(what: Path | None) -> list[tuple[object, ...]]:
+    """What can be done with a scene, a run or an execution; of other folders the page itself says it."""
+    from cell.run.executions import FOLDER
+
+    if what is None or not what.is_dir():
+        return [("cell", "plan", *(["--scene", what] if what else []))]
+    if (folder := what.absolute()).parent.name == FOLDER:
+        return [("cell", "replay", folder.parent.parent, "--execution", folder.name)]
+    if not (what / "plan.json").is_file():
+        return []
+    return [("cell", "scan", what), ("cell", "why", what), ("cell", "edit", what, "--drop", 1)]
