@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cell import scanners
+from cell.checks.check import checked, compiled
 from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.run.executed import open_execution
@@ -20,7 +21,6 @@ from cell.scene.scene import Scene, load_scene
 from cell.view.contents import NAME, execution_page, run_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned
 from cell.view.pieces import cell_of_world
-from cell.world.check import checked, compiled
 
 _DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 _LOOK_S = 0.3  # between two looks at a file that is watched
