@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell import scanners
+from cell.checks.doubtful import doubtful
+from cell.checks.possible import require_possible
 from cell.errors import UnreachableError
 from cell.narrator import Narrator
 from cell.part.mesh_checks import Kind
@@ -36,7 +38,6 @@ from cell.world import clearance
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.possible import require_possible
 from planner.measurability import matrix
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Scanner
@@ -138,6 +139,8 @@ def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
             baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
         )  # fmt: skip
         require_possible(world)
+        for sentence in doubtful(world):
+            run.narrator.note(sentence)
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cell import scanners
+from cell.checks.check import checked, compiled
 from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.run.executed import open_execution
@@ -22,7 +23,6 @@ from cell.view.contents import NAME, execution_page, run_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned
 from cell.view.pieces import cell_of_world
 from cell.view.study_page import study_page
-from cell.world.check import checked, compiled
 
 _DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 _LOOK_S = 0.3  # between two looks at a file that is watched
