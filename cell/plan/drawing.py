@@ -44,12 +44,13 @@ def draw_views(
         seen=seen,
     )
     via, steps = chosen.tour.via, np.linspace(0, 1, _STEPS)[None, :, None]
+    way_q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, 6)
     drawing.send(
         "cell_with_arm",
         folder.path / "cell.png",
         q=chosen.tour.q,
         T_base_scanner=chosen.T_base_scanner,
-        way_q=(via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, 6),
+        way=(problem.kinematics.forward(way_q) @ world.T_flange_scanner)[:, :3, 3],
     )
     drawing.send(
         "cover_curve",

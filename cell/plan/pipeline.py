@@ -90,7 +90,7 @@ def _steps(run: Run, job: Job) -> int:
     """Steps 2 to 9 and the report; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface, candidates = steps.sample_surface(run, job)
     cell = steps.compile_cell(run, job, surface)
-    run.drawing.make_ready(run.folder.path)
+    run.drawing.cell_ready(run.folder.path)
     reached = steps.reach_candidates(run, job, cell, candidates)
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
     problem = steps.ask(run, job, cell, measured, prediction)
