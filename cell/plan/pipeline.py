@@ -21,7 +21,7 @@ from cell.plan import curve as curves
 from cell.plan import files as plan_files
 from cell.plan import picture_process, promise, steps
 from cell.plan import request as requests
-from cell.plan.drawing import draw_motion, draw_views, finish_page
+from cell.plan.drawing import draw_motion, draw_views, finish_drawing
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
 from cell.plan.summary import plan_report
@@ -116,18 +116,17 @@ def finish(
         chosen: the plan.
         told: fields of the report that are known otherwise.
     """
-    seen = problem.prediction.seen(chosen.T_object_poses)
-    draw_views(run.drawing, run.folder, job.part, problem, chosen, seen)
+    draw_views(run.drawing, run.folder, job.part, problem, chosen)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     promised, curve = _further(run, problem, chosen)
     with run.step("report"):
-        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(seen), promised, curve)
+        adds = coverage.added(chosen.seen)
+        report = plan_report(job, planning, problem, chosen, clearance, motion, adds, promised, curve)
         report = report.model_copy(update=dict(told))
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)
-        run.drawing.finish(run.folder)
-        finish_page(run.folder, report, plan_file, motion)
+        finish_drawing(run.drawing, run.folder, report, plan_file, motion)
     return report
 
 
