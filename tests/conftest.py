@@ -145,11 +145,10 @@ class _DrawingHere(picture_process.Drawing):
     def __init__(self) -> None:
         self._sent = []
 
-    def send(self, picture: str, path: Path, **arrays: Any) -> None:
-        self._sent.append(path)
+    def _post(self, what: str, path: Path, **arrays: Any) -> None:
         if _Looks.drawn:
-            picture_process.draw(picture, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
-        elif picture != "make_ready":
+            picture_process.draw(what, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+        elif not path.is_dir():
             path.write_bytes(b"")
             (path.parent / HALF_PAGE).write_bytes(b"")
 

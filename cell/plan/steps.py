@@ -120,12 +120,13 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
     with run.step("decimate and sample"):
         reference = job.part.reference
         planning = decimate(reference, job.settings.faces)
+        plan_files.write_meshes(run.folder, reference, planning)
+        run.drawing.part_ready(run.folder.path)
         _note_other_count(run.narrator, len(planning.faces), job.settings.faces)
         candidates = first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, run.rng(_FEATURES))
         if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
             run.narrator.note(doubt)
-        plan_files.write_meshes(run.folder, reference, planning)
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
         caster = EmbreeRayCaster(reference.vertices, reference.faces)
         return PartSurface(reference, planning, features, caster), candidates

@@ -14,6 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -227,17 +230,18 @@ _PALETTE = {
 
 @cache
 def three() -> str:
-    """three.js, out of the page that trimesh makes; 0.4 s when it is first asked for.
+    """three.js, out of the page that trimesh makes; trimesh itself, which takes 0.4 s, is not imported for it.
 
     Raises:
         CellError: if trimesh's viewer is not the one that this version knows.
     """
-    import zipfile
-
-    template = resources.files("trimesh") / "resources" / "templates" / "viewer.zip"
-    with template.open("rb") as file, zipfile.ZipFile(file) as archive:
+    found = find_spec("trimesh")
+    folders = found.submodule_search_locations if found else None
+    if not folders:
+        raise CellError("trimesh is missing, and pages need its three.js; install trimesh 5.2")
+    with ZipFile(Path(folders[0]) / "resources" / "templates" / "viewer.zip") as archive:
         viewer = archive.read("viewer.html.template").decode("utf-8")
-    script, found, _ = viewer.partition("<script>")[2].partition(_OWN_START)
-    if not found or "THREE" not in script:
+    script, known, _ = viewer.partition("<script>")[2].partition(_OWN_START)
+    if not known or "THREE" not in script:
         raise CellError("this version of trimesh has another viewer, and pages need its three.js; install trimesh 5.2")
     return script
