@@ -1,6 +1,7 @@
 """Visible coverage of a run folder measured again from its files: other samples, trimesh's rays, own conditions."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +13,36 @@ _SAMPLES = 100_000
 def independent_visible(run: Path, seed: int) -> float:
     """Share of 10^5 independent area-weighted samples of `reference.ply` that the views of `plan.json` measure.
 
-    Only the files are read. Rays go through trimesh's Embree interface; fixtures, post, pedestal and floor are rebuilt
-    from `scene.resolved.json`.
-
     Args:
         run: a finished run folder.
         seed: of the samples.
     """
-    scene = json.loads((run / "scene.resolved.json").read_text())
+    part = trimesh.load(run / "reference.ply", process=False)
+    points, face = trimesh.sample.sample_surface(part, _SAMPLES, seed=seed)
     views = json.loads((run / "plan.json").read_text())["views"]
+    poses, law = np.array([view["T_object_scanner"] for view in views]), _law(run)
+    seen = np.zeros(len(points), dtype=bool)
+    for T in poses:
+        rows = np.flatnonzero(~seen)
+        seen[rows] = law(T, points[rows] / 1000, part.face_normals[face[rows]])
+    return float(seen.mean())
+
+
+def independently_measured(run: Path, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(S, n) which of (S, 3) samples [m] with outward normals, object frame, each view of `plan.json` measures."""
+    views, law = json.loads((run / "plan.json").read_text())["views"], _law(run)
+    return np.stack([law(np.array(view["T_object_scanner"]), points, normals) for view in views], axis=1)
+
+
+def _law(run: Path) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """Whether a scanner at a (4, 4) pose measures samples [m] with outward normals, object frame.
+
+    Only the files are read. Rays go through trimesh's Embree interface; fixtures, post, pedestal and floor are rebuilt
+    from `scene.resolved.json`.
+    """
+    scene = json.loads((run / "scene.resolved.json").read_text())
     part = trimesh.load(run / "reference.ply", process=False)
     part.apply_scale(1e-3)
-    points, face = trimesh.sample.sample_surface(part, _SAMPLES, seed=seed)
-    normals = part.face_normals[face]
     T_object_base = np.linalg.inv(np.array(scene["T_base_object"]))
     blockers = [part, *(mesh for entry in scene["fixtures"] if (mesh := _mesh(entry, T_object_base)) is not None)]
     everything = trimesh.util.concatenate(blockers)
@@ -32,12 +50,11 @@ def independent_visible(run: Path, seed: int) -> float:
     half = np.radians(scanner["fov_deg"]) / 2
     near, far = np.array(scanner["range_mm"]) / 1000
     gap = 5e-6 * float(np.linalg.norm(part.extents)) + 2e-6
-    seen = np.zeros(len(points), dtype=bool)
-    for view in views:
-        T = np.array(view["T_object_scanner"])
+
+    def measured(T: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         local = (points - T[:3, 3]) @ T[:3, :3]
         distance = np.linalg.norm(local, axis=1)
-        fits = (local[:, 2] > 0) & (distance >= near) & (distance <= far) & ~seen
+        fits = (local[:, 2] > 0) & (distance >= near) & (distance <= far)
         fits &= (np.abs(np.arctan2(local[:, :2], local[:, 2:])) <= half).all(axis=1)
         sensor = (T @ [scanner["baseline_mm"] / 1000, 0, 0, 1])[:3]
         for origin, limit in ((T[:3, 3], scanner["grazing_max_deg"]), (sensor, scanner["sensor_grazing_max_deg"])):
@@ -47,8 +64,11 @@ def independent_visible(run: Path, seed: int) -> float:
         rows = np.flatnonzero(fits)
         for origin in (T[:3, 3], sensor):
             rows = rows[_free(everything, origin, points[rows], gap)]
-        seen[rows] = True
-    return float(seen.mean())
+        found = np.zeros(len(points), dtype=bool)
+        found[rows] = True
+        return found
+
+    return measured
 
 
 def _free(mesh: trimesh.Trimesh, origin: np.ndarray, targets: np.ndarray, gap: float) -> np.ndarray:

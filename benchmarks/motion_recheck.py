@@ -61,12 +61,12 @@ def run() -> list[dict[str, Any]]:
     return [summary, *found]
 
 
-def judged(number: int) -> dict[str, Any]:
-    """One scene planned and judged."""
+def judged(number: int, n_views: int = _VIEWS) -> dict[str, Any]:
+    """One scene planned and judged, with a number of views."""
     begin = perf_counter()
-    cell = usable(number, least=_VIEWS)
+    cell = usable(number, least=n_views)
     rng = np.random.default_rng(number)
-    views = rng.choice(cell.reachable, _VIEWS, replace=False)
+    views = rng.choice(cell.reachable, n_views, replace=False)
     poses = cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0]
     visits = Visits([cell.reach.q_of(int(view)) for view in views], cell.world.home, poses)
     tour = plan_motion(visits, cell.checker, cell.world.limits, rng)
@@ -97,11 +97,11 @@ def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
         "contacts": sum(contacts.values()),
         "between": ", ".join(contacts),
         "nearest mm": 1000 * triangles.nearest(dense.q[:: max(1, len(dense.q) // _DISTANCES)]),
-        "over limits": max(_excess(motion), _excess(dense)),
+        "over limits": max(excess(motion), excess(dense)),
     }
 
 
-def _excess(motion: Motion) -> float:
+def excess(motion: Motion) -> float:
     """Largest relative excess of position, speed, acceleration and jerk over the limits; at most 0 where all are kept.
 
     Speeds and accelerations are the recorded ones and the differences of angles and of speeds; jerks are differences of

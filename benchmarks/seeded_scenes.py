@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.checks.possible import require_possible
 from cell.errors import SceneError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
@@ -18,7 +19,6 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.possible import require_possible
 from planner.reach import reach
 from planner.reach.reach import Reach
 from planner.surface.decimate import decimate

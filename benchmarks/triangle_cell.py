@@ -80,19 +80,26 @@ class TriangleCell:
         for places, a, b, near in self._near(q, 0.0):
             for i in near:
                 if fcl.collide(self._placed(a, places[i, a]), self._placed(b, places[i, b])):
-                    name = f"{self._names[b]} with {self._names[a]}"
+                    name = self._named(a, b)
                     found[name] = found.get(name, 0) + 1
         return found
 
     def nearest(self, q: Floats, reach: float = 0.05) -> float:
         """Smallest distance of triangles over (N, 6) configurations [m], at most `reach`."""
-        best = reach
+        return min(self.distances(q, reach).values(), default=reach)
+
+    def distances(self, q: Floats, reach: float) -> dict[str, float]:
+        """Smallest distance over (N, 6) configurations [m] of each pair that comes nearer than `reach`."""
+        found: dict[str, float] = {}
         for places, a, b, near in self._near(q, reach):
+            best = reach
             for i in near:
                 gap = np.linalg.norm(places[i, a, :3, 3] - places[i, b, :3, 3]) - self._radius[a] - self._radius[b]
                 if gap < best:
                     best = min(best, fcl.distance(self._placed(a, places[i, a]), self._placed(b, places[i, b])))
-        return float(best)
+            if best < reach:
+                found[self._named(a, b)] = min(best, found.get(self._named(a, b), reach))
+        return found
 
     def _near(self, q: Floats, reach: float) -> Iterator[tuple[Floats, int, int, Ints]]:
         """Pairs with the configurations at which neither their spheres nor the faces of their boxes part them."""
@@ -119,6 +126,9 @@ class TriangleCell:
             - spread.transpose(0, 2, 1) @ self._half[a]
         )
         return np.asarray(np.maximum(gap_a, gap_b).max(axis=1) <= reach + 1e-9)
+
+    def _named(self, a: int, b: int) -> str:
+        return f"{self._names[b]} with {self._names[a]}"
 
     def _placed(self, geom: int, T: Floats) -> fcl.CollisionObject:
         self._shape[geom].setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))

@@ -11,6 +11,7 @@ import io
 import json
 import logging
 import os
+import re
 import select
 import shutil
 import signal
@@ -20,6 +21,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -128,22 +130,25 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     return run
 
 
-class _DrawingHere(picture_process.Drawing):
-    """Draws in this process what the plan's process for pictures draws, or leaves empty files in its place.
+class _Looks:
+    """Whether this process draws, or leaves empty files in place of pictures and pages.
 
-    Most tests look at no picture, and drawing them takes half of what a small plan takes.
+    Most tests look at none, and drawing them takes half of what a small plan takes and more than half of a scan.
     """
 
-    draws = False
+    drawn = False
+
+
+class _DrawingHere(picture_process.Drawing):
+    """Draws in this process what the plan's process for pictures draws."""
 
     def __init__(self) -> None:
         self._sent = []
 
-    def send(self, picture: str, path: Path, **arrays: Any) -> None:
-        self._sent.append(path)
-        if self.draws:
-            picture_process.draw(picture, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
-        elif picture != "make_ready":
+    def _post(self, what: str, path: Path, **arrays: Any) -> None:
+        if _Looks.drawn:
+            picture_process.draw(what, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+        elif not path.is_dir():
             path.write_bytes(b"")
             (path.parent / HALF_PAGE).write_bytes(b"")
 
@@ -151,10 +156,30 @@ class _DrawingHere(picture_process.Drawing):
         pass
 
 
+def _only_where_looked_at(draw: Callable[..., object], *, page: bool) -> Callable[..., object]:
+    """A function that writes a picture, or returns a page, as it is or without content."""
+
+    def look(*arguments: Any, **named: Any) -> object:
+        if _Looks.drawn:
+            return draw(*arguments, **named)
+        if not page:
+            next(path for path in arguments if isinstance(path, Path)).write_bytes(b"")
+        return ""
+
+    return look
+
+
+_PICTURES = (
+    "matplotlib.figure.Figure.savefig", "cell.plan.pictures.cover_curve", "cell.reconstruction.deviation_picture.draw",
+    "cell.scan.post_processing.part_and_views", "cell.view.pictures.reasons",
+)  # fmt: skip
+_PAGES = ("cell.view.contents.execution_page", "cell.view.contents.why_page")
+
+
 @contextlib.contextmanager
 def _drawn() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_DrawingHere, "draws", True)
+        patch.setattr(_Looks, "drawn", True)
         yield
 
 
@@ -163,24 +188,22 @@ def drawing_is_here() -> Iterator[None]:
     """A plan made in this process needs no other for its pictures; those of `start_cell` have their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(picture_process, "beside", lambda: contextlib.nullcontext(_DrawingHere()))
+        for name in (*_PICTURES, *_PAGES):
+            patch.setattr(name, _only_where_looked_at(resolve_name(name), page=name in _PAGES))
         yield
+
+
+@pytest.fixture(scope="session")
+def drawn() -> Callable[[], contextlib.AbstractContextManager[None]]:
+    """The block in which this process draws true pictures and pages."""
+    return _drawn
 
 
 @pytest.fixture
 def drawn_pictures() -> Iterator[None]:
-    """Plans made in this process have true pictures and a true page, for a test that looks at them."""
+    """True pictures and pages of what runs in this process, for a test that looks at them."""
     with _drawn():
         yield
-
-
-@pytest.fixture
-def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files without content in place of all pictures and pages, for a test that looks at none."""
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path, **_: Path(path).write_bytes(b""))
-    monkeypatch.setattr("cell.scan.post_processing.part_and_views", lambda path, *_: path.write_bytes(b""))
-    monkeypatch.setattr("cell.view.pictures.reasons", lambda path, *_: path.write_bytes(b""))
-    for page in ("execution_page", "why_page"):
-        monkeypatch.setattr(f"cell.view.contents.{page}", lambda *_: "")
 
 
 @pytest.fixture(scope="session")
@@ -213,6 +236,18 @@ def small_plan() -> tuple[str, ...]:
 
 
 @pytest.fixture(scope="session")
+def data_of() -> Callable[[str], dict[str, Any]]:
+    """What the script of a page reads."""
+
+    def read(page: str) -> dict[str, Any]:
+        kept = r'<script type="application/json" id="(?:stage|play-data)">(.*?)</script>'
+        stage, play = re.findall(kept, page, re.DOTALL)
+        return json.loads(stage) | json.loads(play)
+
+    return read
+
+
+@pytest.fixture(scope="session")
 def blob() -> Callable[[int], trimesh.Trimesh]:
     """Builds the small part at a number of subdivisions, millimetres."""
     return _blob
@@ -240,6 +275,28 @@ def planned(
 
 
 @pytest.fixture(scope="session")
+def swept(
+    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> Path:
+    """Run folder of a plan of sweeps that turn, with a mesh fixture; beside it what the command said, by stream."""
+
+    def make(folder: Path) -> None:
+        (folder / "line.toml").write_text(
+            '[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\nline_points = 160\n'
+            f'[[fixtures]]\nname = "clamp"\nshape = "mesh"\nunits = "mm"\npath = "{part_file}"\n'
+            "position_mm = [700, -700, 200]\nabc_deg = [10, 20, 30]\n"
+        )
+        options = ("--place", "1100,400,100", "--faces", "24", "--samples", "2", "--standoff", "250")
+        more = ("--coverage", "0.7", "--scene", "line.toml", "--out", "run", "--json")
+        done = run_cell("plan", part_file, "--units", "mm", *options, *more, cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "stdout").write_text(done.stdout)
+        (folder / "stderr").write_text(done.stderr)
+
+    return made_once("swept", make) / "run"
+
+
+@pytest.fixture(scope="session")
 def resealed() -> Callable[[Path], str]:
     """Makes hashes and digest of a changed run folder anew, as who tampers with it would; returns the digest."""
 
@@ -262,7 +319,8 @@ def executed(
 
     def make(folder: Path) -> None:
         shutil.copytree(planned, folder / "run")
-        done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder)
+        with _drawn():
+            done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder)
         assert done.returncode == 0, done.stderr
         (folder / "scan.json").write_text(done.stdout)
 

@@ -28,8 +28,8 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
+    from cell.checks.check import check_scene
     from cell.commands.terminal import Terminal
-    from cell.world.check import check_scene
 
     result = check_scene(scene_of(scene, wishes, part, flag))
     if as_json:

@@ -1,6 +1,7 @@
 """`cell cover` as the command line gives it: a set-cover file in, the cover and its bound or one JSON object out."""
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -36,7 +37,7 @@ def cover(
         typer.Option(
             metavar="SECONDS",
             help="Work to spend, counted and not timed: about so many seconds of one core, and the same answer on "
-            "every machine. Default: 1.2, or with --time-limit no end but that.",
+            "every machine. Default: 2, or with --time-limit no end but that.",
             show_default=False,
             rich_help_panel=_SEARCH,
         ),
@@ -59,7 +60,7 @@ def cover(
     as_json: AsJson = False,
 ) -> None:
     """Solve a set-cover file with the solvers that choose the views, so that anyone can check them."""
-    from cell.cover.solve_file import solve_file
+    from cell.cover.solve_file import DEFAULT_S, solve_file
 
     outcome = solve_file(
         file,
@@ -75,6 +76,16 @@ def cover(
     if as_json:
         sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
     else:
-        from cell.commands.terminal import Terminal
+        from cell.commands.terminal import Terminal, without
 
-        Terminal().pairs(f"{outcome.path.name}: {outcome.result.sentence}", outcome.rows())
+        terminal = Terminal()
+        terminal.pairs(f"{outcome.path.name}: {outcome.sentence}", outcome.rows())
+        again = ["cell", *sys.argv[1:]]
+        if outcome.result.gap <= 0:
+            terminal.then(f"{shlex.join(again)} --json > cover.json")
+        elif solver != "auto":
+            terminal.then(without(again, "--solver"))
+        elif budget is None and time_limit is not None:
+            terminal.then((*without(again, "--time-limit"), "--time-limit", f"{10 * time_limit:g}"))
+        else:
+            terminal.then((*without(again, "--budget"), "--budget", f"{10 * (budget or DEFAULT_S):g}"))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 EPILOG = (
     "Examples:\n\n"
     "cell diff sim_runs/trial sim_runs/other\n\n"
+    "cell diff sim_runs/trial sim_runs/other --out diff.html\n\n"
     "cell diff sim_runs/trial/executions/0001 sim_runs/trial/executions/0002 --json\n\n"
     "A view is kept where the other run has one at the same pose to the part, moved where the other has one that "
     "measures mostly the same surface from elsewhere.\n\n"
@@ -27,6 +28,10 @@ EPILOG = (
 def diff(
     a: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan, or of an execution.")],
     b: Annotated[Path, typer.Argument(help="The other one, of the same kind.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="A page to write: the part coloured by what is gained and lost."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare two plans or two executions: settings, views, the surface that is gained and lost, time and clearance."""
@@ -34,27 +39,27 @@ def diff(
     from cell.diff.compare import compare
 
     terminal = Terminal(quiet_stdout=as_json)
-    found = compare(a, b, terminal)
+    found = compare(a, b, terminal, out)
     if as_json:
         sys.stdout.write(json.dumps(found.as_json(), indent=2, allow_nan=False) + "\n")
     elif found.empty:
         terminal.say("nothing differs")
     else:
         _say(terminal, found)
-        terminal.then(*_next(b, found.kind))
-
-
-def _next(b: Path, kind: str) -> list[tuple[object, ...]]:
-    if kind == "plan":
-        return [("cell", "scan", b)]
-    return [("cell", "replay", b.parent.parent, "--execution", b.name)]
+        if out is not None:
+            terminal.say(f"page: {out}")
+        drawn = [("cell", "diff", a, b, "--out", "diff.html")] if out is None and found.surface is not None else []
+        replayed = "cell", "replay", b.parent.parent, "--execution", b.name
+        terminal.then(*drawn, ("cell", "scan", b) if found.kind == "plan" else replayed)
 
 
 def _say(terminal: "Terminal", found: "Difference") -> None:
+    from cell.diff.difference import shown
+
     if found.settings:
-        terminal.grid(("setting", "A", "B"), [(each.key, _shown(each.a), _shown(each.b)) for each in found.settings])
+        terminal.grid(("setting", "A", "B"), [(each.key, shown(each.a), shown(each.b)) for each in found.settings])
     if found.numbers:
-        terminal.grid(("figure", "A", "B"), [(each.name, _shown(each.a), _shown(each.b)) for each in found.numbers])
+        terminal.grid(("figure", "A", "B"), [(each.name, shown(each.a), shown(each.b)) for each in found.numbers])
     views = found.views
     moved = [
         (f"{each.a} moved, now {each.b}", f"{each.distance_mm:.1f} mm, {each.angle_deg:.1f} deg, shares "
@@ -77,18 +82,3 @@ def _say(terminal: "Terminal", found: "Difference") -> None:
 
 def _listed(numbers: Iterable[str]) -> str:
     return ", ".join(numbers) or "none"
-
-
-def _shown(value: object) -> str:
-    """A value in a table's cell; a matrix is told as such."""
-    match value:
-        case None:
-            return "-"
-        case float():
-            return f"{value:.6g}"
-        case [[*_], *_]:
-            return "(another transform)"
-        case list():
-            return ", ".join(_shown(each) for each in value)
-        case _:
-            return str(value)

@@ -1,5 +1,6 @@
 """`cell emulate` as the command line gives it: one argument, the protocol, and options; prints the driver URL."""
 
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -80,11 +81,12 @@ def emulate(
     settings = emulator.Settings(
         protocol, port, link, baud, unit, faults, seed, time_scale, state, log, counts, seconds
     )  # fmt: skip
-    emulator.emulate(settings, emulator.plants(plant), _announce)
+    emulator.emulate(settings, emulator.plants(plant), lambda url: _announce(url, time_scale))
 
 
-def _announce(url: str) -> None:
+def _announce(url: str, time_scale: float) -> None:
     sys.stdout.write(url + "\n")
     sys.stdout.flush()
     sys.stderr.write("cell: an emulated arm, no machine, answers there until Ctrl-C\n")
-    sys.stderr.write(f"next, in another terminal:\n  cell scan RUN --driver {url}\n")
+    scaled = "" if time_scale == 1.0 else f" --accept-time-scale {time_scale:g}"
+    sys.stderr.write(f"next, in another terminal:\n  cell scan RUN --driver {shlex.quote(url)}{scaled}\n")

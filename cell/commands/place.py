@@ -6,7 +6,7 @@ import sys
 from typing import Annotated
 
 from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields
-from cell.commands.study import tell
+from cell.commands.study import plan_words, tell
 from cell.scene.option import flag, offers
 from cell.scene.options import scene_of
 from cell.scene.scene import Scene
@@ -46,14 +46,14 @@ def place(
         terminal.rounds() as progress,
     ):
         found = search(checked, where, workers, progress=progress)
-    result = StudyResult(folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]))
+    plan = shlex.join(map(str, plan_words(part, scene, wishes)))
+    commands = [f"{plan} {place_option(row)}" for row in found.ten]
+    result = StudyResult(
+        folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]), commands, 0
+    )
     seconds = [{"round": name, "places": count} for name, count in found.places.items()]
     write_folder("place", "Where the part should stand", result, pictures(found), seconds)
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
         tell(terminal, result)
-        given = [f"{flag(name)}={text}" for name, text in wishes.items()]
-        at = ["--scene", scene] if scene else []
-        best = shlex.split(place_option(found.ten[0]))
-        terminal.then(("cell", "plan", *([part] if part else []), *at, *given, *best))

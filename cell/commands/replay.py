@@ -14,7 +14,7 @@ EPILOG = (
     "cell replay sim_runs/trial\n\n"
     "cell replay sim_runs/trial --execution latest --view 3 --speed 0.5\n\n"
     "cell replay sim_runs/trial --tightest --picture tight.png\n\n"
-    "cell replay sim_runs/trial --picture tour.png --size 1600x1200 --camera -60,20 --hide fence\n\n"
+    "cell replay sim_runs/trial --picture tour.png --size 1600x1200 --camera -60,20 --hide post\n\n"
     "Keys: space pause, left and right step from view to view, up and down speed, home start, end tightest moment.\n\n"
     "Exit codes: 0 done, 2 usage (also: no display and no EGL or OSMesa), 6 files or run folder, 70 bug, 130 Ctrl-C."
 )

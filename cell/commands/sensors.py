@@ -19,4 +19,14 @@ def sensors(
         known = [library.load(name).summary() for name in library.names()]
         sys.stdout.write(json.dumps({"schema": SCHEMA, "sensors": known}, indent=2, allow_nan=False) + "\n")
     else:
-        library.print_table()
+        from cell.commands.terminal import Terminal
+
+        terminal = Terminal()
+        heading, *rows = library.table_rows()
+        terminal.grid(heading, rows)
+        terminal.say(
+            "distance: from the housing; line: its length at the near and the far end; range: depth from the laser "
+            "source (the fan's apex); you give: keys of scanner that no source states. cell sensors --json has the "
+            "sources."
+        )
+        terminal.then(("cell", "plan", "--sensor", library.names()[0], "--baseline", 100))

@@ -1,6 +1,7 @@
 """`cell study ...`: one command a study, all with the same options for where it runs and what it leaves."""
 
 import json
+import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -39,15 +40,17 @@ app = typer.Typer(
 _NOTHING = 2  # every trial failed: what was asked for cannot be
 
 
-def conducted(make: "Callable[[], Study]", run: StudyRun, as_json: bool) -> None:
-    """Run a study and show what it says."""
+def conducted(
+    make: "Callable[[], Study]", run: StudyRun, as_json: bool, plan: Sequence[object] = ("cell", "plan")
+) -> None:
+    """Run a study and show what it says; `plan` is the command that plans its scene."""
     from cell.commands.terminal import Terminal
     from cell.study.study import conduct
     from cell.study.workers import open_workers
 
     terminal = Terminal(quiet_stdout=as_json)
     with open_workers(run.count, run.cluster) as workers:
-        result = conduct(make(), workers, out=run.out, narrator=terminal)
+        result = conduct(make(), workers, out=run.out, narrator=terminal, plan=plan)
     if as_json:
         sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
     else:
@@ -58,7 +61,7 @@ def conducted(make: "Callable[[], Study]", run: StudyRun, as_json: bool) -> None
 
 def tell(terminal: "Terminal", result: "StudyResult") -> None:
     """What a study says; the rows are in its folder."""
-    from cell.study.study import shown
+    from cell.view.study_page import shown
 
     if result.rows:
         terminal.grid(result.shown, [[shown(row.get(column)) for column in result.shown] for row in result.rows])
@@ -67,6 +70,8 @@ def tell(terminal: "Terminal", result: "StudyResult") -> None:
     kept = f"{result.computed} trials computed now" if result.rows else "nothing succeeded"
     failed = f", {len(result.failed)} failed (see report.md)" if result.failed else ""
     terminal.say(f"{kept}{failed}; study folder {result.folder}")
+    best = "" if result.best is None else result.commands[result.best]
+    terminal.then(("cell", "view", result.folder), *([shlex.split(best)] if best and "#" not in best else []))
 
 
 def _table(name: str, help_text: str) -> None:
@@ -96,6 +101,12 @@ def _table(name: str, help_text: str) -> None:
     app.command(name, epilog=EPILOG)(command)
 
 
+def plan_words(part: str | None, scene: Path | None, wishes: Wishes) -> list[object]:
+    """The command that plans the scene of a study's options."""
+    given = [f"{flag(name)}={text}" for name, text in wishes.items()]
+    return ["cell", "plan", *([part] if part else []), *(["--scene", scene] if scene else []), *given]
+
+
 Robot = Annotated[bool, typer.Option("--robot", help="Use only views that the robot reaches at the scene's placement.")]
 
 
@@ -108,7 +119,7 @@ def scene_maker(part: str | None, scene: Path | None, wishes: Wishes) -> "SceneW
     own = tables(wishes, part, flag)
 
     def scene_with(more: Mapping[str, Mapping[str, object]]) -> Scene:
-        asked = {**own, **more, "plan": {**own.get("plan", {}), **more.get("plan", {})}}
+        asked = {table: {**own.get(table, {}), **more.get(table, {})} for table in {**own, **more}}
         return load_scene(scene, asked, spelled(own, flag))
 
     return scene_with
@@ -134,7 +145,12 @@ def placement(
 
     grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
     base = scene_maker(part, scene, wishes)({})
-    conducted(lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]), run, as_json)
+    conducted(
+        lambda: placement_study(base, grids[0], grids[1], grids[2], grids[3]),
+        run,
+        as_json,
+        plan_words(part, scene, wishes),
+    )
 
 
 @app.command(epilog="Example:\n\ncell study standoff mug --values 50:500:50")
@@ -155,12 +171,13 @@ def standoff(
 
     wanted = range_of("--values", values)
     make = scene_maker(part, scene, wishes)
-    conducted(lambda: knob_study(make, "standoff", wanted, robot=robot), run, as_json)
+    conducted(lambda: knob_study(make, "standoff", wanted, robot=robot), run, as_json, plan_words(part, scene, wishes))
 
 
 @app.command(
     epilog="Examples:\n\ncell study scanner mug --fov 10:90:10\n\n"
-    "cell study scanner --range 50-150,100-300,200-600\n\ncell study scanner --sensors gocator-2340,gocator-2530"
+    "cell study scanner --range 50-150,100-300,200-600\n\n"
+    "cell study scanner --sensors gocator-2340,gocator-2350 --baseline 100"
 )
 @from_fields
 def scanner(
@@ -179,6 +196,8 @@ def scanner(
     from cell.study.ranges import values as range_of
 
     given = number.model_dump(exclude_none=True)
+    if given.keys() == {"sensors", "baseline"}:  # no sensor of the library states its baseline
+        wishes = {**wishes, "baseline": given.pop("baseline")}
     if len(given) != 1:
         raise UsageError(
             "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
@@ -191,10 +210,11 @@ def scanner(
     elif name == "sensors":
         from cell.scene import sensors as library
 
-        wanted = library.names() if text == "all" else text.split(",")
+        complete = [name for name in library.names() if not library.load(name).not_stated.keys() - {"baseline_mm"}]
+        wanted = complete if text == "all" else text.split(",")
     else:
         wanted = range_of(flag(name), text)
-    conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json)
+    conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json, plan_words(part, scene, wishes))
 
 
 def _moved(name: str) -> None:

@@ -91,11 +91,11 @@ class Terminal:
         """Say something as a result."""
         self._results.print(sentence, markup=False, soft_wrap=True)
 
-    def then(self, *commands: Sequence[object]) -> None:
-        """What to do next: lines that can be pasted, of words."""
+    def then(self, *commands: Sequence[object] | str) -> None:
+        """What to do next: lines that can be pasted, of words, or as they are."""
         self.say("next:")
         for words in commands:
-            self.say(f"  {shlex.join(str(word) for word in words)}")
+            self.say(f"  {words if isinstance(words, str) else shlex.join(map(str, words))}")
 
     def pairs(self, title: str, rows: Iterable[tuple[str, str]]) -> None:
         """A result of names and values, under a title."""
@@ -111,19 +111,23 @@ class Terminal:
 
         Nothing is cut: columns that do not fit beside each other stand below, the first one in front of them again.
         """
-        cells = [[*column.split(), *(word for row in rows[:_ROWS_SHOWN] for word in row[i].split())]
-                 for i, column in enumerate(columns)]  # fmt: skip
-        widths = [max(map(cell_len, words), default=0) for words in cells]
+        shown_rows = rows[:_ROWS_SHOWN]
+        cells = [[column, *(row[i] for row in shown_rows)] for i, column in enumerate(columns)]
+        least = [max((cell_len(word) for cell in each for word in cell.split()), default=0) for each in cells]
+        most = [max(cell_len(line) for cell in each for line in cell.split("\n")) for each in cells]
         groups = [[0]]
         for column in range(1, len(columns)):
-            if 1 + sum(widths[i] + _FRAME for i in (*groups[-1], column)) > self._results.width and groups[-1] != [0]:
+            if 1 + sum(least[i] + _FRAME for i in (*groups[-1], column)) > self._results.width and groups[-1] != [0]:
                 groups.append([0])
             groups[-1].append(column)
         for shown in groups:
             table = Table(title=title, title_justify="left", show_lines=title is not None)
-            for column in shown:
-                table.add_column(escape(columns[column]), overflow="fold", min_width=widths[column])
-            for row in rows[:_ROWS_SHOWN]:
+            room = self._results.width - 1 - _FRAME * len(shown)
+            for column, width in zip(
+                shown, _widths([least[i] for i in shown], [most[i] for i in shown], room), strict=True
+            ):
+                table.add_column(escape(columns[column]), overflow="fold", width=width)
+            for row in shown_rows:
                 table.add_row(*(escape(row[column]) for column in shown))
             self._results.print(table)
         if len(rows) > _ROWS_SHOWN:
@@ -142,3 +146,25 @@ class Terminal:
             transient=True,
             disable=not self._errors.is_terminal,
         )
+
+
+def without(argv: Sequence[str], option: str) -> list[str]:
+    """The words of a command without an option and its value."""
+    words = [word for word in argv if not word.startswith(f"{option}=")]
+    while option in words:
+        at = words.index(option)
+        del words[at : at + 2]
+    return words
+
+
+def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
+    """Widths of columns between what their longest words and their longest lines need, in all no more than there is.
+
+    Rich's own choice may need more than the room although the least widths do not, and is cut then.
+    """
+    widths = list(least)
+    widths[-1] = min(widths[-1], max(room - sum(widths[:-1]), 1))  # a word that is longer than a line is folded
+    while (spare := room - sum(widths)) > 0 and (narrow := [i for i, width in enumerate(widths) if width < most[i]]):
+        for i in narrow[:spare]:
+            widths[i] += 1
+    return widths

@@ -13,6 +13,7 @@ EPILOG = (
     "cell view sim_runs/trial\n\n"
     "cell view sim_runs/trial/executions/0001 --out scan.html --no-open\n\n"
     "cell view my_cell.toml --watch\n\n"
+    "cell view sim_runs/study-place\n\n"
     "A run is never changed: where its folder has no page, or --out is given, the page is written elsewhere. The file "
     "needs no server and no network.\n\n"
     "Exit codes: 0 done, 2 usage or scene, 6 files or run folder, 70 bug, 130 Ctrl-C."
@@ -23,8 +24,8 @@ def view(
     what: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[SCENE | RUN | EXECUTION]",
-            help="Scene file, run folder, or executions/<id> of one. Default: the built-in scene.",
+            metavar="[SCENE | RUN | EXECUTION | STUDY]",
+            help="Scene file, run folder, executions/<id> of one, or folder of a study. Default: the built-in scene.",
             show_default=False,
         ),
     ] = None,
@@ -36,7 +37,7 @@ def view(
         bool, typer.Option("--watch", help="Draw a scene again whenever its file is saved; ends with Ctrl-C.")
     ] = False,
 ) -> None:
-    """See a scene, a plan or an execution in the browser: one file with robot, part, views and motion in it."""
+    """See a scene, a plan, an execution or a study in the browser: one file, with robot, views and motion in it."""
     from cell.commands.terminal import Terminal
     from cell.view import looking
 
@@ -53,3 +54,18 @@ def view(
         looking.watch(what, out, terminal, opened, time.sleep)
     else:
         opened(looking.page_of(what, out, terminal))
+        if further := _next(what):
+            Terminal(quiet_stdout=True).then(*further)
+
+
+def _next(what: Path | None) -> list[tuple[object, ...]]:
+    """What can be done with a scene, a run or an execution; of other folders the page itself says it."""
+    from cell.run.executions import FOLDER
+
+    if what is None or not what.is_dir():
+        return [("cell", "plan", *(["--scene", what] if what else []))]
+    if (folder := what.absolute()).parent.name == FOLDER:
+        return [("cell", "replay", folder.parent.parent, "--execution", folder.name)]
+    if not (what / "plan.json").is_file():
+        return []
+    return [("cell", "scan", what), ("cell", "why", what), ("cell", "edit", what, "--drop", 1)]

@@ -3,7 +3,6 @@
 import json
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +38,7 @@ def why(
     as_json: AsJson = False,
 ) -> None:
     """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
-    from cell.commands.terminal import Terminal
+    from cell.commands.terminal import Terminal, without
     from cell.run.record import open_run
     from cell.why import files as why_files
     from cell.why.explain import explain
@@ -61,7 +60,7 @@ def why(
         terminal.say(f"files: {outcome.folder}")
         settings = [change.setting for group in summary.groups for change in group.changes]
         better = [tuple(shlex.split(setting)) for setting in settings if setting.startswith("--")][:1]
-        planned = _without_out(open_run(run).manifest.argv)
+        planned = [word for word in without(open_run(run).manifest.argv, "--out") if word != "--json"]
         again = [("cell", *planned, *setting) for setting in better if planned[:1] == ["plan"]]
         terminal.then(*again, ("cell", "scan", run))
 
@@ -83,12 +82,3 @@ def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
     terminal.grid(("", "what could be done", "of the surface, by any pose"), rows, title)
     for number, advice in enumerate(found, 1):
         terminal.say(f"{number}: {advice.command}")
-
-
-def _without_out(argv: Sequence[str]) -> list[str]:
-    """The words of a command that would make another folder."""
-    words = [word for word in argv if not word.startswith("--out=")]
-    while "--out" in words:
-        at = words.index("--out")
-        del words[at : at + 2]
-    return words

@@ -13,6 +13,9 @@ from planner import cover
 from planner.cover.budget import DEFAULT_WORK, UNLIMITED_WORK, WORK_PER_SECOND
 from planner.errors import PlannerError
 
+DEFAULT_S = DEFAULT_WORK / WORK_PER_SECOND
+"""Work where none is asked for [seconds of a usual core]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverOutcome:
@@ -51,6 +54,12 @@ class CoverOutcome:
             "work": self.result.work,
             "seconds": round(self.seconds, 3),
         }
+
+    @property
+    def sentence(self) -> str:
+        """What is proven, in the words of a set-cover file."""
+        told = self.result.sentence.replace(" for these candidates and samples", "")
+        return told.replace("views", "columns").replace("view", "column")
 
     def rows(self) -> list[tuple[str, str]]:
         """What a terminal shows: the problem, the cover, what is proven about it, and the columns."""

@@ -7,28 +7,25 @@ metres, radians.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from pydantic import JsonValue
 from scipy.optimize import linear_sum_assignment
 
 from cell.diff.difference import Difference, MovedView, Number, Setting, Surface, Views
-from cell.errors import FileError, UsageError
+from cell.diff.page import page
+from cell.diff.side import Side, read_side
+from cell.errors import UsageError
 from cell.narrator import Narrator
 from cell.rays.prediction import held_out
 from cell.run import reader
 from cell.run.cell import RunCell, read_cell
-from cell.run.executed import ExecutedRun, open_execution
-from cell.run.executions import FOLDER, read_execution
-from cell.run.planned import PlannedRun, open_run
-from cell.run.record import understood
+from cell.view.looking import write
 from planner.measurability import coverage
 from planner.measurability.matrix import measured
 from planner.surface.sample import SurfaceSamples
-from planner.values import Bools, Floats, Ints, Value
+from planner.values import Bools, Floats
 
 SAME_MM, SAME_DEG = 0.01, 0.01
 """Poses within these are the same one: what the rounding of joint angles leaves."""
@@ -38,39 +35,21 @@ MOSTLY = 0.5
 _NO_MATCH = 1e6  # cost of a pair that is none; any number above the number of views
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Side(Value):
-    """A run that is compared.
-
-    Attributes:
-        folder: of the plan, or of the execution.
-        run: the plan, or that of the execution.
-        execution: None for a plan.
-        number: (n,) of the views, from 1 in visiting order.
-        poses: (n, K, 4, 4) T_object_scanner.
-    """
-
-    folder: Path
-    run: PlannedRun
-    execution: ExecutedRun | None
-    number: Annotated[Ints, "n"]
-    poses: Annotated[Floats, "n _ 4 4"]
-
-
-def compare(a: Path, b: Path, narrator: Narrator) -> Difference:
+def compare(a: Path, b: Path, narrator: Narrator, out: Path | None = None) -> Difference:
     """What differs between two runs.
 
     Args:
         a: run folder, or folder of an execution (RUN/executions/0001).
         b: the same.
         narrator: is told what goes on.
+        out: file for a page that shows it; None writes none.
 
     Raises:
-        UsageError: if one is a plan and the other an execution.
+        UsageError: if one is a plan and the other an execution, or a page is wanted of parts that are not the same.
         FileError: if an artefact is missing, changed or damaged.
     """
     with narrator.stage("read"):
-        A, B = _side(a), _side(b)
+        A, B = read_side(a), read_side(b)
         if (A.execution is None) != (B.execution is None):
             plan, execution = (a, b) if A.execution is None else (b, a)
             raise UsageError(
@@ -78,48 +57,35 @@ def compare(a: Path, b: Path, narrator: Narrator) -> Difference:
                 "missed of its own plan stands in its report.md)"
             )
         cells = read_cell(A.run.record), read_cell(B.run.record)
-    same_part = A.run.record.manifest.artefacts.get("reference.ply") == B.run.record.manifest.artefacts.get(
-        "reference.ply"
-    )
+        parts = {side.run.record.manifest.artefacts.get("reference.ply") for side in (A, B)}
+    same_part = len(parts) == 1
+    if out is not None and not same_part:
+        raise UsageError(f"--out {out}: the parts of {a} and {b} are not the same mesh, on which gains could be drawn")
     with narrator.stage("what each view measures"):
         samples = held_out(cells[0].reference, cells[0].planning, A.run.record.seed)
         by_view = [_measured(side, cell, samples) for side, cell in zip((A, B), cells, strict=True)]
         views = _views(A, B, by_view if same_part else None, samples.areas)
-        surface = _surface(samples, *map(_covered_by(cells, samples), (A, B), by_view)) if same_part else None
-    return Difference(
+        covered = [*map(_covered_by(cells, samples), (A, B), by_view)]
+    found = Difference(
         a=str(a), b=str(b), kind="plan" if A.execution is None else "execution", settings=tuple(_settings(A, B)),
-        views=views, surface=surface, numbers=tuple(_numbers(A, B)),
+        views=views, surface=_surface(samples, *covered) if same_part else None, numbers=tuple(_numbers(A, B)),
     )  # fmt: skip
+    if out is not None:
+        with narrator.stage("draw the page"):
+            write(page(found, (A, B), cells[0].reference, samples, *covered), out)
+    return found
 
 
-def _side(folder: Path) -> _Side:
-    """A plan's folder or an execution's, read."""
-    if folder.parent.name != FOLDER:
-        run = open_run(folder)
-        poses = np.stack([view.T_object_poses for view in run.plan.views])
-        return _Side(folder, run, None, np.arange(1, len(poses) + 1), poses)
-    run = open_run(folder.parent.parent)
-    recorded = read_execution(run.record, folder.name)
-    if not recorded.scans:
-        raise FileError(f"{folder} holds no scan that can be read; give another execution")
-    with understood(folder / "scans"):
-        number = np.array([int(scan.stored["stop"]) for scan in recorded.scans])
-        each = [scan.stored.get("sweep_T_object_scanner", scan.stored["T_object_scanner"]) for scan in recorded.scans]
-        poses = np.stack([np.reshape(T, (-1, 4, 4)) for T in each])
-        order = np.argsort(number)
-    return _Side(folder, run, open_execution(folder), number[order], poses[order])
-
-
-def _measured(side: _Side, cell: RunCell, samples: SurfaceSamples) -> Bools:
+def _measured(side: Side, cell: RunCell, samples: SurfaceSamples) -> Bools:
     """(S, n) which samples each view measures in its own cell."""
     return measured(side.poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
 
 
-def _covered_by(cells: Sequence[RunCell], samples: SurfaceSamples) -> Callable[[_Side, Bools], Bools]:
+def _covered_by(cells: Sequence[RunCell], samples: SurfaceSamples) -> Callable[[Side, Bools], Bools]:
     """What a run measures: of a plan by its views' lines of sight, of an execution by its points."""
     radius = coverage.sampling_radius(cells[0].reference)
 
-    def covered(side: _Side, by_view: Bools) -> Bools:
+    def covered(side: Side, by_view: Bools) -> Bools:
         if side.execution is None:
             return np.asarray(by_view.any(axis=1))
         return coverage.sampled(side.execution.points, samples, radius).covered
@@ -138,7 +104,7 @@ def _surface(samples: SurfaceSamples, a: Bools, b: Bools) -> Surface:
     )  # fmt: skip
 
 
-def _views(A: _Side, B: _Side, by_view: Sequence[Bools] | None, areas: Floats) -> Views:
+def _views(A: Side, B: Side, by_view: Sequence[Bools] | None, areas: Floats) -> Views:
     """Views that are kept, moved, lost and new; none is moved where the parts differ, whose views are not asked."""
     distance, angle = _apart(A.poses, B.poses)
     near = (distance <= SAME_MM) & (angle <= SAME_DEG)
@@ -186,7 +152,7 @@ def _pairs(cost: Floats) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < _NO_MATCH]
 
 
-def _settings(A: _Side, B: _Side) -> list[Setting]:
+def _settings(A: Side, B: Side) -> list[Setting]:
     """Keys of the resolved scenes, and of the executions' settings, that differ."""
     of_a, of_b = (dict(_flat("", reader.scene(side.run.record).as_json())) for side in (A, B))
     if A.execution is not None and B.execution is not None:
@@ -206,13 +172,13 @@ def _flat(prefix: str, table: dict[str, JsonValue]) -> list[tuple[str, JsonValue
     return found
 
 
-def _numbers(A: _Side, B: _Side) -> list[Number]:
+def _numbers(A: Side, B: Side) -> list[Number]:
     """Figures of the reports that differ."""
     of_a, of_b = _figures(A), _figures(B)
     return [Number(name=name, a=of_a[name], b=of_b[name]) for name in of_a if of_a[name] != of_b[name]]
 
 
-def _figures(side: _Side) -> dict[str, float | None]:
+def _figures(side: Side) -> dict[str, float | None]:
     if side.execution is None:
         report = side.run.report
         return {

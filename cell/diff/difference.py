@@ -5,6 +5,21 @@ from pydantic import Field, JsonValue
 from cell.run.json_table import JsonTable, optional
 
 
+def shown(value: object) -> str:
+    """A value as people read it; a matrix is told as such."""
+    match value:
+        case None:
+            return "-"
+        case float():
+            return f"{value:.6g}"
+        case [[*_], *_]:
+            return "(another transform)"
+        case list():
+            return ", ".join(shown(each) for each in value)
+        case _:
+            return str(value)
+
+
 class Setting(JsonTable):
     """A key that two runs have different values of; null where one has none."""
 

@@ -99,8 +99,9 @@ def edit(
 def _steps(before: _Before, wanted: Edit, run: Run, job: Job) -> int:
     """The steps of an edit; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface = _surface(before, run, job)
+    run.drawing.part_ready(run.folder.path)
     cell = steps.compile_cell(run, job, surface)
-    run.drawing.make_ready(run.folder.path)
+    run.drawing.cell_ready(run.folder.path)
     edited = _views(before, wanted, job, cell, surface)
     measured = _measured(before, edited, run, job, surface, cell)
     job = replace(job, scene=_without_dropped(job, edited))

@@ -220,13 +220,13 @@ def _inside_out(
     for inner in np.flatnonzero(closed).tolist():
         around = np.flatnonzero(closed & (low < low[inner]).all(axis=1) & (high > high[inner]).all(axis=1)).tolist()
         point = vertices[faces[members[inner]][0, 0]]
-        holders = [outer for outer in around if _encloses(vertices[faces[members[outer]]], point)]
+        holders = [outer for outer in around if encloses(vertices[faces[members[outer]]], point)]
         if holders:
             result[inner] = inverted[max(holders, key=lambda outer: float(np.prod(high[outer] - low[outer])))]
     return result
 
 
-def _encloses(triangles: Floats, point: Floats) -> bool:
+def encloses(triangles: Floats, point: Floats) -> bool:
     """Whether a closed surface winds round a point: the sum of its solid angles (Van Oosterom and Strackee 1983)."""
     a, b, c = np.moveaxis(triangles - point, 1, 0)
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))

@@ -23,8 +23,9 @@ __all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "lo
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Metres in one unit of the file."""
 
-PLAUSIBLE_M = (1e-3, 3.0)
-"""Longest side [m] of a part: below, no laser scanner on this arm resolves it; above, it fits no cell."""
+PLAUSIBLE_M = (0.02, 1.5)
+"""Longest side [m] that a part has: up to half a metre long it is shorter where a file in inches is read as one in
+millimetres, and a longer one fits no cell whose arm reaches 1.6 m."""
 
 FARTHEST_SIZES = 1e3
 """Distance of a part from its file's origin, in longest sides, up to which a file in single precision holds its shape:
@@ -151,7 +152,7 @@ def from_mesh(name: str, vertices: Floats, faces: NDArray[np.integer], units: st
     metres = vertices[used] * UNITS[units]
     mesh = TriangleMesh(metres, compact.reshape(-1, 3).astype(np.int32))
     return Workpiece(
-        name, mesh, sha256, (*findings, *_size_findings(np.ptp(metres, axis=0), units), *_place_findings(metres))
+        name, mesh, sha256, (*findings, *size_findings(np.ptp(metres, axis=0), units), *_place_findings(metres))
     )
 
 
@@ -164,8 +165,14 @@ def _check_name(path: Path, names: tuple[str, ...]) -> None:
     raise FileError(f"'{path}' is neither a file nor a built-in part; {hint}Built in are {', '.join(names)}")
 
 
-def _size_findings(size: Floats, units: str) -> list[Finding]:
-    """Doubts about the units, and parts without thickness."""
+def size_findings(size: Floats, units: str, name: str = "the part") -> list[Finding]:
+    """Doubts about the units, and about a lack of thickness.
+
+    Args:
+        size: (3,) sides of the bounding box [m].
+        units: what the file was read in.
+        name: what a sentence calls it.
+    """
     findings = []
     longest = float(size.max())
     if not PLAUSIBLE_M[0] <= longest <= PLAUSIBLE_M[1]:
@@ -176,12 +183,10 @@ def _size_findings(size: Floats, units: str) -> list[Finding]:
             if 0.01 <= in_file * metres <= 1.5  # where the parts lie that an arm of 1.6 m reach scans
         ]
         hint = f" It would be {' or '.join(fitting)}." if fitting else ""
-        sentence = f"the part is {_length(longest)} long; are the units ({units}) right?{hint}"
+        sentence = f"{name} is {_length(longest)} long; are the units ({units}) right?{hint}"
         findings.append(Finding(Kind.UNITS, sentence, Severity.WARNING))
     if float(size.min()) < 1e-6 * longest:
-        sentence = (
-            f"the part is flat (its bounding box is {_length(float(size.min()))} thick); only one side is scanned"
-        )
+        sentence = f"{name} is flat (its bounding box is {_length(float(size.min()))} thick); only one side is scanned"
         findings.append(Finding(Kind.FLAT, sentence, Severity.WARNING))
     return findings
 

@@ -12,7 +12,7 @@ from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
 from cell.world.model import World
 from planner.timing.motion import Motion
-from planner.values import Bools, Floats
+from planner.values import Floats
 
 _STEPS = 12  # of the scanner's way between two via points
 
@@ -23,7 +23,6 @@ def draw_views(
     part: Workpiece,
     problem: Problem,
     chosen: ConnectedPlan,
-    seen: Bools,
 ) -> None:
     """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict.
 
@@ -33,7 +32,6 @@ def draw_views(
         part: the part.
         problem: the candidates.
         chosen: the views.
-        seen: (S, n) which held-out samples each of them measures.
     """
     cover, world = chosen.cover, problem.world
     drawing.send(
@@ -41,15 +39,16 @@ def draw_views(
         folder.path / "views.png",
         T_object_poses=chosen.T_object_poses,
         T_object_scanner=chosen.T_object_scanner,
-        seen=seen,
+        seen=chosen.seen,
     )
     via, steps = chosen.tour.via, np.linspace(0, 1, _STEPS)[None, :, None]
+    way_q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, 6)
     drawing.send(
         "cell_with_arm",
         folder.path / "cell.png",
         q=chosen.tour.q,
         T_base_scanner=chosen.T_base_scanner,
-        way_q=(via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, 6),
+        way=(problem.kinematics.forward(way_q) @ world.T_flange_scanner)[:, :3, 3],
     )
     drawing.send(
         "cover_curve",
@@ -85,14 +84,16 @@ def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
     )
 
 
-def finish_page(folder: RunFolder, report: Report, plan: PlanFile, motion: Motion) -> None:
-    """Add to the page what is known at the end: views, motion, numbers."""
+def finish_drawing(drawing: Drawing, folder: RunFolder, report: Report, plan: PlanFile, motion: Motion) -> None:
+    """Wait for all pictures, and add to the page what is known at the end: views, motion, numbers."""
     # What draws is kept out of the start-up.
     from cell.view.contents import HALF_PAGE, NAME, plan_play
     from cell.view.page import second_half
 
+    rest = second_half(plan_play(report, plan.views, motion))
+    drawing.finish(folder)
     half = folder.path / HALF_PAGE
-    folder.write_text(NAME, half.read_text(encoding="utf-8") + second_half(plan_play(report, plan.views, motion)))
+    folder.write_text(NAME, half.read_text(encoding="utf-8") + rest)
     half.unlink()
 
 

@@ -4,6 +4,7 @@ The process imports matplotlib while the plan is made, and forks for each pictur
 drawn at a time. Arrays go to it through a pipe as .npz, without pickled objects; it ends when the pipe does.
 """
 
+import gc
 import io
 import os
 import signal
@@ -23,7 +24,7 @@ from numpy.typing import ArrayLike
 from cell.run.folder import RunFolder
 
 _LENGTH = struct.Struct("<q")
-_MAKE_READY = "make_ready"
+_READY = ("part_ready", "cell_ready")
 
 
 class Drawing:
@@ -44,15 +45,16 @@ class Drawing:
             path: PNG to write.
             arrays: its arguments; numbers and words arrive as arrays without dimension.
         """
-        content = io.BytesIO()
-        np.savez(content, allow_pickle=False, picture=np.array(picture), path=np.array(str(path)), **arrays)
-        self._waiting.put(_LENGTH.pack(content.getbuffer().nbytes) + content.getvalue())
+        self._post(picture, path, **arrays)
         self._sent.append(path)
 
-    def make_ready(self, folder: Path) -> None:
-        """Have the part and the cell of a run folder made ready, as soon as their files are there."""
-        self.send(_MAKE_READY, folder)
-        self._sent.remove(folder)
+    def part_ready(self, folder: Path) -> None:
+        """Have the part of a run folder made ready to be drawn: its meshes are there."""
+        self._post("part_ready", folder)
+
+    def cell_ready(self, folder: Path) -> None:
+        """Have the cell of a run folder made ready to be drawn: its files are there."""
+        self._post("cell_ready", folder)
 
     def finish(self, folder: RunFolder) -> None:
         """Wait until all is drawn, and record it in the folder.
@@ -63,6 +65,11 @@ class Drawing:
         self._wait()
         for path in self._sent:
             folder.adopt(path.name)
+
+    def _post(self, what: str, path: Path, **arrays: ArrayLike) -> None:
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, what=np.array(what), path=np.array(str(path)), **arrays)
+        self._waiting.put(_LENGTH.pack(content.getbuffer().nbytes) + content.getvalue())
 
     def _wait(self) -> None:
         self._waiting.put(None)
@@ -96,25 +103,27 @@ def beside() -> Iterator[Drawing]:
 def serve() -> None:
     """Draw what comes through stdin until it ends: the process of `beside`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the planner's; the pipe ends with it
+    gc.disable()  # for the seconds that this process lives there is nothing to collect
     from cell.plan import looks, pictures  # noqa: F401  # they take seconds: before they are asked for
 
     forks = []
     while length := sys.stdin.buffer.read(_LENGTH.size):
         with np.load(io.BytesIO(sys.stdin.buffer.read(*_LENGTH.unpack(length))), allow_pickle=False) as content:
             arguments = {name: content[name][()] for name in content.files}
-        picture, path = str(arguments.pop("picture")), Path(str(arguments.pop("path")))
+        what, path = str(arguments.pop("what")), Path(str(arguments.pop("path")))
         # What is made ready stays for all; and Windows has no forks: there one is drawn after the other.
-        fork = os.fork() if hasattr(os, "fork") and picture != _MAKE_READY else None
+        fork = os.fork() if hasattr(os, "fork") and what not in _READY else None
         if not fork:
-            draw(picture, path, **arguments)
+            draw(what, path, **arguments)
         if fork == 0:
             os._exit(0)  # what a fork leaves to its parent need not be taken down
         forks += [fork] if fork else []
+    gc.freeze()  # nor is it looked through at the end, which would take as long as a picture
     sys.exit(any([os.waitpid(fork, 0)[1] for fork in forks]))  # a fork that failed has said why
 
 
-def draw(picture: str, path: Path, **arguments: Any) -> None:
-    """Draw one picture here; arguments as in `Drawing.send`."""
+def draw(what: str, path: Path, **arguments: Any) -> None:
+    """Draw one picture here, or make ready what pictures need; arguments as in `Drawing.send`."""
     from cell.plan import looks, pictures  # matplotlib takes a second: that is why this is a process of its own
 
-    getattr(looks if hasattr(looks, picture) else pictures, picture)(path, **arguments)
+    getattr(looks if hasattr(looks, what) else pictures, what)(path, **arguments)

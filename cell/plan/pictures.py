@@ -26,7 +26,7 @@ _VERDICT_COLOURS = {
 
 def warm_up() -> None:
     """Draw a figure that nobody sees: the first one of a process finds its fonts, which takes 0.3 s."""
-    figure = Figure(layout="constrained")
+    figure = Figure()
     figure.add_subplot().set(xlabel="x", title="t")
     FigureCanvasAgg(figure)
     figure.savefig(BytesIO(), format="png")
@@ -42,7 +42,7 @@ def cover_curve(path: Path, *, marginal_area: Floats, coverable: float, total: f
         total: area of the surface [m^2].
         lower_bound: no plan of these candidates and samples needs fewer views.
     """
-    figure = Figure(figsize=(6.4, 4.2), dpi=110, layout="constrained")
+    figure = _figure(6.4, 4.2, left=0.65, bottom=0.55)
     axes = figure.add_subplot()
     share = 100.0 * np.concatenate([[0.0], np.cumsum(marginal_area)]) / total
     axes.plot(range(len(share)), share, "o-", color=BLUE, label="covered by the first n views")
@@ -74,7 +74,7 @@ def reach_map(
         chosen: (n,) indices of the views of the plan.
         envelope: (E, 2) places that the wrist centre reaches in the plane of the arm, radius and height [m].
     """
-    figure = Figure(figsize=(12.0, 5.6), dpi=110, layout="constrained")
+    figure = _figure(12.0, 5.6, left=0.7, bottom=0.55, top=0.3)
     places = T_base_scanner[:, :3, 3] * 1000.0
     corners = part_corners * 1000.0
     within = envelope * 1000.0
@@ -116,7 +116,7 @@ def joint_motion(path: Path, *, t: Floats, q: Floats, qd: Floats, limit: Floats,
         limit: (6,) speeds that are drawn as 100 % [rad/s].
         stops: (n,) times at which the arm stands at a view [s].
     """
-    figure = Figure(figsize=(10.5, 6.0), dpi=110, layout="constrained")
+    figure = _figure(10.5, 6.0, left=0.75, bottom=0.55, top=0.4)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for joint in range(6):
         upper.plot(t, np.degrees(q[:, joint]), lw=1.2, color=AXES[joint], label=f"A{joint + 1}")
@@ -152,7 +152,7 @@ def coverage_over_views(
         plan_views: number of views of the plan.
         plan: what it covers, %.
     """
-    figure = Figure(figsize=(7.2, 6.4), dpi=110, layout="constrained")
+    figure = _figure(7.2, 6.4, left=0.95, bottom=0.55)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     n = n_views
     upper.fill_between(n, covered, bound, color=BETWEEN, lw=0, label="not excluded by the bound")
@@ -178,6 +178,20 @@ def _smallest(missing: Floats) -> float:
     """Half of the smallest share that is missing anywhere, where the logarithmic axis ends; 0.1 % without any."""
     missing = missing[missing > 1e-9]
     return float(missing.min()) / 2 if len(missing) else 1e-3
+
+
+def _figure(width: float, height: float, *, left: float, bottom: float, top: float = 0.1) -> Figure:
+    """An empty figure with margins in inches: matplotlib's own layouts draw every figure twice more to find them."""
+    figure = Figure(figsize=(width, height), dpi=110)
+    figure.subplots_adjust(
+        left=left / width,
+        right=1 - 0.15 / width,
+        bottom=bottom / height,
+        top=1 - top / height,
+        wspace=0.14,
+        hspace=0.06,
+    )
+    return figure
 
 
 def _save(figure: Figure, path: Path) -> None:

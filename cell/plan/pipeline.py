@@ -20,7 +20,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan import answers, picture_process, promise, steps
 from cell.plan import curve as curves
 from cell.plan import files as plan_files
-from cell.plan.drawing import draw_motion, draw_views, finish_page
+from cell.plan.drawing import draw_motion, draw_views, finish_drawing
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
 from cell.plan.summary import Further, plan_report
@@ -88,7 +88,7 @@ def _steps(run: Run, job: Job) -> int:
     """Steps 2 to 9 and the report; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface, candidates = steps.sample_surface(run, job)
     cell = steps.compile_cell(run, job, surface)
-    run.drawing.make_ready(run.folder.path)
+    run.drawing.cell_ready(run.folder.path)
     reached = steps.reach_candidates(run, job, cell, candidates)
     candidates, reached = steps.grow_candidates(run, job, surface, cell, candidates, reached)
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
@@ -115,18 +115,16 @@ def finish(
         chosen: the plan.
         told: fields of the report that are known otherwise.
     """
-    seen = problem.prediction.seen(chosen.T_object_poses)
-    draw_views(run.drawing, run.folder, job.part, problem, chosen, seen)
+    draw_views(run.drawing, run.folder, job.part, problem, chosen)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     further = _further(run, problem, chosen)
     with run.step("report"):
-        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(seen), further)
+        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(chosen.seen), further)
         report = report.model_copy(update=dict(told))
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)
-        run.drawing.finish(run.folder)
-        finish_page(run.folder, report, plan_file, motion)
+        finish_drawing(run.drawing, run.folder, report, plan_file, motion)
     return report
 
 

@@ -8,6 +8,7 @@ from cell.plan.attainable import sentence
 from cell.plan.clearances import tightest_sentence
 from cell.run.report_json import Report, ReportMotion, ReportSettings
 
+_TOLD = 2  # dropped candidates in a terminal
 _PART = {"hull": "its convex hull", "exact": "its triangles"}
 
 
@@ -81,7 +82,9 @@ def table(report: Report) -> list[tuple[str, str]]:
         ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.verdicts)),
     ]
     if report.dropped:
-        rows.append(("dropped", "; ".join(f"view {view.id}: {view.reason}" for view in report.dropped)))
+        told = "; ".join(f"candidate {view.id}: {view.reason}" for view in report.dropped[:_TOLD])
+        more = len(report.dropped) - _TOLD
+        rows.append(("dropped", told + (f"; and {more} more, see report.md" if more > 0 else "")))
     took = (
         f"{motion.duration_s:.1f} s from home to home through {motion.via_points} points"
         + (f", {motion.duration_s / bound:.3f} x the time-optimal bound without jerk limit" if bound else "")

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell import scanners
+from cell.checks.doubtful import doubtful
+from cell.checks.possible import require_possible
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import attainable, denser, promise
@@ -36,7 +38,6 @@ from cell.world import clearance
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.possible import require_possible
 from planner.measurability import matrix
 from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability
@@ -120,12 +121,13 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
     with run.step("decimate and sample"):
         reference = job.part.reference
         planning = decimate(reference, job.settings.faces)
+        plan_files.write_meshes(run.folder, reference, planning)
+        run.drawing.part_ready(run.folder.path)
         _note_other_count(run.narrator, len(planning.faces), job.settings.faces)
         candidates = first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, run.rng(_FEATURES))
         if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
             run.narrator.note(doubt)
-        plan_files.write_meshes(run.folder, reference, planning)
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
         caster = EmbreeRayCaster(reference.vertices, reference.faces)
         return PartSurface(reference, planning, features, caster), candidates
@@ -139,6 +141,8 @@ def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
             baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
         )  # fmt: skip
         require_possible(world)
+        for sentence in doubtful(world):
+            run.narrator.note(sentence)
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)

@@ -86,7 +86,7 @@ class SweepingViews:
         poses = (np.linalg.inv(world.T_base_object) @ T_base_scanner).reshape(*q.shape[:2], 4, 4)
         entered = zip(motion.entered.tolist(), sweeps, strict=True)
         lines = {row: DrivenSweep(path, world.T_flange_scanner, problem.kinematics) for row, path in entered}
-        return Driven(poses, sweeps, lines, problem.prediction.visible(poses), None)
+        return Driven(poses, sweeps, lines, problem.prediction.seen(poses), None)
 
     def _of(self, view: int) -> Sweeps:
         if view not in self._found:

@@ -20,7 +20,7 @@ from cell.plan.views import Groups, Next, Views
 from cell.plan.views_at_rest import ViewsAtRest
 from planner.cover import Cover, CoverStatus
 from planner.cover.overlap import Connection
-from planner.measurability.coverage import Coverage
+from planner.measurability.coverage import Coverage, visible_of
 from planner.measurability.matrix import Measurability
 from planner.order import tour
 from planner.order.given_order import in_order
@@ -32,7 +32,7 @@ from planner.order.visits import Visits
 from planner.path.sweeps.path import SweepPath
 from planner.ports import Progress
 from planner.timing.motion import TimedLine
-from planner.values import Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,8 @@ class ConnectedPlan(Value):
         sweeps: the sweeps that are driven, in visiting order; none for views at rest.
         lines: their timing, by the via point at which each begins.
         dropped: candidates that could not be connected, or that the arm shades.
-        visible: visible coverage of the views on the held-out samples.
+        seen: (S, n) which held-out samples each view measures, in visiting order.
+        visible: visible coverage of the views on these samples.
         visible_with_arm: visible coverage where each view's own arm hides as well, fraction of the surface; None for
             views that sweep: the arm's shadow along a sweep is not judged.
     """
@@ -82,6 +83,7 @@ class ConnectedPlan(Value):
     sweeps: tuple[SweepPath, ...]
     lines: Mapping[int, TimedLine]
     dropped: tuple[DroppedView, ...]
+    seen: Annotated[Bools, "S n"]
     visible: Coverage
     visible_with_arm: float | None
 
@@ -283,7 +285,8 @@ def _plan(
             for view, reason in {**refused, **views.shaded}.items()
             if view not in cover.views  # a view that its arm shades in part may be in the plan with what is left of it
         ),
-        visible=driven.visible,
+        seen=driven.seen,
+        visible=visible_of(driven.seen, problem.prediction.samples),
         visible_with_arm=driven.visible_with_arm,
     )
 

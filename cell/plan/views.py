@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.plan.request import Selected
-from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import Measurability
 from planner.order.tour import Tour
 from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import SweepPath
 from planner.timing.motion import TimedLine
-from planner.values import Floats, Ints
+from planner.values import Bools, Floats, Ints
 
 
 class Next(Enum):
@@ -69,7 +68,7 @@ class Driven:
         T_object_poses: (n, K, 4, 4) poses of the rounded joint angles [m], visiting order.
         sweeps: the sweeps, in visiting order; none for views at rest.
         lines: their timing, by the via point at which each begins.
-        visible: visible coverage on the held-out samples.
+        seen: (S, n) which held-out samples each view measures, visiting order.
         visible_with_arm: the same where each view's own arm hides as well, fraction of the surface; None for views that
             sweep: the arm's shadow along a sweep is not judged.
     """
@@ -77,7 +76,7 @@ class Driven:
     T_object_poses: Floats
     sweeps: tuple[SweepPath, ...]
     lines: Mapping[int, TimedLine]
-    visible: Coverage
+    seen: Bools
     visible_with_arm: float | None
 
 

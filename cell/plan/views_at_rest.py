@@ -16,6 +16,7 @@ from cell.plan.problem import Problem
 from cell.plan.request import Selected
 from cell.plan.views import Driven, Groups, Next
 from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
+from planner.measurability.coverage import visible_of
 from planner.measurability.matrix import Measurability
 from planner.order.tour import Tour
 
@@ -76,8 +77,9 @@ class ViewsAtRest:
         T_base_flange = self._problem.kinematics.forward(motion.q)
         T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
         poses = T_object_scanner[:, None]
-        visible = prediction.visible(poses)
+        seen = prediction.seen(poses)
+        visible = visible_of(seen, prediction.samples)
         arms = [arm_caster(world, q, T, prediction.scanner) for q, T in zip(motion.q, T_object_scanner, strict=True)]
         near = any(caster is not None for caster in arms)
         with_arm = visible_with_arm(prediction, poses, arms, visible.covered) if near else visible.fraction
-        return Driven(poses, (), {}, visible, with_arm)
+        return Driven(poses, (), {}, seen, with_arm)

@@ -162,15 +162,17 @@ def _holds_any(piece: Occluder, points: Floats) -> bool:
     return bool((np.einsum("ij,nij->ni", normals, points[:, None] - a) <= 1e-6).all(axis=1).any())
 
 
-def shape_triangles(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, NDArray[np.int32]]:
-    """A box or cylinder of the model as triangles, base frame."""
+def shape_triangles(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES
+) -> tuple[Floats, NDArray[np.int32]]:
+    """A box or cylinder of the model as triangles, base frame; `sides` are those of the prism around a cylinder."""
     import mujoco
 
     size = model.geom_size[geom]
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         vertices, faces = box(size)
     else:
-        vertices, faces = prism(float(size[0]), 2 * float(size[1]))
+        vertices, faces = prism(float(size[0]), 2 * float(size[1]), sides)
     return vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], faces
 
 
@@ -186,22 +188,22 @@ def floor_square(height: float) -> tuple[Floats, NDArray[np.int32]]:
     return square, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
 
 
-def prism(radius: float, length: float) -> tuple[Floats, NDArray[np.int32]]:
+def prism(radius: float, length: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
     """A prism around a cylinder along z, its middle at the origin; faces outward."""
-    angles = np.arange(_SIDES) * (2 * np.pi / _SIDES)
-    ring = radius / np.cos(np.pi / _SIDES) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    low = np.column_stack([ring, np.full(_SIDES, -length / 2)])
-    high = np.column_stack([ring, np.full(_SIDES, length / 2)])
+    angles = np.arange(sides) * (2 * np.pi / sides)
+    ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    low = np.column_stack([ring, np.full(sides, -length / 2)])
+    high = np.column_stack([ring, np.full(sides, length / 2)])
     ends = np.array([[0, 0, -length / 2], [0, 0, length / 2]])
-    i = np.arange(_SIDES)
-    j = (i + 1) % _SIDES
-    bottom, top = np.full(_SIDES, 2 * _SIDES), np.full(_SIDES, 2 * _SIDES + 1)
+    i = np.arange(sides)
+    j = (i + 1) % sides
+    bottom, top = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
     faces = np.concatenate(
         [
-            np.stack([i, j, _SIDES + j], axis=1),
-            np.stack([i, _SIDES + j, _SIDES + i], axis=1),
+            np.stack([i, j, sides + j], axis=1),
+            np.stack([i, sides + j, sides + i], axis=1),
             np.stack([bottom, j, i], axis=1),
-            np.stack([top, _SIDES + i, _SIDES + j], axis=1),
+            np.stack([top, sides + i, sides + j], axis=1),
         ]
     )
     return np.concatenate([low, high, ends]), faces.astype(np.int32)

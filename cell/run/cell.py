@@ -112,13 +112,11 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
     if resolution_deg is not None:
         keys = ScannerKeys(**keys.as_json() | {"resolution_deg": [resolution_deg, resolution_deg]})
     try:
-        scanner: Any = scanners.make(keys.type, keys.own)
+        scanner = scanner_of(scene, keys)
     except SceneError as error:
         if resolution_deg is None:
             raise
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
-    if scene.plan.max_sigma_mm is not None:
-        scanner = Limited(scanner, scene.plan.max_sigma_mm / 1000)  # what the plan does not count, no scan takes
     with understood(run.folder / "cell.xml"):
         kinematics = Kr16Kinematics.from_model(model)
         occluders = _occluders(run, scene, model)
@@ -134,6 +132,17 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
         kinematics=kinematics,
         travel=TravelBound(model),
     )
+
+
+def scanner_of(scene: ResolvedScene, keys: ScannerKeys) -> Scanner:
+    """The sensor's law by its keys, with the plan's limit on sigma: what the plan does not count, no scan takes.
+
+    Raises:
+        SceneError: if the keys are not possible.
+    """
+    scanner: Any = scanners.make(keys.type, keys.own)
+    limit = scene.plan.max_sigma_mm
+    return scanner if limit is None else Limited(scanner, limit / 1000)
 
 
 def _occluders(run: RunRecord, scene: ResolvedScene, model: mujoco.MjModel) -> tuple[Occluder, ...]:

@@ -77,6 +77,11 @@ def require_time_scale(driver: Driver, accepted: float | None) -> None:
         UsageError: if its clock is another one.
     """
     able = driver.capabilities
+    if able.hardware and able.time_scale == 1.0 and accepted not in (None, 1.0):
+        raise UsageError(
+            f"{able.controller} says that its clock is real time, not {accepted:g} times as fast; nothing was moved: "
+            "leave --accept-time-scale away"
+        )
     if able.hardware and able.time_scale != (1.0 if accepted is None else accepted):
         raise UsageError(
             f"{able.controller} says that its clock is {able.time_scale:g} times as fast as real time, as only an "

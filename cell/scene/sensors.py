@@ -164,30 +164,6 @@ def table_rows() -> list[tuple[str, ...]]:
     return rows
 
 
-def print_table() -> None:
-    """The library on stdout, and what its columns mean."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
-    heading, *rows = table_rows()
-    table = Table(
-        title="Sensors", title_justify="left", box=SIMPLE_HEAD, padding=0, collapse_padding=True, pad_edge=False
-    )
-    for name in heading:
-        table.add_column(name, overflow="fold", no_wrap=name != "you give")
-    for row in rows:
-        table.add_row(*row)
-    console = Console()
-    console.print(table)
-    console.print(
-        "distance: from the housing; line: its length at the near and the far end; range: depth from the laser source "
-        "(the fan's apex); you give: keys of scanner that no source states. cell sensors --json has the sources.",
-        markup=False,
-        soft_wrap=True,
-    )
-
-
 def _distance(known: Mapping[str, Any]) -> str:
     """From housing to measuring range, as the source puts it."""
     if "clearance_mm" in known:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell import scanners
+from cell.checks.possible import require_possible
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
@@ -24,7 +25,6 @@ from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.possible import require_possible
 from planner import cover
 from planner.cover import Cover, Problem
 from planner.measurability import coverage

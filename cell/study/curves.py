@@ -12,10 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cell.scene.scene import Scene
+from cell.study.again import options
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
 from cell.study.views import views
+from cell.view.palette import BLACK, BLUE, GREEN, GREY, VERMILION
 
 WITHIN_POINTS = 0.5
 """Coverages that differ by less than this count as equal when the best value is chosen [points]."""
@@ -67,12 +69,10 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, r
         SceneError: if the scene cannot have one of the values.
     """
     title, tables = KNOBS[knob].title, KNOBS[knob].tables
+    keys = {f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value: tables(value) for value in values}
     asked = [
-        (
-            f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value,
-            Trial.of(views, {**scene_settings(scene_with(tables(value))), "robot": robot}),
-        )
-        for value in values
+        (value, Trial.of(views, {**scene_settings(scene_with(of_value)), "robot": robot}))
+        for value, of_value in keys.items()
     ]
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
@@ -82,6 +82,7 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, r
     return Study(
         knob, f"Views and coverage over {title}", [trial for _, trial in asked], rows,
         lambda rows: pictures(knob, title, rows), lambda rows: sentences(title, rows),
+        options=lambda row: options(keys[row[title]]), best=best_of,
     )  # fmt: skip
 
 
@@ -139,13 +140,11 @@ def pictures(name: str, title: str, rows: Sequence[Row]) -> Iterator[tuple[str, 
     x = list(range(len(rows))) if named else [row[title] for row in rows]
     best = best_of(rows)
     at = x[[row is best for row in rows].index(True)]
-    above.plot(x, [row["visible %"] for row in rows], "o-", color="#2471a3", label="visible")
-    above.plot(
-        x, [row["sampled %"] for row in rows], "s--", color="#7d8c99", label="sampled, within 1 % of the diagonal"
-    )
+    above.plot(x, [row["visible %"] for row in rows], "o-", color=BLUE, label="visible")
+    above.plot(x, [row["sampled %"] for row in rows], "s--", color=GREY, label="sampled, within 1 % of the diagonal")
     above.set_ylabel("surface [%]")
-    below.plot(x, [row["views"] for row in rows], "o-", color="#ca6f1e", label="views")
-    below.plot(x, [row["fewest views"] for row in rows], "_", color="#111111", markersize=12, label="fewest provable")
+    below.plot(x, [row["views"] for row in rows], "o-", color=VERMILION, label="views")
+    below.plot(x, [row["fewest views"] for row in rows], "_", color=BLACK, markersize=12, label="fewest provable")
     below.set_ylabel("views")
     below.yaxis.set_major_locator(MaxNLocator(integer=True))
     below.set_ylim(bottom=0)
@@ -153,7 +152,7 @@ def pictures(name: str, title: str, rows: Sequence[Row]) -> Iterator[tuple[str, 
     if named:
         below.set_xticks(x, [row[title] for row in rows], rotation=30, ha="right")
     for axes in (above, below):
-        axes.axvline(at, color="#1e8449", linewidth=1, linestyle=":", label=f"best: {_value(best[title])}")
+        axes.axvline(at, color=GREEN, linewidth=1, linestyle=":", label=f"best: {_value(best[title])}")
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
     yield name, figure

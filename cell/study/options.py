@@ -64,11 +64,14 @@ class ScannerNumber(Table):
 
     fov: Annotated[str | None, Option("Fields of view, both ways.", metavar="DEG:DEG:DEG")] = None
     resolution: Annotated[str | None, Option("Angles between rays.", metavar="DEG:DEG:DEG")] = None
-    baseline: Annotated[str | None, Option("Baselines.", metavar="MM:MM:MM")] = None
+    baseline: Annotated[
+        str | None, Option("Baselines; beside --sensors the one of all of them.", metavar="MM:MM:MM")
+    ] = None
     grazing: Annotated[str | None, Option("Grazing limits.", metavar="DEG:DEG:DEG")] = None
     ranges: Annotated[
         str | None, Option("Near and far limits; the standoff is between.", name="range", metavar="MM-MM,...")
     ] = None
-    sensors: Annotated[str | None, Option("Real sensors, see cell sensors; all: all of them.", metavar="NAME,...")] = (
-        None
-    )
+    sensors: Annotated[
+        str | None,
+        Option("Real sensors, see cell sensors; all: those that lack no more than a baseline.", metavar="NAME,..."),
+    ] = None

@@ -30,6 +30,7 @@ from cell.study.scenes import scene_settings
 from cell.study.study import Row
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import Workers
+from cell.view.palette import VERMILION
 from planner.values import Floats, Ints
 
 LOOKS, CANDIDATES = 256, 200
@@ -161,7 +162,7 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
     finalists = _best_and_others(full, FINALISTS, high - low)
     wholes = ask("views and time", finalists, what=WHOLE, candidates=None)
     ten = sorted(
-        (row_of(point, value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
+        (row_of(point, (b, c), value) for point, value in zip(finalists, wholes, strict=True) if "views" in value),
         key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
     )[:10]
     lost, unreached = _surroundings(ten[0], low, high, lambda points: look("surroundings", points, CANDIDATES))
@@ -250,7 +251,6 @@ def sentences(found: Found) -> list[str]:
         f"{_within(found.lost_mm)} of the best a twentieth of its coverage is lost; "
         f"{_within(found.unreached_mm).lower()} nothing can be reached any more."
     )
-    said.append(f"Plan there: `cell plan PART {place_option(best)}`, with the options of this search.")
     said.append(f"Looked at {found.n_places} places; another seed looks at others.")
     return said
 
@@ -268,9 +268,9 @@ def pictures(found: Found) -> Iterator[tuple[str, Figure]]:
         image = axes.scatter(points[:, a], points[:, b], c=covered, cmap="viridis", s=18)
         axes.scatter(
             [row[AXES[a]] for row in found.ten], [row[AXES[b]] for row in found.ten], facecolors="none",
-            edgecolors="#b03a2e", s=70, label="ten best",
+            edgecolors=VERMILION, s=70, label="ten best",
         )  # fmt: skip
-        axes.plot(found.ten[0][AXES[a]], found.ten[0][AXES[b]], "*", color="#b03a2e", markersize=14, label="best")
+        axes.plot(found.ten[0][AXES[a]], found.ten[0][AXES[b]], "*", color=VERMILION, markersize=14, label="best")
         axes.set_xlabel(f"{AXES[a].replace(' ', ' [')}]")
         axes.set_ylabel(f"{AXES[b].replace(' ', ' [')}]")
         axes.legend(loc="upper right", fontsize=8)

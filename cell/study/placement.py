@@ -18,8 +18,10 @@ from cell.study.placement_trial import WHOLE, placement
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
+from cell.view.palette import VERMILION
 
 AXES = ("x mm", "y mm", "z mm", "yaw deg")
+_TILT = ("B deg", "C deg")
 
 REACH_MM = 1611.0
 """Of the wrist centre from the A2 axis, KUKA's data sheet; the circle about the base on the maps has this radius."""
@@ -61,7 +63,7 @@ def placement_study(
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
         return [
-            row_of(place, values[trial]) | {"home free": values[trial]["home_free"]}
+            row_of(place, (b, c), values[trial]) | {"home free": values[trial]["home_free"]}
             for place, trial in grid
             if trial in values
         ]
@@ -69,14 +71,15 @@ def placement_study(
     name = scene.part.name if scene.part.path is None else "the part"
     return Study(
         "placement", f"Where {name} can stand: {len(grid)} placements", [trial for _, trial in grid], rows, pictures,
-        sentences,
+        sentences, options=place_option, best=best_of,
     )  # fmt: skip
 
 
-def row_of(place: tuple[float, ...], values: Mapping[str, Any]) -> Row:
-    """The row of a place (values of `AXES`) from those of its trial."""
+def row_of(place: tuple[float, ...], tilt: tuple[float, float], values: Mapping[str, Any]) -> Row:
+    """The row of a place (values of `AXES`), tilted by the scene's B and C [deg], from the values of its trial."""
     return {
         **dict(zip(AXES, place, strict=True)),
+        **(dict(zip(_TILT, tilt, strict=True)) if any(tilt) else {}),
         "reachable %": 100 * values["reachable"],
         "coverable %": 100 * values["coverable"],
         "views": values.get("views"),
@@ -95,8 +98,7 @@ def best_of(rows: Sequence[Row]) -> Row:
 
 def place_option(row: Row) -> str:
     """The option that puts the part there."""
-    turned = f",{row['yaw deg']:g},0,0" if row["yaw deg"] else ""
-    return f"--place {row['x mm']:g},{row['y mm']:g},{row['z mm']:g}{turned}"
+    return f"--place {','.join(f'{row.get(axis, 0.0):g}' for axis in (*AXES, *_TILT))}"
 
 
 def time_of(row: Row) -> str:
@@ -138,7 +140,7 @@ def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row) -> Figure:
         image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), cmap=colours, shading="nearest")
         figure.colorbar(image, ax=axes, shrink=0.9)
         axes.set_facecolor("#dddddd")  # where there is no number: nothing reached, or no move
-        axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color="#b03a2e"))
+        axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color=VERMILION))
         if (best["z mm"], best["yaw deg"]) == (z, yaw):
             axes.plot(best["x mm"], best["y mm"], marker="*", color="white", markeredgecolor="black", markersize=15)
         axes.set_title(title, fontsize=10)

@@ -1,13 +1,14 @@
 """A study: its trials, the tidy rows made of their outcomes, the pictures and sentences made of the rows; one folder.
 
 The folder holds rows.csv (equal on every machine), seconds.csv (what the trials took, where they were computed),
-study.json, report.md and each picture as PNG and SVG. It is made anew from the kept trials by every run of the study,
-so nothing in it needs to be kept by hand.
+study.json, report.md, view.html and each picture as PNG and SVG. It is made anew from the kept trials by every run of
+the study, so nothing in it needs to be kept by hand.
 """
 
 import csv
 import io
 import json
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +25,8 @@ from cell.narrator import Narrator
 from cell.study.run import run
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import Workers
+from cell.view.contents import NAME
+from cell.view.study_page import shown, study_page
 
 SCHEMA = "scan-cell/study/1"
 
@@ -43,6 +46,8 @@ class Study:
         pictures: file stem and figure of each picture.
         sentences: what the rows say, for a reader in a hurry; Markdown paragraphs.
         shown: columns for a terminal, where the whole table is too wide; empty: all.
+        options: of `cell plan`, that plan as a row says (`cell.study.again`); None: there are none.
+        best: the row to prefer; None: all are shown alike.
     """
 
     name: str
@@ -52,6 +57,8 @@ class Study:
     pictures: Callable[[Sequence[Row]], Iterable[tuple[str, Figure]]] = field(default=lambda rows: ())
     sentences: Callable[[Sequence[Row]], Sequence[str]] = field(default=lambda rows: ())
     shown: Sequence[str] = ()
+    options: Callable[[Row], str] | None = None
+    best: Callable[[Sequence[Row]], Row] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +72,8 @@ class StudyResult:
         failed: trials that failed, each with its reason.
         computed: how many trials were computed now; the others were kept from before.
         shown: columns for a terminal.
+        commands: for each row the one that plans as it says; empty: there are none.
+        best: number of the row to prefer, from 0; None: none is.
     """
 
     folder: Path
@@ -73,6 +82,8 @@ class StudyResult:
     failed: Sequence[Outcome]
     computed: int
     shown: Sequence[str]
+    commands: Sequence[str] = ()
+    best: int | None = None
 
     def summary(self) -> dict[str, object]:
         """The object that `--json` prints."""
@@ -81,12 +92,16 @@ class StudyResult:
             "folder": str(self.folder),
             "rows": list(self.rows),
             "sentences": list(self.sentences),
+            "commands": list(self.commands),
+            "best": self.best,
             "failed": [{**json.loads(each.trial.settings), "reason": each.failure} for each in self.failed],
             "computed": self.computed,
         }
 
 
-def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narrator) -> StudyResult:
+def conduct(
+    study: Study, workers: Workers, *, out: Path | None, narrator: Narrator, plan: Sequence[object] = ("cell", "plan")
+) -> StudyResult:
     """Run a study and write its folder.
 
     Args:
@@ -94,6 +109,7 @@ def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narra
         workers: who computes.
         out: the folder; None: sim_runs/study-<name>.
         narrator: is told of progress and of trials that fail.
+        plan: the command that plans the study's scene, to which a row's options are added.
 
     Raises:
         FileError: if the folder holds something else or cannot be written.
@@ -108,6 +124,8 @@ def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narra
 
         outcomes = run(study.trials, workers, told=told)
     rows = study.rows([outcome for outcome in outcomes if not outcome.failure])
+    options = [study.options(row) for row in rows] if study.options else []
+    best = study.best(rows) if study.best and rows else None
     result = StudyResult(
         folder,
         rows,
@@ -115,6 +133,8 @@ def conduct(study: Study, workers: Workers, *, out: Path | None, narrator: Narra
         [outcome for outcome in outcomes if outcome.failure],
         sum(not outcome.cached for outcome in outcomes),
         study.shown or _columns(rows),
+        [f"{shlex.join(map(str, plan))} {each}".rstrip() for each in options],
+        next((number for number, row in enumerate(rows) if row is best), None),
     )
     seconds = [{"trial": outcome.trial.settings, **outcome.seconds} for outcome in outcomes]
     write_folder(study.name, study.title, result, study.pictures(rows) if rows else (), seconds)
@@ -150,10 +170,12 @@ def write_folder(
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder / "rows.csv", _csv(result.rows))
         _write(folder / "seconds.csv", _csv(seconds))
-        content = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
-        _write(folder / "study.json", json.dumps({**content, "name": name}, indent=2, allow_nan=False) + "\n")
         drawn = [_draw(folder, stem, figure) for stem, figure in pictures]
+        told = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
+        content = {**told, "name": name, "title": title, "pictures": [Path(each).stem for each in drawn]}
+        _write(folder / "study.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
         _write(folder / "report.md", _report(title, result, drawn))
+        _write(folder / NAME, study_page(folder))
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
 
@@ -186,7 +208,7 @@ def _draw(folder: Path, stem: str, figure: Figure) -> str:
 
 
 def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
-    lines = [f"# {title}", ""]
+    lines = [f"# {title} ([look at it]({NAME}))", ""]
     for sentence in result.sentences:
         lines += [sentence, ""]
     lines += [line for name in pictures for line in (f"![{Path(name).stem}]({name})", "")]
@@ -202,10 +224,3 @@ def markdown_table(rows: Sequence[Row]) -> list[str]:
     columns = _columns(rows)
     body = ["| " + " | ".join(shown(row.get(column)) for column in columns) + " |" for row in rows]
     return ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns), *body] if rows else []
-
-
-def shown(value: object) -> str:
-    """A value as people read it."""
-    if value is None:
-        return ""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

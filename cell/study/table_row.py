@@ -10,6 +10,7 @@ from functools import lru_cache
 from time import perf_counter
 from typing import Any
 
+from cell.scene.options import Tables
 from cell.scene.scene import load_scene
 from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
 
@@ -73,20 +74,25 @@ def row(settings: Mapping[str, Any]) -> dict[str, object]:
 @lru_cache(maxsize=1)
 def _bench(settings: str) -> Bench:
     """The bench of a row, whatever the place: the rows of Table 5 that one process computes share part and matrices."""
-    asked = json.loads(settings)
-    scanner: dict[str, object] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2, **PAPER_SCANNER}
-    plan: dict[str, object] = {
-        "rolls_deg": [0.0],
-        "candidates": "optimal-scanning-zone",
-        **{key: asked[key] for key in ("faces", "samples_per_face")},
-    }
+    keys = scene_keys(json.loads(settings))
+    keys["scanner"] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2, **keys["scanner"]}
+    return Bench(load_scene(None, keys))
+
+
+def scene_keys(asked: Mapping[str, Any]) -> Tables:
+    """Tables of the scene of a row's settings (`row`)."""
+    keys: Tables = {"part": {"name": asked["part"]}, "scanner": dict(PAPER_SCANNER)}
+    keys["plan"] = {"rolls_deg": [0.0], "candidates": "optimal-scanning-zone"}
+    keys["plan"] |= {key: asked[key] for key in ("faces", "samples_per_face")}
     if "standoff_mm" in asked:
-        plan["standoffs_mm"] = [asked["standoff_mm"]]
+        keys["plan"]["standoffs_mm"] = [asked["standoff_mm"]]
     if "fov_deg" in asked:
-        scanner["fov_deg"] = [asked["fov_deg"]] * 2
+        keys["scanner"]["fov_deg"] = [asked["fov_deg"]] * 2
     if "resolution_deg" in asked:
-        scanner["planning_resolution_deg"] = asked["resolution_deg"]
-    return Bench(load_scene(None, {"part": {"name": asked["part"]}, "scanner": scanner, "plan": plan}))
+        keys["scanner"]["planning_resolution_deg"] = asked["resolution_deg"]
+    if asked.get("place_mm"):
+        keys["placement"] = {"position_mm": asked["place_mm"]}
+    return keys
 
 
 def _count(allowed: Mask | None, total: int) -> int:

@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
 from cell.scene.plan_settings import PlanSettings
-from cell.study import table_row
+from cell.study import again, table_row
 from cell.study.bench import DENSER
 from cell.study.paper import TABLES, PaperRow
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
+from cell.view.palette import BLUE, GREY, VERMILION
 
 PARAMETER = "parameter"
 _SHOWN = (
@@ -30,7 +31,7 @@ TOLERANCE_POINTS = 0.2
 _LOG_FROM = 8  # ratio of most to fewest views from which a logarithmic axis shows more
 
 _METHODS = ("paper", "paper's method on our parts", "ours")
-_COLOURS = ("#b0b0b0", "#ca6f1e", "#2471a3")
+_COLOURS = (GREY, VERMILION, BLUE)
 _VARIED = {
     1: "faces kept by decimation [%]",
     2: "standoff distance [mm]",
@@ -63,21 +64,33 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
         return [_row(name, paper, values[trial]) for name, paper, trial in asked if trial in values]
 
     title = "The paper's tables" if table == "all" else f"The paper's Table {table.removeprefix('table')}"
-    return Study(table, title, [trial for _, _, trial in asked], rows, pictures, sentences, _SHOWN)
+    settings = {(name, paper.part, _parameter(paper)): _settings(name, paper, faces_share) for name, paper, _ in asked}
+
+    def options(row: Row) -> str:
+        return again.options(table_row.scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
+
+    trials = [trial for _, _, trial in asked]
+    return Study(table, title, trials, rows, pictures, sentences, _SHOWN, options)
+
+
+def _parameter(paper: PaperRow) -> float | str:
+    """What the table varies, as its rows show it."""
+    match paper.parameter:
+        case None:
+            return "no robot"
+        case tuple(position):
+            return ",".join(f"{x:g}" for x in position)
+        case value:
+            return value
 
 
 def _row(table: str, paper: PaperRow, values: Mapping[str, Any]) -> Row:
     """Paper, the paper's method and ours in one row."""
     rays, ours = values["rays"], values["ours"]
-    position = paper.parameter
     return {
         "table": int(table.removeprefix("table")),
         "part": paper.part,
-        PARAMETER: "no robot"
-        if position is None
-        else ",".join(f"{x:g}" for x in position)
-        if isinstance(position, tuple)
-        else position,
+        PARAMETER: _parameter(paper),
         "viewpoints paper": paper.viewpoints,
         "viewpoints": values["viewpoints"],
         "views paper": paper.views,

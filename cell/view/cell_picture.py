@@ -132,28 +132,31 @@ class _Lit:
         """Colours and distances; see `rays.ColourOf`."""
         hits = self._caster.first_hit(origins, directions)
         high = np.clip(0.5 + 2.0 * directions[:, 2:], 0.0, 1.0)
-        colour = high * _SKY[0] + (1 - high) * _SKY[1]
+        colour = _SKY[1] + high * (_SKY[0] - _SKY[1])
         hit = np.flatnonzero(hits.face >= 0)
         face, distance = hits.face[hit], hits.distance[hit]
-        at, normals = origins[hit] + distance[:, None] * directions[hit], self._normals[face]
-        facing = -np.einsum("ij,ij->i", normals, directions[hit])
-        normals = np.where(facing[:, None] < 0, -normals, normals)
+        along, normals = np.take(directions, hit, axis=0), np.take(self._normals, face, axis=0)
+        at = np.take(origins, hit, axis=0) + distance[:, None] * along
+        facing = -np.einsum("ij,ij->i", normals, along)
+        normals *= np.where(facing < 0, -1.0, 1.0)[:, None]
         sun = np.maximum(normals @ _SUN, 0.0)
         toward = np.flatnonzero(sun > 0)
-        sun[toward[self._caster.blocked(at[toward] + _SUN_AWAY * _SUN, at[toward] + _LIFT * normals[toward])]] = 0.0
-        base, floor = self._rgb[face], self._floor[face]
-        base[floor] *= _tiles(at[floor])[:, None]
-        lit = base * (0.40 + 0.22 * np.abs(facing) + 0.46 * sun)[:, None]
+        lifted = np.take(at, toward, axis=0) + _LIFT * np.take(normals, toward, axis=0)
+        sun[toward[self._caster.blocked(lifted + _SUN_AWAY * _SUN, lifted)]] = 0.0
+        lit = np.take(self._rgb, face, axis=0) * (0.40 + 0.22 * np.abs(facing) + 0.46 * sun)[:, None]
+        floor = np.flatnonzero(self._floor[face])
         # The floor fades into the sky with the distance, so that it has no edge.
-        far = np.where(floor, np.clip(distance / self._far - 0.5, 0.0, 1.0), 0.0)[:, None]
-        colour[hit] = (1 - far) * lit + far * colour[hit]
+        far = np.clip(distance[floor] / self._far - 0.5, 0.0, 1.0)
+        lit[floor] *= (_tiles(at[floor]) * (1 - far))[:, None]
+        lit[floor] += far[:, None] * colour[hit[floor]]
+        colour[hit] = lit
         return colour, hits.distance
 
 
 def _tiles(at: Floats) -> Floats:
     """(N,) brightness of the floor: thin lines along x and y."""
-    off = np.abs((at[:, :2] / _GRID + 0.5) % 1.0 - 0.5).min(axis=1) * _GRID
-    return np.where(off < 0.006, 0.86, 1.0)
+    x, y = np.abs((at[:, :2].T / _GRID + 0.5) % 1.0 - 0.5) * _GRID
+    return np.where(np.minimum(x, y) < 0.006, 0.86, 1.0)
 
 
 def _in_front(camera: rays.Camera, subject: Sequence[Piece], others: Sequence[Piece]) -> set[str]:

@@ -5,12 +5,13 @@ A plan's page is made of the same pieces while the plan is made (`cell.plan.draw
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cell.rays.prediction import held_out
+from cell.robot.frames import kuka_abc_from_pose
 from cell.run import reader as run_reader
 from cell.run import timeline as timelines
 from cell.run.cell import RunCell, read_cell
@@ -22,10 +23,10 @@ from cell.run.report_json import Report
 from cell.run.scene_json import ScannerKeys
 from cell.view.packed import POINTS, Layer, stepped
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
-from cell.view.palette import REASONS
+from cell.view.palette import MEASURED, REASONS
 from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, cell_of_run
-from cell.view.surface import Canvas, Surface, canvas_of, surface_of
+from cell.view.surface import Canvas, Surface, canvas_of, sides, surface_of
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -70,12 +71,25 @@ def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[
     """
     scene, plan = run_reader.scene(run), run_reader.plan(run)
     number = group_numbers(len(surface.samples), [rows for rows, _ in groups])
-    share = 100 * np.bincount(number, minlength=len(REASONS) + 1)[1:] / max(len(number), 1)
-    named = zip(group_names([name for _, name in groups]), share, strict=False)
-    names = tuple(f"{name} ({percent:.2f} %)" for name, percent in named)
-    layer = Layer("Why it stays open", "reasons", number.astype(np.uint8), canvas.note, names=names)
-    stage = Stage(f"Why {scene.part.name} stays open", cell_of_run(run, scene), [part_of(canvas, surface, [layer])])
+    named = [("measured", MEASURED), *zip(group_names([name for _, name in groups]), REASONS, strict=False)]
+    part = part_of(canvas, surface, [named_layer("Why it stays open", number, named, canvas)])
+    toward = sides(canvas, number > 0, 1)[0]
+    stage = Stage(f"Why {scene.part.name} stays open", cell_of_run(run, scene), [part], toward)
     return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1))
+
+
+def named_layer(title: str, which: Ints, named: Iterable[tuple[str, str]], canvas: Canvas) -> Layer:
+    """A colouring by names, each with its share of the surface.
+
+    Args:
+        title: in the list of colourings.
+        which: (S,) name of each sample.
+        named: names with their colours.
+        canvas: of the samples.
+    """
+    share = np.bincount(which, canvas.samples.areas) / canvas.samples.areas.sum()
+    told = [(f"{name} ({_percent(part)})", colour) for (name, colour), part in zip(named, share, strict=False)]
+    return Layer(title, "named", which.astype(np.uint8)[canvas.at_vertices()], canvas.note, named=told)
 
 
 def execution_page(
@@ -100,7 +114,8 @@ def execution_page(
     if done.mesh is not None:
         shown.append(_deviating(done.mesh, run_reader.mesh(run, "reference.ply"), done))
     points = done.points if recorded.scans else None
-    return html_of(Stage(f"Scan of {scene.part.name}", cell, shown), _execution_play(run, recorded, done, cell, points))
+    play = replace(execution_play(run, recorded, done, cell), cloud=points)
+    return html_of(Stage(f"Scan of {scene.part.name}", cell, shown), play)
 
 
 def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, Surface]:
@@ -134,10 +149,10 @@ def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Sh
     Args:
         canvas: the part.
         surface: what views measure of it.
-        first: colourings that come before the others, values of the samples.
+        first: colourings that come before the others.
     """
     own = canvas.at_vertices()
-    layers = [replace(layer, values=layer.values[own]) for layer in first]
+    layers = list(first)
     bits = np.packbits(surface.seen[own], axis=1, bitorder="little")
     layers.append(Layer("Number of views", "views", bits.reshape(len(own), -1), canvas.note))
     for name in sorted(surface.layers):
@@ -160,13 +175,13 @@ def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside:
     timeline = timelines.of_plan(motion, rest=0.0)
     at = {stop.candidate: stop.begin for stop in timeline.stops}
     said = [
-        View(number, view.T_base_scanner, at.get(view.id, 0.0), [
+        View(str(number), view.T_base_scanner, at.get(view.id), [
             ("view", f"{number}, candidate {view.id}"),
             ("adds", f"{_percent(own.adds)} of the surface"),
             ("A1 to A6", f"{', '.join(f'{angle:g}' for angle in view.q_deg)} deg"),
             ("roll", f"{view.roll_deg:g} deg"),
             ("clearance", _mm(own.clearance_on_the_way_mm) + " on the way"),
-        ])
+        ], _commands(number, view.T_base_scanner))
         for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
@@ -179,13 +194,19 @@ def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside:
         ("nearest", f"{_mm(moves.minimum_clearance_mm)} ({moves.between})" if moves.between else "nothing near"),
         ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),
     ]
-    then = ["cell scan RUN", "cell why RUN", "cell export RUN"]
+    then = ["cell scan RUN", "cell why RUN", "cell edit RUN --repair", "cell export RUN"]
     return Play(said, (timeline.t, timeline.q), rows=rows, next=then, inside=inside)
 
 
-def _execution_play(
-    run: RunRecord, recorded: RecordedExecution, done: ExecutedRun, cell: Cell, points: Floats | None
-) -> Play:
+def _commands(number: int, T_base_scanner: Floats) -> list[str]:
+    """What can be done with a view of a plan, to be pasted; the pose is the one that it has."""
+    position, abc = kuka_abc_from_pose(T_base_scanner)
+    pose = ",".join(f"{value:.3f}".rstrip("0").rstrip(".") for value in (*1000 * position, *np.degrees(abc)))
+    edits = f"--drop {number} --repair", f"--turn {number}:90", f"--move {number}:{pose}"
+    return [f"cell replay RUN --view {number}", *(f"cell edit RUN {edit}" for edit in edits)]
+
+
+def execution_play(run: RunRecord, recorded: RecordedExecution, done: ExecutedRun, cell: Cell) -> Play:
     """Scans, motion and numbers of an execution."""
     planned = run_reader.motion(run) if run.has("motion.npz") else None
     timeline = timelines.of_execution(recorded, planned, cell.arm.home, rest=0.0)
@@ -198,7 +219,8 @@ def _execution_play(
         if own is not None:
             told += [("adds", f"{_percent(own.adds)} of the surface"), ("points", f"{own.points:,}")]
         told.append(("A1 to A6", f"{', '.join(f'{angle:.4f}' for angle in np.degrees(scan.q_reported))} deg"))
-        said.append(View(stop.number, pose, stop.begin, told))
+        replayed = f"cell replay RUN --execution EXECUTION --view {stop.number}"
+        said.append(View(str(stop.number), pose, stop.begin, told, [replayed]))
     rows = [
         ("views", f"{report.n_views} of {report.n_views_planned}"),
         ("points", f"{report.n_points:,}"),
@@ -208,10 +230,10 @@ def _execution_play(
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
     notes = list(timeline.notes)
-    if points is not None and len(points) > POINTS:
-        notes.append(_thinned(POINTS, len(points), "points"))
+    if report.n_points > POINTS:
+        notes.append(_thinned(POINTS, report.n_points, "points"))
     then = ["cell replay RUN --execution EXECUTION", "cell scan RUN"]
-    return Play(said, (timeline.t, timeline.q), points, rows, notes=notes, next=then, inside=2)
+    return Play(said, (timeline.t, timeline.q), rows=rows, notes=notes, next=then, inside=2)
 
 
 def _deviating(mesh: TriangleMesh, reference: TriangleMesh, done: ExecutedRun) -> Shown:
@@ -223,8 +245,8 @@ def _deviating(mesh: TriangleMesh, reference: TriangleMesh, done: ExecutedRun) -
         values[np.setdiff1d(mesh.faces[done.closed], mesh.faces[~done.closed])] = np.nan
     else:
         note += f"; {_thinned(len(small.faces), len(mesh.faces), 'faces')}, those that close holes not marked"
-    known = np.abs(values[np.isfinite(values)])
-    limit = round(1.5 * float(np.quantile(known, 0.95)), 6) if len(known) else 1.0
+    told = done.report.deviation
+    limit = 1.0 if told is None else 1.5 * max(told.quantile_95_mm, 1e-3)  # as in deviation.png
     return Shown("surface", small, [stepped(values, "Deviation", "signed", (-limit, limit), note)])
 
 
@@ -233,7 +255,7 @@ def _thinned(shown: int, of: int, what: str) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"
+    return f"{100 * share:.2f}\u00a0%"
 
 
 def _mm(length: float | None) -> str:

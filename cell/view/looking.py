@@ -1,4 +1,4 @@
-"""`cell view`: the page of a scene, a run or an execution, written where nothing is changed, opened in a browser."""
+"""`cell view`: the page of a scene, a run, an execution or a study; written where nothing is changed, and opened."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import sys
 import tempfile
 import webbrowser
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from cell import scanners
+from cell.checks.check import checked, compiled
 from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.run.executed import open_execution
@@ -20,7 +22,7 @@ from cell.scene.scene import Scene, load_scene
 from cell.view.contents import NAME, execution_page, run_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned
 from cell.view.pieces import cell_of_world
-from cell.world.check import checked, compiled
+from cell.view.study_page import study_page
 
 _DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 _LOOK_S = 0.3  # between two looks at a file that is watched
@@ -28,10 +30,10 @@ _WITHOUT_PART = "the page shows the last scene that could be read"
 
 
 def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
-    """The page of a scene file, a run or an execution; the one that lies in its folder where none else is asked for.
+    """The page of a scene file, a run, an execution or a study: the one in its folder, else one that is made.
 
     Args:
-        what: scene file, run folder, or folder of an execution; None is the built-in scene.
+        what: scene file, or folder of a run, an execution or a study; None is the built-in scene.
         out: file to write; None writes a temporary one.
         narrator: is told what goes on.
 
@@ -41,7 +43,9 @@ def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
     if what is not None and what.is_dir() and out is None and (what / NAME).is_file():
         return what / NAME
     with narrator.stage("draw the page"):
-        if what is None or not what.is_dir():
+        if what is not None and (what / "study.json").is_file():
+            text = study_page(what)
+        elif what is None or not what.is_dir():
             text = html_of(*scene_page(load_scene(what)))
         elif what.absolute().parent.name == FOLDER:
             run = open_run(what.absolute().parent.parent)
@@ -66,7 +70,7 @@ def scene_page(scene: Scene, watched: str = "") -> tuple[Stage, Play]:
     keys = ScannerKeys(**scanners.described(scene.scanner.type, made.scanner))
     far = (keys.pair("range_mm") or _DRAWN_RANGE_MM)[1] / 1000
     cell = cell_of_world(made.world, keys.opening_deg, far)
-    stage = Stage(f"Cell with {made.part.name}", cell, [Shown("part", thinned(made.part.reference))], watched)
+    stage = Stage(f"Cell with {made.part.name}", cell, [Shown("part", thinned(made.part.reference))], watched=watched)
     return stage, Play(rows=result.rows(), problems=result.problems)
 
 
@@ -117,7 +121,7 @@ def watch(
                 if stage is None:
                     raise
                 narrator.note(str(error))
-                stage = Stage(stage.title, stage.cell, stage.surfaces, stamp)
+                stage = replace(stage, watched=stamp)
                 play = Play(problems=[str(error)], notes=[_WITHOUT_PART])
             first, path = path is None or not before, write(html_of(stage, play), path)
             path.with_name(path.name + ".stamp.js").write_text(f"drawn({stamp!r});\n", encoding="utf-8")

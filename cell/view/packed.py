@@ -44,23 +44,23 @@ class Layer:
     Attributes:
         title: in the list of colourings.
         kind: `views`: bits of the views that measure the vertex, rows of bytes; `length` and `signed`: steps, `NONE`
-            where there is none; `reasons`: number of the reason from 1, 0 none.
+            where there is none; `named`: which of `named`.
         values: (V,) or (V, width).
         note: what it means.
         low: of steps: value of step 0 [mm].
         step: of steps [mm].
         limits: ends of the colours at first [mm].
-        names: of reasons.
+        named: names with their colours.
     """
 
     title: str
-    kind: Literal["views", "length", "signed", "reasons"]
+    kind: Literal["views", "length", "signed", "named"]
     values: NDArray[np.uint8] | NDArray[np.uint16]
     note: str = ""
     low: float = 0.0
     step: float = 1.0
     limits: tuple[float, float] = (0.0, 1.0)
-    names: tuple[str, ...] = ()
+    named: Sequence[tuple[str, str]] = ()
 
 
 def stepped(
@@ -86,7 +86,7 @@ def packed_layer(layer: Layer) -> Mapping[str, object]:
         "low": layer.low,
         "step": layer.step,
         "limits": layer.limits,
-        "names": layer.names,
+        "named": layer.named,
     }
 
 

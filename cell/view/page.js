@@ -37,13 +37,16 @@ function ramp(colours, share) {
 // ---- scene and camera ----------------------------------------------------------------------------------------------
 THREE.Object3D.DefaultUp.set(0, 0, 1);
 const canvas = byId("scene");
-const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
+let renderer = null;
+try { renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true }); } catch {
+  data.problems.unshift("This browser draws nothing in three dimensions (WebGL is missing or switched off); the numbers are all here.");
+}
 const scene = new THREE.Scene();
 const camera = new THREE.PerspectiveCamera(35, 1, 0.01, 60);
 const eye = new THREE.PerspectiveCamera(60, 1, 0.002, 20);
 const lamp = new THREE.DirectionalLight(0xffffff, 0.55);
 scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f98, 0.62), lamp);
-const orbit = { target: new THREE.Vector3(...data.look.target), distance: data.look.distance, azimuth: data.look.azimuth, elevation: data.look.elevation };
+const orbit = { target: new THREE.Vector3(...(data.look.close ? data.look.part : data.look.target)), distance: data.look.close ? data.look.near : data.look.distance, azimuth: data.look.azimuth, elevation: data.look.elevation };
 let dirty = true;
 const redraw = () => { dirty = true; };
 
@@ -120,7 +123,7 @@ const surfaces = data.surfaces.map((surface) => {
   group.add(new THREE.Mesh(geometry, material));
   scene.add(group);
   register(surface.name, group, [material]);
-  const layers = surface.layers.map((layer) => ({ ...layer, values: numbers(layer.values) }));
+  const layers = surface.layers.map((layer) => ({ ...layer, values: numbers(layer.values), colours: layer.named.map((each) => rgb(each[1])) }));
   return { name: surface.name, colours, layers, count: colours.count };
 });
 const choices = [];
@@ -148,7 +151,7 @@ function colourOf(vertex) {
     return count ? palette.seen[Math.min(count, palette.seen.length) - 1] : palette.open[0];
   }
   const value = layer.values[vertex];
-  if (layer.kind === "reasons") return value ? palette.reasons[value - 1] : palette.measured[0];
+  if (layer.kind === "named") return layer.colours[value];
   if (value === 65535) return layer.kind === "signed" ? palette.measured[0] : palette.open[0];
   const real = layer.low + value * layer.step;
   return ramp(layer.kind === "signed" ? palette.signed : palette.lengths, (real - layer.limits[0]) / (layer.limits[1] - layer.limits[0]));
@@ -176,9 +179,8 @@ function legend() {
   } else if (layer.kind === "views") {
     swatch(data.palette.open[0], "not measured");
     data.palette.seen.forEach((colour, k) => swatch(colour, k + 1 < data.palette.seen.length ? `${k + 1} view${k ? "s" : ""}` : `${k + 1} or more`));
-  } else if (layer.kind === "reasons") {
-    swatch(data.palette.measured[0], "measured");
-    layer.names.forEach((name, k) => swatch(data.palette.reasons[k], name));
+  } else if (layer.kind === "named") {
+    for (const [name, colour] of layer.named) swatch(colour, name);
   } else {
     const signed = layer.kind === "signed", bar = element("div", undefined, box, "bar");
     bar.style.background = `linear-gradient(to right, ${data.palette[signed ? "signed" : "lengths"].join(",")})`;
@@ -211,8 +213,9 @@ function pyramid(T, share) {
 }
 const poses = data.views.map((view) => matrix(view.T_base_scanner));
 const sources = poses.map((T) => new THREE.Vector3().applyMatrix4(T));
-const viewLines = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: data.palette.seen[4] }));
+const viewLines = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ vertexColors: true }));
 viewLines.geometry.setFromPoints(poses.flatMap((T) => pyramid(T, data.glyph)));
+viewLines.geometry.setAttribute("color", new THREE.Float32BufferAttribute(data.views.flatMap((view) => Array(16).fill(rgb(view.colour)).flat()), 3));
 const beam = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints([...frustum, ...frustum]), new THREE.LineBasicMaterial({ color: data.palette.chosen[0] }));
 beam.visible = false;
 const marks = new THREE.Group();
@@ -250,11 +253,12 @@ function select(view, go = true) {
   beam.visible = view >= 0;
   if (crowded) signs.forEach((sign, k) => { sign.visible = k === view; });
   byId("inset").hidden = view < 0;
-  byId("command").textContent = view < 0 ? "" : command(`cell replay RUN --view ${data.views[view].number}`);
+  byId("commands").replaceChildren();
   if (view >= 0) {
+    for (const text of data.views[view].commands) element("code", command(text), byId("commands"));
     for (const [name, value] of data.views[view].rows) { element("dt", name, list); element("dd", value, list); }
     beam.geometry.setFromPoints(pyramid(poses[view], 1));
-    if (go && data.motion) moment(data.views[view].time, false);
+    if (go && data.motion && data.views[view].time !== null) moment(data.views[view].time, false);
   }
   if (choice?.single) paint();
   redraw();
@@ -271,7 +275,7 @@ function moment(t, free = true) {
   for (let k = 0; k < 6; k++) q.push(motion.q[6 * high - 6 + k] + share * (motion.q[6 * high + k] - motion.q[6 * high - 6 + k]));
   pose(q);
   byId("time").value = now;
-  const at = data.views.findIndex((view) => Math.abs(view.time - now) < 0.02);
+  const at = data.views.findIndex((view) => view.time !== null && Math.abs(view.time - now) < 0.02);
   byId("moment").textContent = `${now.toFixed(2)} s of ${motion.t[motion.t.length - 1].toFixed(2)} s` + (at < 0 ? "" : `, view ${data.views[at].number}`);
   if (free && at >= 0 && at !== chosen && playing) select(at, false);
 }
@@ -288,7 +292,8 @@ const execution = data.inside === 2 ? folder[folder.length - 1] : "latest";
 if (data.inside) folder.splice(-data.inside);
 function command(text) {
   const path = location.protocol === "file:" && data.inside !== null ? folder.join("/") : "RUN";
-  return text.replace("EXECUTION", execution).replace("RUN", /^[\w@%+=:,./-]+$/.test(path) ? path : `'${path.replace(/'/g, "'\\''")}'`);
+  const quoted = /^[\w@%+=:,./-]+$/.test(path) ? path : `'${path.replace(/'/g, "'\\''")}'`;
+  return text.replace("EXECUTION", () => execution).replace("RUN", () => quoted);
 }
 byId("inset").firstElementChild.textContent = "as the scanner sees it";
 document.querySelector("h1").textContent = data.title;
@@ -364,14 +369,15 @@ function lookAt(target, distance) { orbit.target.set(...target); orbit.distance 
 element("button", "whole cell", byId("of-look")).onclick = () => lookAt(data.look.target, data.look.distance);
 element("button", "part", byId("of-look")).onclick = () => lookAt(data.look.part, data.look.near);
 function resize() {
-  renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-  renderer.setSize(innerWidth, innerHeight, false);
+  renderer?.setPixelRatio(Math.min(devicePixelRatio, 2));
+  renderer?.setSize(innerWidth, innerHeight, false);
   const free = innerWidth > 760 ? 330 : 0;
   camera.aspect = innerWidth / innerHeight;
   camera.setViewOffset(innerWidth, innerHeight, free / 2, 0, innerWidth, innerHeight);
   redraw();
 }
 function draw() {
+  if (!renderer) return;
   const { target, distance, azimuth, elevation } = orbit;
   camera.position.set(Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)).multiplyScalar(distance).add(target);
   camera.lookAt(target);

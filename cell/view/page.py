@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -43,16 +47,20 @@ class View:
     """A view that can be clicked.
 
     Attributes:
-        number: in visiting order, from 1.
+        number: in visiting order, from 1, with what tells it apart where the page has views of two runs.
         T_base_scanner: (4, 4) [m].
-        time: of the motion, at which the scanner is there [s].
+        time: of the motion, at which the scanner is there [s]; None: never.
         rows: what is said of it.
+        commands: that do something with it; words as in `Play.next`.
+        colour: of its frustum.
     """
 
-    number: int
+    number: str
     T_base_scanner: Floats
-    time: float
+    time: float | None
     rows: Sequence[tuple[str, str]]
+    commands: Sequence[str] = ()
+    colour: str = palette.SEEN[4]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,12 +71,14 @@ class Stage:
         title: heading.
         cell: robot and surroundings.
         surfaces: part, and what was measured of it; coloured at first by the first layer of the first.
+        toward: (3,) unit vector from the part to the eye that looks at it at first, object frame; None: the whole cell.
         watched: stamp of a page that is written again and again; "" is none.
     """
 
     title: str
     cell: Cell
     surfaces: Sequence[Shown] = ()
+    toward: Floats | None = None
     watched: str = ""
 
 
@@ -108,28 +118,26 @@ def first_half(stage: Stage) -> str:
     Raises:
         CellError: if trimesh's viewer is not the one that this version knows.
     """
-    filled = {
-        "$WATCHED": " file:" if stage.watched else "",
-        "$TITLE": html.escape(stage.title),
-        "$CSS": _text("css"),
-        "$THREE": three(),
-        "$STAGE": _json(_stage(stage)),
-    }
-    made, rest = [], _text("html").partition("$PLAY")[0]
-    for name, value in filled.items():  # one after the other: what is filled in is never looked at again
-        before, _, rest = rest.partition(name)
-        made += [before, value]
-    return "".join([*made, rest])
+    return filled(
+        text("page.html").partition("$PLAY")[0],
+        WATCHED=" file:" if stage.watched else "", TITLE=html.escape(stage.title), THREE=three(),
+        CSS=text("look.css") + text("page.css"), STAGE=_json(_stage(stage)),
+    )  # fmt: skip
 
 
 def second_half(play: Play) -> str:
     """The rest of the file."""
-    between, _, end = _text("html").partition("$PLAY")[2].partition("$SCRIPT")
-    return "".join([_json(_play(play)), between, _text("js"), end])
+    return _json(_play(play)) + filled(text("page.html").partition("$PLAY")[2], SCRIPT=text("page.js"))
 
 
-def _text(kind: str) -> str:
-    return (resources.files("cell.view") / f"page.{kind}").read_text(encoding="utf-8")
+def filled(template: str, **values: str) -> str:
+    """A template with `$NAME` filled in; what is filled in is never looked at again."""
+    return re.sub(r"\$([A-Z]+)", lambda found: values[found[1]], template)
+
+
+def text(name: str) -> str:
+    """A file beside this module."""
+    return (resources.files("cell.view") / name).read_text(encoding="utf-8")
 
 
 def _json(content: Mapping[str, object]) -> str:
@@ -149,14 +157,18 @@ def _stage(stage: Stage) -> Mapping[str, object]:
         mesh = stage.surfaces[0].mesh
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         middle, near = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3], 2.6 * mesh.diagonal
+    eye = np.array([np.cos(a := np.arctan2(middle[1], middle[0]) - 0.9), np.sin(a), np.tan(0.35)])
+    if stage.toward is not None:
+        eye = cell.T_base_object[:3, :3] @ stage.toward
     floor = next((piece.vertices[0, 2] for piece in cell.pieces if piece.name == "floor"), 0.0)
     return {
         "title": stage.title,
         "look": {
             "target": rounded(0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6])),
             "distance": round(2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6, 6),
-            "azimuth": round(float(np.arctan2(middle[1], middle[0])) - 0.9, 6),
-            "elevation": 0.35,
+            "azimuth": round(float(np.arctan2(eye[1], eye[0])), 6),
+            "elevation": round(float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))), 6),
+            "close": stage.toward is not None,
             "part": rounded(middle),
             "near": round(near, 6),
         },
@@ -186,13 +198,15 @@ def _stage(stage: Stage) -> Mapping[str, object]:
 
 
 def _play(play: Play) -> Mapping[str, object]:
+    stops = [view.time for view in play.views if view.time is not None]
     return {
         "views": [
-            {"number": view.number, "T_base_scanner": rounded(view.T_base_scanner, 9), "time": round(view.time, 6),
-             "rows": view.rows}
+            {"number": view.number, "T_base_scanner": rounded(view.T_base_scanner, 9),
+             "time": None if view.time is None else round(view.time, 6), "rows": view.rows,
+             "commands": view.commands, "colour": view.colour}
             for view in play.views
         ],
-        "motion": None if play.motion is None else packed_motion(*play.motion, [view.time for view in play.views]),
+        "motion": None if play.motion is None else packed_motion(*play.motion, stops),
         "cloud": None if play.cloud is None or not len(play.cloud) else packed_points(play.cloud),
         "rows": play.rows,
         "problems": play.problems,
@@ -206,7 +220,6 @@ _PALETTE = {
     "open": [palette.OPEN],
     "seen": palette.SEEN,
     "measured": [palette.MEASURED],
-    "reasons": palette.REASONS,
     "lengths": palette.LENGTHS,
     "signed": palette.SIGNED,
     "plain": ["#d6ccb8"],
@@ -217,17 +230,18 @@ _PALETTE = {
 
 @cache
 def three() -> str:
-    """three.js, out of the page that trimesh makes; 0.4 s when it is first asked for.
+    """three.js, out of the page that trimesh makes; trimesh itself, which takes 0.4 s, is not imported for it.
 
     Raises:
         CellError: if trimesh's viewer is not the one that this version knows.
     """
-    import zipfile
-
-    template = resources.files("trimesh") / "resources" / "templates" / "viewer.zip"
-    with template.open("rb") as file, zipfile.ZipFile(file) as archive:
-        text = archive.read("viewer.html.template").decode("utf-8")
-    script, found, _ = text.partition("<script>")[2].partition(_OWN_START)
-    if not found or "THREE" not in script:
+    found = find_spec("trimesh")
+    folders = found.submodule_search_locations if found else None
+    if not folders:
+        raise CellError("trimesh is missing, and pages need its three.js; install trimesh 5.2")
+    with ZipFile(Path(folders[0]) / "resources" / "templates" / "viewer.zip") as archive:
+        viewer = archive.read("viewer.html.template").decode("utf-8")
+    script, known, _ = viewer.partition("<script>")[2].partition(_OWN_START)
+    if not known or "THREE" not in script:
         raise CellError("this version of trimesh has another viewer, and pages need its three.js; install trimesh 5.2")
     return script

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 from cell.view import rays
 from cell.view.palette import MEASURED, OPEN, REASONS, SEEN, rgb
 from cell.view.surface import Canvas, Surface, sides
-from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
 _PANEL = (560, 540)
@@ -101,13 +101,13 @@ def group_numbers(count: int, groups: Sequence[Ints]) -> NDArray[np.int64]:
 def _panel(canvas: Canvas, colours: Floats, toward: Floats, shown: Floats) -> tuple[Image.Image, rays.Seen]:
     """The part from one side in its samples' colours (S, 3); `shown` (N, 3) are in the picture."""
     camera = rays.fitted(shown, toward, _PANEL, parallel=True)
-    facing, of_face = face_normals(canvas.mesh), colours[canvas.own]
+    facing, of_face = canvas.normals @ -camera.forward, np.take(colours, canvas.own, axis=0)
 
     def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         hits = canvas.caster.first_hit(origins, directions)
         picture, hit = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
         face = hits.face[hit]
-        picture[hit] = rays.shaded(of_face[face], facing[face] @ -camera.forward)
+        picture[hit] = rays.shaded(np.take(of_face, face, axis=0), facing[face])
         return picture, hits.distance
 
     return rays.render(camera, colour_of)

@@ -20,6 +20,7 @@ from planner.values import Floats, Ints, Value
 
 _STEPS = 40  # of a line, each of which is hidden or not
 _EDGE = 0.1  # of full brightness: neighbours that differ by more are looked at again
+_BLOCK = 16_384  # pixels that are drawn at a time
 _NEAR = 0.004  # of the camera's distance: what is no farther behind a surface than this counts as on it
 
 
@@ -56,14 +57,14 @@ class Camera(Value):
             off: right and down from their middles [pixels].
         """
         columns, rows = self.size
-        pixels = np.arange(columns * rows) if pixels is None else pixels
-        x = self.half[0] * (2 * (pixels % columns + 0.5 + off[0]) / columns - 1)
-        y = self.half[1] * (1 - 2 * (pixels // columns + 0.5 + off[1]) / rows)
+        row, column = np.divmod(np.arange(columns * rows) if pixels is None else pixels, columns)
+        x = self.half[0] * (2 * (column + 0.5 + off[0]) / columns - 1)
+        y = self.half[1] * (1 - 2 * (row + 0.5 + off[1]) / rows)
         across = x[:, None] * self.right + y[:, None] * self.up
         if self.parallel:
             return self.eye + across, np.broadcast_to(self.forward, across.shape)
         directions = across + self.forward
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        directions /= np.sqrt(np.einsum("ij,ij->i", directions, directions))[:, None]
         return np.broadcast_to(self.eye, directions.shape), directions
 
     def project(self, points: Floats) -> Floats:
@@ -136,20 +137,31 @@ ColourOf = Callable[[Floats, Floats], tuple[Floats, Floats]]
 def render(camera: Camera, colour_of: ColourOf) -> tuple[Image.Image, Seen]:
     """Draw what a camera sees: a ray per pixel, and four where the colour differs from a neighbour's."""
     columns, rows = camera.size
-    colour, distance = colour_of(*camera.rays())
-    grid = colour.reshape(rows, columns, 3)
-    edge = np.zeros((rows, columns), dtype=np.bool_)
-    for axis in (0, 1):
-        differs = np.abs(np.diff(grid, axis=axis)).max(axis=2) > _EDGE
-        height, width = differs.shape
-        edge[:height, :width] |= differs
-        edge[rows - height :, columns - width :] |= differs
-    pixels = np.flatnonzero(edge)
-    if len(pixels):
+    colour, distance = np.empty((columns * rows, 3)), np.empty(columns * rows)
+    for pixels in _blocks(np.arange(columns * rows), _BLOCK):
+        colour[pixels], distance[pixels] = colour_of(*camera.rays(pixels))
+    for pixels in _blocks(np.flatnonzero(_edges(colour.reshape(rows, columns, 3))), _BLOCK):
         around = [colour_of(*camera.rays(pixels, (x, y)))[0] for x in (-0.25, 0.25) for y in (-0.25, 0.25)]
-        colour[pixels] = np.mean(around, axis=0)
+        colour[pixels] = sum(around) / len(around)
     values = (255 * colour.reshape(rows, columns, 3).clip(0, 1) + 0.5).astype(np.uint8)
     return Image.fromarray(values), Seen(camera, distance)
+
+
+def _blocks(pixels: Ints, size: int) -> list[Ints]:
+    """The same in pieces that stay in the core's cache while they are worked on."""
+    return [pixels[start : start + size] for start in range(0, len(pixels), size)]
+
+
+def _edges(grid: Floats) -> NDArray[np.bool_]:
+    """(rows, columns) whether the colour (rows, columns, 3) differs from a neighbour's."""
+    edge = np.zeros(grid.shape[:2], dtype=np.bool_)
+    for channel in np.moveaxis(grid, 2, 0):
+        beside, below = np.abs(np.diff(channel, axis=1)) > _EDGE, np.abs(np.diff(channel, axis=0)) > _EDGE
+        edge[:, :-1] |= beside
+        edge[:, 1:] |= beside
+        edge[:-1] |= below
+        edge[1:] |= below
+    return edge
 
 
 def shaded(colour: Floats, facing: Floats) -> Floats:
@@ -160,7 +172,9 @@ def shaded(colour: Floats, facing: Floats) -> Floats:
         facing: (N,) cosine between normal and the way to the eye; below 0 the surface is seen from behind.
     """
     lit = colour * (0.42 + 0.58 * np.abs(facing))[:, None]
-    return np.where((facing < 0)[:, None], 0.35 * lit + 0.25, lit)
+    behind = np.flatnonzero(facing < 0)
+    lit[behind] = 0.35 * lit[behind] + 0.25
+    return np.asarray(lit)
 
 
 def lines(
@@ -247,6 +261,6 @@ def save(drawn: Image.Image, path: Path) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        drawn.save(path, format="png", optimize=False, compress_level=6)
+        drawn.save(path, format="png", optimize=False, compress_level=4)
     except OSError as error:
         raise FileError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}") from error

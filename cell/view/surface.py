@@ -43,6 +43,7 @@ class Canvas(Value):
 
     Attributes:
         mesh: decimated above `FACES` faces, large faces split.
+        normals: of its faces.
         caster: of the mesh.
         samples: S of the true surface.
         own: (F,) sample whose values a face has.
@@ -50,6 +51,7 @@ class Canvas(Value):
     """
 
     mesh: TriangleMesh
+    normals: Annotated[Floats, "F 3"]
     caster: EmbreeRayCaster
     samples: SurfaceSamples
     own: Annotated[Ints, "F"]
@@ -73,10 +75,11 @@ def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
     mesh = decimate(reference, FACES if count > FACES else max(count, _FINE))
     weight = _WALL * reference.diagonal
     tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
-    _, own = tree.query(np.hstack([face_centres(mesh), weight * face_normals(mesh)]))
+    normals = face_normals(mesh)
+    _, own = tree.query(np.hstack([face_centres(mesh), weight * normals]))
     note = f"drawn with {len(mesh.faces):,} of {count:,} faces" if len(mesh.faces) < count else ""
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
-    return Canvas(mesh, caster, samples, np.asarray(own, dtype=np.int64), note)
+    return Canvas(mesh, normals, caster, samples, np.asarray(own, dtype=np.int64), note)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

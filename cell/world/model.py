@@ -53,6 +53,7 @@ class World(Value):
         limits: of the axes, at full speed and acceleration.
         clearance: distance that a free configuration keeps [m].
         part_hull: convex hull of the part, object frame [m].
+        part_mesh: its triangles, object frame [m]; its hull where vertices alone were given.
         collision: what stands for the part: "hull" or "exact" (its triangles).
         trees: true triangles that decide, by the geom whose hull in the model is only a filter then: the part and the
             mesh fixtures where the scene's collision is "exact".
@@ -74,6 +75,7 @@ class World(Value):
     limits: JointLimits
     clearance: float
     part_hull: TriangleMesh
+    part_mesh: TriangleMesh
     collision: str
     trees: Mapping[int, TriangleTree]
     fixture_meshes: dict[str, TriangleMesh]
@@ -172,7 +174,7 @@ def compile_world(
     part_faces: ArrayLike | None = None,
     baseline_mm: float | None = None,
 ) -> World:
-    """Build and compile the model of a scene; whether the scene can be, `cell.world.possible` judges.
+    """Build and compile the model of a scene; whether the scene can be, `cell.checks.possible` judges.
 
     Args:
         scene: what stands in the cell.
@@ -233,6 +235,7 @@ def compile_world(
         ),
         clearance=scene.clearance_mm / 1000.0,
         part_hull=hull,
+        part_mesh=part.get("part", hull),
         collision=collision,
         trees=trees_of(model, {**fixture_meshes, **part}) if scene.plan.collision == "exact" else {},
         fixture_meshes=fixture_meshes,

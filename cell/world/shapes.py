@@ -6,7 +6,7 @@ Which pairs are guarded, and why the others are not:
 | --- | --- |
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
 | link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 turns above both without ever coming down |
-| base with anything that stands still | no: neither moves; `cell.world.possible` looks once |
+| base with anything that stands still | no: neither moves; `cell.checks.possible` looks once |
 | links among themselves | as models/kr16.xml says: neighbours share a bearing |
 | bracket, housing with base, link_1..link_3 | yes |
 | bracket, housing with link_4 | yes, unless they keep apart whatever A5 and A6 are |

@@ -73,6 +73,16 @@ def visible(
     return _coverage(measured(T_object_scanner, samples, scanner, casters, progress=progress), samples)
 
 
+def visible_of(seen: Bools, samples: SurfaceSamples) -> Coverage:
+    """Visible coverage of views of which is known what they measure.
+
+    Args:
+        seen: (S, n) whether a view measures a sample.
+        samples: of the reference.
+    """
+    return _coverage(np.logical_or.reduce(seen, axis=1), samples)
+
+
 def sampling_radius(reference: TriangleMesh) -> float:
     """Radius of sampled coverage [m]: 1 % of the diagonal of the part's bounding box."""
     return RADIUS_SHARE * reference.diagonal

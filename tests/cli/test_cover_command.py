@@ -120,10 +120,10 @@ def hard(path: Path) -> None:
 def test_the_clock_ends_the_search_and_the_answer_says_so(run_cell: Run, tmp_path: Path) -> None:
     """A guard alone gives an unlimited budget: it fires, in time, and is named."""
     hard(tmp_path / "hard")
-    answer = solved(run_cell, tmp_path / "hard", "--time-limit", "2")
+    answer = solved(run_cell, tmp_path / "hard", "--time-limit", "1")
     assert answer["status"] == "time_limited"
     assert "the time limit stopped the search" in str(answer["sentence"])
-    assert float(str(answer["seconds"])) >= 1.8  # how near it is kept: benchmarks cover steady
+    assert float(str(answer["seconds"])) >= 0.9  # how near it is kept: benchmarks cover steady
 
 
 def test_the_same_budget_gives_the_same_answer(run_cell: Run, tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_the_same_budget_gives_the_same_answer(run_cell: Run, tmp_path: Path) ->
     assert first["status"] == "bounded"
 
 
-_INTO_THE_SEARCH = 6.0  # seconds of processor time: imports and reading take two, whatever else the machine does
+_INTO_THE_SEARCH = 4.0  # seconds of processor time: imports and reading take two, whatever else the machine does
 
 
 def _processor_seconds(pid: int) -> float:

@@ -1,6 +1,8 @@
 """`cell diff` as a user meets it: what differs, what does not, and areas that another count gives as well."""
 
+import base64
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -48,8 +50,10 @@ def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_p
     assert said["surface"]["gained_mm2"] == said["surface"]["lost_mm2"] == 0
 
 
-def test_settings_views_and_areas_of_two_plans(planned: Path, other: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """The changed settings and no others; each view once on each side; areas as counted from the artefacts."""
+def test_settings_views_and_areas_of_two_plans(
+    planned: Path, other: Path, run_cell: Cell, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
+) -> None:
+    """The changed settings and no others; each view once on each side; areas and page as counted from the artefacts."""
     said = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
     assert {each["key"] for each in said["settings"]} == {"speed_scaling", "plan.banned"}
     a, b = open_run(planned), open_run(other)
@@ -70,9 +74,21 @@ def test_settings_views_and_areas_of_two_plans(planned: Path, other: Path, run_c
     ]
     lost, gained = (1e6 * samples.areas[mask].sum() for mask in (seen[0] & ~seen[1], seen[1] & ~seen[0]))
     assert (said["surface"]["lost_mm2"], said["surface"]["gained_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
-    told = run_cell("diff", planned, other, cwd=tmp_path).stdout
+    told = run_cell("diff", planned, other, "--out", "diff.html", cwd=tmp_path).stdout
     assert "speed_scaling" in told
     assert "that A measures." in told
+    data = data_of((tmp_path / "diff.html").read_text(encoding="utf-8"))
+    names = [view["number"] for view in data["views"]]
+    assert names == [*(str(k + 1) for k in range(len(b.plan.views))), *(f"A{k}" for k in views["lost"])]
+    for view, name in zip(data["views"], names, strict=True):
+        if name.startswith("A"):  # the plans have one placement: the view is where A has it
+            np.testing.assert_allclose(view["T_base_scanner"], a.T_base_scanner[int(name[1:]) - 1], atol=1e-6)
+            assert view["time"] is None
+    (layer,) = data["surfaces"][0]["layers"]
+    shares = [float(re.search(r"\((.*)\u00a0%\)", name)[1]) for name, _ in layer["named"]]  # type: ignore[index] # as written
+    expected = [1e6 * samples.areas[mask].sum() for mask in (seen[0] & seen[1], ~seen[0] & ~seen[1])] + [lost, gained]
+    np.testing.assert_allclose(shares, 100 * np.array(expected) / said["surface"]["area_mm2"], atol=0.006)
+    assert np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8).max() < 4
 
 
 def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cell: Cell, tmp_path: Path) -> None:

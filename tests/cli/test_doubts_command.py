@@ -4,11 +4,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-
 Run = Callable[..., subprocess.CompletedProcess[str]]
-
-pytestmark = pytest.mark.usefixtures("blank_pictures")
 
 
 def test_a_coarse_mesh_a_steep_limit_and_a_sparse_scan_are_told(part_file: Path, run_cell: Run, tmp_path: Path) -> None:

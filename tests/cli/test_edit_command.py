@@ -9,8 +9,6 @@ import pytest
 
 Cell = Callable[..., Any]
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 
 def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
     """The table ends with gains and costs and lines to paste; the JSON object has the difference; RUN is untouched."""

@@ -6,18 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
-
-pytestmark = pytest.mark.usefixtures("blank_pictures")
 
 
 def test_grown_candidates_keep_the_run_folder_s_contract(
     part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
     """Cached or not: equal bytes; every array has all candidates; the plan's ids, rolls and poses are theirs."""
-    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--candidates", "grown")
+    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--faces", "60", "--candidates", "grown")
     for name, more in (("a", ()), ("b", ("--no-cache",))):
         done = run_cell(*arguments, *more, "--out", name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr

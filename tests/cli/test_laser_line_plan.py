@@ -10,42 +10,13 @@ import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 _OPTIONS = ("--units", "mm", "--place", "1100,400,100", "--faces", "24", "--samples", "2")
 
 
-@pytest.fixture(scope="module")
-def line_plan(
-    tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: Run
-) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """Run folder of a plan with a turned line sensor, and how the command ended."""
-    folder = tmp_path_factory.mktemp("line")
-    (folder / "line.toml").write_text(
-        '[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n', encoding="utf-8"
-    )
-    arguments = (
-        str(part_file),
-        *_OPTIONS,
-        "--standoff",
-        "250",
-        "--scene",
-        "line.toml",
-        "--coverage",
-        "0.95",
-        "--out",
-        "run",
-        "--json",
-    )
-    return folder / "run", run_cell("plan", *arguments, cwd=folder)
-
-
-def test_a_plan_of_sweeps_ends_in_a_correct_run(line_plan: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_a_plan_of_sweeps_ends_in_a_correct_run(swept: Path) -> None:
     """Columns of five poses, all in plan.json where the joint angles take them, the middle one the view's own."""
-    run, done = line_plan
-    assert done.returncode == 0, done.stderr
-    plan = json.loads((run / "plan.json").read_text())
-    candidates = np.load(run / "viewpoints.npz")["T_object_scanner"]
+    plan = json.loads((swept / "plan.json").read_text())
+    candidates = np.load(swept / "viewpoints.npz")["T_object_scanner"]
     assert candidates.shape[1] == 5
     assert plan["views"]
     for view in plan["views"]:
@@ -61,22 +32,19 @@ def test_a_plan_of_sweeps_ends_in_a_correct_run(line_plan: tuple[Path, subproces
         np.testing.assert_allclose(relative[:, :3, 3], 0, atol=3e-5)
         assert view["sweep"]["angle_deg"] == pytest.approx(24)
         assert 0 < view["sweep"]["speed_deg_s"] <= np.degrees(0.35) + 1e-6
-    assert json.loads((run / "scene.resolved.json").read_text())["scanner"]["sweep_deg"] == 24.0
+    assert json.loads((swept / "scene.resolved.json").read_text())["scanner"]["sweep_deg"] == 24.0
 
 
-def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(
-    line_plan: tuple[Path, subprocess.CompletedProcess[str]],
-) -> None:
+def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -> None:
     """Judged by the stored arrays alone: every pose in its order, the source at rest, one rate of turn, limits kept."""
     import mujoco
 
     from cell.robot.kinematics import Kr16Kinematics
 
-    run, _ = line_plan
-    kinematics = Kr16Kinematics.from_model(mujoco.MjModel.from_xml_path(str(run / "cell.xml")))
-    resolved = json.loads((run / "scene.resolved.json").read_text())
+    kinematics = Kr16Kinematics.from_model(mujoco.MjModel.from_xml_path(str(swept / "cell.xml")))
+    resolved = json.loads((swept / "scene.resolved.json").read_text())
     T_base_object, T_flange_scanner = (np.array(resolved[name]) for name in ("T_base_object", "T_flange_scanner"))
-    plan, motion = json.loads((run / "plan.json").read_text()), np.load(run / "motion.npz")
+    plan, motion = json.loads((swept / "plan.json").read_text()), np.load(swept / "motion.npz")
     rows = np.flatnonzero(motion["pose"] >= 0)
     assert len(rows) == 5 * len(plan["views"])
     T = np.linalg.inv(T_base_object) @ kinematics.forward(motion["via_q"][rows]) @ T_flange_scanner
@@ -103,25 +71,22 @@ def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(
     assert (motion["q"] <= limits[:, 1] + 1e-9).all()
 
 
-def test_what_is_not_judged_is_said(line_plan: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_what_is_not_judged_is_said(swept: Path) -> None:
     """On the terminal, in the page and in report.json."""
-    run, done = line_plan
-    assert "the arm's own shadow along it is not judged" in done.stderr
-    assert "driven as a straight line at constant speed on one joint branch" in (run / "report.md").read_text()
-    summary = json.loads(done.stdout)
+    assert "the arm's own shadow along it is not judged" in (swept.parent / "stderr").read_text()
+    assert "driven as a straight line at constant speed on one joint branch" in (swept / "report.md").read_text()
+    summary = json.loads((swept.parent / "stdout").read_text())
     assert summary["settings"]["sweep_poses"] == 5
     assert summary["settings"]["sweep_in_motion"] is True
     assert summary["coverage"]["visible_with_arm"] is None
 
 
-def test_sweeps_are_executed_and_exported(
-    line_plan: tuple[Path, subprocess.CompletedProcess[str]], run_cell: Run, tmp_path: Path
-) -> None:
+def test_sweeps_are_executed_and_exported(swept: Path, run_cell: Run, tmp_path: Path) -> None:
     """One view there and back: a scan of all its lines, its poses as reported; replay shows the execution."""
     import shutil
 
     run = tmp_path / "run"
-    shutil.copytree(line_plan[0], run)
+    shutil.copytree(swept, run)
     done = run_cell("scan", str(run), "--view", "2", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     view = json.loads((run / "plan.json").read_text())["views"][1]
@@ -129,8 +94,8 @@ def test_sweeps_are_executed_and_exported(
         np.testing.assert_allclose(scan["sweep_T_object_scanner"], view["sweep"]["T_object_scanner"], atol=1e-9)
         np.testing.assert_allclose(np.degrees(scan["sweep_q_reported"]), view["sweep"]["q_deg"], atol=1e-9)
         np.testing.assert_allclose(scan["T_object_scanner"], view["T_object_scanner"], atol=1e-9)
-        assert scan["grid_shape"].tolist() == [5 * 20 * 640, 1]  # a line every 0.25 deg: 20 in a cell of 4.8 deg
-        assert len(scan["codes"]) == 5 * 20 * 640
+        assert scan["grid_shape"].tolist() == [5 * 20 * 160, 1]  # a line every 0.25 deg: 20 in a cell of 4.8 deg
+        assert len(scan["codes"]) == 5 * 20 * 160
         assert len(scan["points"]) == len(scan["pixel"]) == (scan["codes"] == 0).sum() > 0
     assert json.loads(done.stdout)["coverage"]["visible"] == pytest.approx(
         json.loads(done.stdout)["coverage"]["predicted"], abs=1e-4
@@ -175,30 +140,24 @@ def test_cell_sensors_lists_what_is_known(run_cell: Run, tmp_path: Path) -> None
         assert "baseline_mm" in sensor["to_be_given"]
 
 
-def test_a_resolution_is_none_of_a_line_sensor_s_options(
-    line_plan: tuple[Path, subprocess.CompletedProcess[str]], run_cell: Run
-) -> None:
+def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: Run) -> None:
     """One sentence about the option, not about how the scanner is made."""
-    run, _ = line_plan
-    done = run_cell("scan", "run", "--resolution", "1", cwd=run.parent)
+    done = run_cell("scan", "run", "--resolution", "1", cwd=swept.parent)
     assert done.returncode == 2
     assert done.stderr.startswith("cell: --resolution is the angle between rays, and the scanner laser-line has none")
-    assert not (run / "executions").exists()
+    assert not (swept / "executions").exists()
 
 
-def test_sweeps_can_be_edited(
-    line_plan: tuple[Path, subprocess.CompletedProcess[str]], run_cell: Run, tmp_path: Path
-) -> None:
+def test_sweeps_can_be_edited(swept: Path, run_cell: Run, tmp_path: Path) -> None:
     """Nothing changed is the same bytes; dropped, turned and reordered, each view is still the sweep about its pose."""
-    run, _ = line_plan
-    before = json.loads((run / "plan.json").read_text())["views"]
-    assert run_cell("edit", run, "--out", "same", "--json", cwd=tmp_path).returncode == 0
-    assert (tmp_path / "same" / "motion.npz").read_bytes() == (run / "motion.npz").read_bytes()
+    before = json.loads((swept / "plan.json").read_text())["views"]
+    assert run_cell("edit", swept, "--out", "same", "--json", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "same" / "motion.npz").read_bytes() == (swept / "motion.npz").read_bytes()
     assert json.loads((tmp_path / "same" / "plan.json").read_text())["views"] == before
     order = [*range(len(before), 1, -1)]
     options = ("--drop", "1", "--turn", "2:180", "--order", ",".join(map(str, order)), "--out", "edited", "--json")
-    done = run_cell("edit", run, *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("edit", swept, *options, cwd=tmp_path)
+    assert (done.returncode, "less than the 70 % asked for" in done.stderr) == (3, True), done.stderr
     after = json.loads((tmp_path / "edited" / "plan.json").read_text())["views"]
     assert [view["id"] for view in after][:-1] == [before[number - 1]["id"] for number in order[:-1]]
     candidates = np.load(tmp_path / "edited" / "viewpoints.npz")["T_object_scanner"]

@@ -64,15 +64,22 @@ def test_equal_input_and_seed_give_equal_bytes(
     assert first["artefacts"] == second["artefacts"]
 
 
-@pytest.mark.usefixtures("drawn_pictures")
 def test_a_calculated_matrix_equals_the_cached_one(
     planned: Path, part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
-    """`--no-cache` gives the same artefacts as a run that found its matrix in the cache."""
+    """`--no-cache` gives what a run gave that found its matrix in the cache, as far as pictures are made from it."""
     arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--no-cache", "--out", "fresh")
     assert run_cell(*arguments, cwd=tmp_path).returncode == 0
-    first, second = (json.loads((run / "manifest.json").read_text()) for run in (planned, tmp_path / "fresh"))
-    assert first["artefacts"] == second["artefacts"]
+    first, second = (
+        {
+            name: sha
+            for name, sha in json.loads((run / "manifest.json").read_text())["artefacts"].items()
+            if not name.endswith((".png", ".html"))
+        }
+        for run in (planned, tmp_path / "fresh")
+    )
+    assert first == second
+    assert {"measurability.npz", "plan.json", "motion.npz", "report.json"} <= set(first)
 
 
 def test_a_failure_prints_one_json_object_too(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
@@ -85,7 +92,6 @@ def test_a_failure_prints_one_json_object_too(part_file: Path, tmp_path: Path, r
     assert "reachable" in answer["reason"]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_coverage_is_kept_where_the_samples_were_too_few(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
     """Few faces, one sample each and 99.9 %: samples are added where the plan fails, and the matrix has them."""
     done = run_cell(
@@ -183,7 +189,6 @@ def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tm
     assert not (tmp_path / "far").exists()
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_required_coverage_that_is_missed_ends_with_code_3(
     part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
@@ -195,13 +200,12 @@ def test_a_required_coverage_that_is_missed_ends_with_code_3(
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "finished"
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_negative_placement_is_not_taken_for_an_option(
     part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
     """`--place -1100,400,100` stands behind the robot and is planned there."""
-    arguments = ("plan", str(part_file), "--units", "mm", "--place", "-1100,400,100", *small_plan[2:], "--out", "run")
-    done = run_cell(*arguments, cwd=tmp_path)
+    arguments = ("plan", str(part_file), "--units", "mm", "--place", "-1100,400,100", *small_plan[2:])
+    done = run_cell(*arguments, "--faces", "24", "--out", "run", cwd=tmp_path)
     assert done.returncode in (0, 4), done.stderr
     folder = tmp_path / ("run" if done.returncode == 0 else "run.part")
     T = np.array(json.loads((folder / "scene.resolved.json").read_text())["T_base_object"])
@@ -210,13 +214,15 @@ def test_a_negative_placement_is_not_taken_for_an_option(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize("stage", ["reach", "measurability", "select, order and connect"])
+@pytest.mark.parametrize(
+    ("stage", "faces"), [("reach", 1000), ("measurability", 1000), ("select, order and connect", 200)]
+)
 def test_ctrl_c_in_any_stage_keeps_what_was_finished(
-    stage: str, part_file: Path, tmp_path: Path, start_cell: Start
+    stage: str, faces: int, part_file: Path, tmp_path: Path, start_cell: Start
 ) -> None:
     """An interrupt ends with code 130, one sentence, and a folder that says where it stopped."""
     process = start_cell(
-        "plan", part_file, "--units", "mm", "--faces", "1000", "--no-cache",
+        "plan", part_file, "--units", "mm", "--faces", faces, "--no-cache",
         "--place", "1100,400,100", "--samples", "4", "--out", "run", cwd=tmp_path,
     )  # fmt: skip
     manifest = tmp_path / "run.part" / "manifest.json"

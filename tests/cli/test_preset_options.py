@@ -23,10 +23,11 @@ def test_an_unknown_preset_is_refused(command: tuple[str, ...], run_cell: Run, t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_preset_is_recorded_and_what_it_fills_in(run_cell: Run, tmp_path: Path) -> None:
+def test_a_preset_is_recorded_and_what_it_fills_in(run_cell: Run, part_file: Path, tmp_path: Path) -> None:
     """An option goes before it."""
     done = run_cell(
-        "plan", "petanque", "--preset", "fast", "--faces", "60", "--out", "run", "--json", cwd=tmp_path
+        "plan", part_file, "--units", "mm", "--place", "1100,400,100", "--preset", "fast", "--faces", "60",
+        "--out", "run", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())

@@ -105,10 +105,9 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
         assert words in " ".join(done.stderr.split())
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """Each sample has two views, or all candidates that can; 2.5 s of each view are scan and settling."""
-    folder, said = ask("twice", "--k-fold", "2", "--cost", "time")
+    folder, said = ask("twice", "--faces", "60", "--k-fold", "2", "--cost", "time")
     views, _ = covered(folder)
     M, _ = matrix(folder)
     with np.load(folder / "reach.npz") as arrays:
@@ -119,12 +118,16 @@ def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict
     assert 0 < said["cost"]["bound_seconds"] <= said["cost"]["seconds"] + 1e-9
 
 
-@pytest.mark.usefixtures("blank_pictures")
-def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
+def test_scans_that_hang_together(
+    ask: Callable[..., tuple[Path, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The graph of the files' views is connected, by networkx; the price is what the report says."""
     import networkx as nx
 
-    folder, said = ask("overlap", "--overlap", "50%", "--overlap-in-order")
+    monkeypatch.setattr(
+        "cell.plan.request._MOST_WORK", 300_000_000
+    )  # of the search for fewer views, which is not judged
+    folder, said = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
     views, _ = covered(folder)
     M, areas = matrix(folder)
     graph = nx.Graph()
@@ -141,12 +144,11 @@ def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]
     assert said["overlap"]["without_earlier"] == 0
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
     ask: Callable[..., tuple[Path, dict[str, Any]]],
 ) -> None:
     """200 executions with errors: what is promised is measured as often as promised; nominal coverage is beside it."""
-    _, said = ask("promise", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
+    _, said = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
     promise = said["promise"]
     assert (promise["executions"], promise["samples"]) == (200, 10_000)
     assert promise["robust_on_features"] <= said["coverage"]["planned_on_features"] + 1e-12

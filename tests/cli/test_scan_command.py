@@ -38,7 +38,7 @@ CONTRACT = {
 
 
 @pytest.fixture
-def copied(executed: Path, tmp_path: Path, blank_pictures: None) -> Path:
+def copied(executed: Path, tmp_path: Path) -> Path:
     """The executed run for a test of its own, its execution as if killed: no status, no sha256."""
     run = tmp_path / "run"
     shutil.copytree(executed, run)
@@ -167,6 +167,7 @@ def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path
     assert np.abs(mesh.bounds - reference.bounds).max() < 5.0
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
     """A second execution, in this process: scans, cloud, mesh, report and pictures have the same sha256."""
     again = tmp_path / "run"
@@ -180,6 +181,7 @@ def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
     assert first == second
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_a_report_made_again_is_the_same(executed: Path, tmp_path: Path) -> None:
     """`--report` on a finished execution changes no byte of any artefact."""
     again = tmp_path / "run"
@@ -201,7 +203,6 @@ def test_report_files_hold_no_clock_value(executed: Path) -> None:
     assert day in (folder / "events.jsonl").read_text()
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path: Path) -> None:
     """`--view 2` gives the same scan; prediction is that view's; the motion driven is recorded for a replay."""
     run = tmp_path / "run"
@@ -219,7 +220,6 @@ def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path:
     assert outcome.summary.motion.executed_s == pytest.approx(recorded.motion.duration, abs=1e-4)
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Path) -> None:
     """0.5 mm and 0.1 deg: the cloud's distance from the reference falls at least 4 times; commands stay the plan's."""
     run = tmp_path / "run"
@@ -310,7 +310,6 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
     assert manifest["status"] == "incomplete"
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path: Path) -> None:
     """The manifest of a finished execution knows its scans; an edited one is not evidence."""
     run = tmp_path / "run"
@@ -442,7 +441,6 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Run, start_cell: Start
@@ -522,7 +520,6 @@ def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> No
         _scan(run)
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_required_coverage_that_is_missed_ends_with_code_3(
     planned: Path, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:

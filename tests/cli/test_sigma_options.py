@@ -15,8 +15,6 @@ from cell.run.record import open_run
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 
 @pytest.fixture(scope="module")
 def limited(
@@ -100,15 +98,20 @@ def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: 
     [
         (("scan", "run", "--noise", "loud"), "valid are: none, model"),
         (("plan", "mug", "--max-sigma", "0"), "--max-sigma is 0.0; it must be above 0"),
-        (("plan", "mug", "--faces", "40", "--place", "1200,500,0", "--max-sigma", "1e-6"), "the best point has an"),
+        (
+            ("plan", "PART", "--units", "mm", "--faces", "40", "--place", "1100,400,100", "--max-sigma", "1e-6"),
+            "the best point has an",
+        ),
     ],
 )
-def test_what_cannot_be_is_said_in_one_sentence(command, words, planned: Path, tmp_path: Path, run_cell: Run) -> None:
+def test_what_cannot_be_is_said_in_one_sentence(
+    command: tuple[str, ...], words: str, planned: Path, part_file: Path, tmp_path: Path, run_cell: Run
+) -> None:
     """Exit code 2 and the sentence."""
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell(*command, cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell(*(part_file if word == "PART" else word for word in command), cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
     assert words in done.stderr.replace("\n", " ")
     assert "Traceback" not in done.stderr

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -12,26 +13,30 @@ from cell.study.tables import TOLERANCE_POINTS
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-_TABLE = ("study", "table2", "--part", "mug", "--faces-share", "0.1", "--processes", "1")
+_TABLE = ("study", "table2", "--part", "mug", "--faces-share", "0.05", "--processes", "1")
 
 
 _COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
 
 @pytest.fixture(scope="module")
-def table(run_cell: Run, made_once: Callable[..., Path]) -> Path:
+def table(run_cell: Run, made_once: Callable[..., Path], drawn: Callable[[], AbstractContextManager[None]]) -> Path:
     """A reduced table of one part."""
 
     def make(folder: Path) -> None:
-        done = run_cell(*_TABLE, "--out", "table", cwd=folder)
+        with drawn():
+            done = run_cell(*_TABLE, "--out", "table", cwd=folder)
         assert done.returncode == 0, done.stderr
         assert "4 trials computed now" in done.stdout
 
     return made_once("study", make) / "table"
 
 
-def test_a_table_leaves_tidy_rows_and_pictures(table: Path) -> None:
-    """Paper, its method and ours in one row."""
+def test_a_table_leaves_tidy_rows_and_pictures(table: Path, run_cell: Run) -> None:
+    """Paper, its method and ours in one row; the page, which cell view shows, has what plans each."""
+    done = run_cell("view", table, "--no-open", cwd=table)
+    assert (done.returncode, done.stdout) == (0, f"{table / 'view.html'}\n"), done.stderr
+    assert "cell plan mug --roll=0 --faces=75 --samples=40 --standoff=300" in (table / "view.html").read_text()
     rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
     assert [row["parameter"] for row in rows] == ["50", "100", "300", "500"]
     assert [row["views paper"] for row in rows] == ["13", "12", "58", "107"]
@@ -56,6 +61,7 @@ def test_the_paper_s_trend_and_that_ours_needs_no_more_views(table: Path) -> Non
         assert int(row["bound rays"]) <= int(row["views rays"])
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
     table: Path, tmp_path: Path, run_cell: Run
 ) -> None:
@@ -63,7 +69,7 @@ def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
     done = run_cell(*_TABLE, "--out", "again", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["computed"] == 0
-    for name in ("rows.csv", "seconds.csv", "study.json", "report.md", "table2.png", "table2.svg"):
+    for name in ("rows.csv", "seconds.csv", "study.json", "report.md", "view.html", "table2.png", "table2.svg"):
         assert (table / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
@@ -97,7 +103,9 @@ def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(
     assert (near["x mm"], far["x mm"]) == (1000, 9000)
     assert near["coverable %"] > 50
     assert (far["coverable %"], far["views"], far["cycle s"]) == (0, None, None)
-    assert "--place 1000,400,0" in answer["sentences"][0]
+    assert "--place 1000,400,0,0,0,0" in answer["sentences"][0]
+    assert answer["commands"][0] == f"cell plan {part_file} --scene coarse.toml --units=mm --place 1000,400,0,0,0,0"
+    assert answer["best"] == 0
     assert (tmp_path / "map" / "map_z0_yaw0.png").is_file()
 
 

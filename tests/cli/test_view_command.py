@@ -54,6 +54,7 @@ def test_a_run_is_shown_and_never_changed(planned: Path, run_cell: Run, tmp_path
     assert sorted((path.name, path.stat().st_mtime_ns) for path in planned.rglob("*")) == before
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, tmp_path: Path) -> None:
     """Deviation with limits in mm, the cloud, and the arm where it was reported; drawn again it is the same page."""
     folder = executed / "executions" / "0001"

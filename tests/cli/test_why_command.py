@@ -22,7 +22,6 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, t
     assert written == ["view.html", "why.json", "why.ply", "why.png"]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
     """Stdout is the content of why.json; visible and open make the whole, and so do the groups of what is open."""
     shutil.copytree(planned, tmp_path / "run")
@@ -48,7 +47,6 @@ def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_pat
     assert "no finished plan" in failed.stderr
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
     """One sample, which this plan measures: no reason, no change, and still the four files."""
     shutil.copytree(planned, tmp_path / "run")

@@ -37,13 +37,13 @@ def _events(execution: Path) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def run_folder(planned: Path, tmp_path: Path, blank_pictures: None) -> Path:
+def run_folder(planned: Path, tmp_path: Path) -> Path:
     """A finished plan of its own, without executions."""
     return Path(shutil.copytree(planned, tmp_path / "run"))
 
 
 @pytest.fixture
-def executed_folder(executed: Path, tmp_path: Path, blank_pictures: None) -> Path:
+def executed_folder(executed: Path, tmp_path: Path) -> Path:
     """A plan of its own with a finished execution."""
     return Path(shutil.copytree(executed, tmp_path / "run"))
 

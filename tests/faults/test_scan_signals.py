@@ -22,7 +22,7 @@ _FAST = ("--speed", "100", "--accept-time-scale", "20")
 
 
 @pytest.fixture
-def run_folder(planned: Path, tmp_path: Path, blank_pictures: None) -> Path:
+def run_folder(planned: Path, tmp_path: Path) -> Path:
     """A finished plan of its own, without executions."""
     return Path(shutil.copytree(planned, tmp_path / "run"))
 
@@ -70,9 +70,11 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
     }
 
 
-def test_two_processes_cannot_work_on_one_execution(run_folder: Path, run_cell: Any, start_cell: Any) -> None:
+def test_two_processes_cannot_work_on_one_execution(
+    executed: Path, tmp_path: Path, run_cell: Any, start_cell: Any
+) -> None:
     """Whatever drives, `sim://` too: the second is told so at once, and the first ends in order."""
-    run_cell("scan", str(run_folder), "--resolution", "1", cwd=run_folder.parent)
+    run_folder = Path(shutil.copytree(executed, tmp_path / "run"))
     (run_folder / "executions" / "0001" / "scans" / "0002.npz").unlink()
     with lock.held(run_folder / "executions" / "0001"):
         done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)

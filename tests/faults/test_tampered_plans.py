@@ -213,27 +213,8 @@ def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_
     shutil.copytree(planned, run)
     rng = np.random.default_rng(11)
     changes = all_changes(run, rng, 2)
-    chosen = rng.choice(len(changes), 70, replace=False)
+    chosen = rng.choice(len(changes), 45, replace=False)
     assert judged(run, [changes[k] for k in chosen.tolist()], resealed) == []
-
-
-@pytest.fixture(scope="module")
-def swept(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
-    """Run folder of a plan of sweeps that turn, with a mesh fixture."""
-
-    def make(folder: Path) -> None:
-        (folder / "line.toml").write_text(
-            '[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n'
-            f'[[fixtures]]\nname = "clamp"\nshape = "mesh"\nunits = "mm"\npath = "{part_file}"\n'
-            "position_mm = [700, -700, 200]\nabc_deg = [10, 20, 30]\n"
-        )
-        options = ("--place", "1100,400,100", "--faces", "24", "--samples", "2", "--standoff", "250")
-        done = run_cell(
-            "plan", part_file, "--units", "mm", *options, "--scene", "line.toml", "--out", "run", cwd=folder
-        )
-        assert done.returncode == 0, done.stderr
-
-    return made_once("swept", make) / "run"
 
 
 def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path, resealed: Reseal) -> None:
@@ -243,9 +224,9 @@ def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path
     rng = np.random.default_rng(13)
     of_sweeps, fixtures = json_changes(run, "plan.json", ".sweep"), json_changes(run, "scene.resolved.json", "fixtures")
     chosen = [
-        *(of_sweeps[k] for k in rng.choice(len(of_sweeps), 7, replace=False).tolist()),
-        *(fixtures[k] for k in rng.choice(len(fixtures), 4, replace=False).tolist()),
-        *array_changes(run, "motion.npz", rng, 1)[::20],
+        *(of_sweeps[k] for k in rng.choice(len(of_sweeps), 5, replace=False).tolist()),
+        *(fixtures[k] for k in rng.choice(len(fixtures), 3, replace=False).tolist()),
+        *array_changes(run, "motion.npz", rng, 1)[::30],
     ]
     assert judged(run, chosen, resealed) == []
 

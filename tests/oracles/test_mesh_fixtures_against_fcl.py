@@ -13,13 +13,13 @@ import pytest
 import trimesh
 
 from benchmarks.triangle_cell import TriangleCell
+from cell.checks.possible import impossible
 from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.clearance import of_motion
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.possible import impossible
 from planner.path.path import connect
 from planner.reach import reach
 from planner.surface.mesh import TriangleMesh

@@ -120,7 +120,7 @@ def test_below_full_coverage_the_selection_profits_from_searching_by_area():
         M = rng.random((150, 60)) < 0.15
         M = M[M.any(axis=1)]
         areas = np.ones(len(M))
-        curve = coverage_curve(Problem(M, areas), rng=np.random.default_rng(0), budget=50_000_000)
+        curve = coverage_curve(Problem(M, areas), rng=np.random.default_rng(0), budget=10_000_000)
         suffices, possible = curve.fewest(0.9)
-        found = solve(Problem(M, areas, coverage=0.9), rng=np.random.default_rng(0))
+        found = solve(Problem(M, areas, coverage=0.9), rng=np.random.default_rng(0), budget=10_000_000)
         assert possible <= len(found.views) <= suffices

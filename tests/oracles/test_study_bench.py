@@ -1,6 +1,7 @@
 """Numbers of the studies against other ways to them."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,17 +19,21 @@ from planner.measurability import coverage
 from planner.measurability.matrix import occlude
 from planner.reach import reach
 
-_TABLES = {
-    "part": {"name": "petanque"},
-    "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
-    "scanner": {"resolution_deg": [1.0, 1.0]},
-}
+
+@pytest.fixture(scope="module")
+def tables(part_file: Path) -> dict[str, Any]:
+    """A small, coarse job."""
+    return {
+        "part": {"path": str(part_file), "units": "mm"},
+        "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
+        "scanner": {"resolution_deg": [1.0, 1.0]},
+    }
 
 
 @pytest.fixture(scope="module")
-def bench() -> Bench:
-    """A small, coarse job; 4,000 held-out samples."""
-    return Bench(load_scene(None, _TABLES), samples=4000)
+def bench(tables: dict[str, Any]) -> Bench:
+    """The small job with 4,000 held-out samples."""
+    return Bench(load_scene(None, tables), samples=4000)
 
 
 def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench) -> None:
@@ -93,15 +98,15 @@ def test_a_row_is_lost_by_a_view_or_by_more_than_the_tolerance(change: dict[str,
     assert bool(not_beaten([{**row, **change}])) is lost
 
 
-def test_settings_give_the_scene_back(tmp_path: Path) -> None:
+def test_settings_give_the_scene_back(tables: dict[str, Any], tmp_path: Path) -> None:
     """Also one with a fixture and a field of view of its own."""
     path = tmp_path / "cell.toml"
     path.write_text(
         '[scanner]\nfov_deg = [40.0, 30.0]\n[[fixtures]]\nname = "clamp"\nshape = "box"\nsize_mm = [50, 40, 6]\n'
     )
-    scene = load_scene(path, _TABLES)
+    scene = load_scene(path, tables)
     assert scene_of(scene_settings(scene)) == scene
-    assert scene_settings(scene) != scene_settings(load_scene(None, _TABLES))
+    assert scene_settings(scene) != scene_settings(load_scene(None, tables))
 
 
 def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
@@ -115,9 +120,9 @@ def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
         scene_of(settings)
 
 
-def test_a_placement_s_numbers_are_those_of_its_steps() -> None:
+def test_a_placement_s_numbers_are_those_of_its_steps(tables: dict[str, Any]) -> None:
     """Reach, occlusion and coverage done one by one give the same shares."""
-    scene = load_scene(None, _TABLES)
+    scene = load_scene(None, tables)
     settings = scene_settings(scene)
     values = placement(
         {**settings, "position_mm": [1100, 400, 100], "abc_deg": [30, 0, 0], "what": "whole", "solver": "auto",

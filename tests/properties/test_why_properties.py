@@ -195,6 +195,7 @@ def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
 _FIELDS = ("T_object_scanner", "face", "standoff", "roll")
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_the_files_repeat_and_the_plan_stays_as_it_is(run_folder: Path, run: RunRecord) -> None:
     """Asked twice: the same bytes in why/; every artefact of the plan still has the manifest's sha256."""
     contents = []

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from cell.checks.possible import impossible
 from cell.errors import SceneError
 from cell.replay.marks import touches
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.possible import impossible
 
 FIDELITIES = ("hull", "exact")
 PLACE_MM = (1100.0, 0.0, -100.0)

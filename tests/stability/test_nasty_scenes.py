@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from cell.checks.possible import require_possible
 from cell.errors import CellError, SceneError
 from cell.scene.scene import Scene, load_scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
-from cell.world.possible import require_possible
 from cell.world.solid_hull import MIN_THICKNESS, solid_hull
 
 RNG = np.random.default_rng(0)

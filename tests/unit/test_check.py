@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from cell.checks.check import check_scene
 from cell.scene.scene import Scene
-from cell.world.check import check_scene
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ POSE = (812.0, 430.0, 655.0, 90.0, 0.0, 180.0)
 
 
 @pytest.fixture(autouse=True)
-def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path, blank_pictures: None) -> None:
+def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
 
 

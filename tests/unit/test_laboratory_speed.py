@@ -126,7 +126,7 @@ def test_a_truth_that_failed_leaves_out_only_its_part() -> None:
 
 def test_more_samples_bring_the_claim_closer() -> None:
     """The front falls from its first to its last value."""
-    bench = Bench(load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 80}}), samples=20_000)
+    bench = Bench(load_scene(None, {"part": {"name": "mug"}, "plan": {"faces": 80}}), samples=20_000)
     errors = [samples(bench, count, 1).error for count in (1, 32)]
     assert errors[1] < errors[0]
 

@@ -12,7 +12,6 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, cache_folder, part_matrix
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
-from cell.stand_ins import NAMES
 from planner.measurability.matrix import fill
 from planner.surface.decimate import decimate
 from planner.surface.sample import face_features, sample
@@ -20,14 +19,19 @@ from planner.viewpoints.viewpoints import pick_viewpoints
 from planner.viewpoints.zone import optimal_scanning_zone
 
 
+@pytest.fixture(scope="module")
+def part(part_file):
+    """The small part and its planning mesh."""
+    part = load(str(part_file), "mm")
+    return part, decimate(part.reference, 60)
+
+
 @pytest.fixture
-def asked(tmp_path, monkeypatch):
+def asked(part, part_file, tmp_path, monkeypatch):
     """A function from viewpoints to (M, how many viewpoints were calculated), with a cache of its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert "humerus" in NAMES
-    part = load("humerus")
+    part, planning = part
     reference = part.reference
-    planning = decimate(reference, 60)
     features = sample(reference, planning, 120, np.random.default_rng(0))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     calculated = []
@@ -39,13 +43,14 @@ def asked(tmp_path, monkeypatch):
     monkeypatch.setattr("cell.rays.matrix.fill", counted)
 
     def ask(views, *, method="aimed", **keys):
-        scene = load_scene(None, {"part": {"name": "humerus"}, "plan": {"fill": method}})
+        tables = {"plan": {"fill": method}, "scanner": {"resolution_deg": [1.0, 1.0]}}
+        scene = load_scene(None, {"part": {"path": str(part_file), "units": "mm"}, **tables})
         rows = features if method == "aimed" else face_features(reference, planning)
         calculated.clear()
         M = part_matrix(scene, resolve(scene, part), PartSurface(reference, planning, rows, caster), views, **keys)
         return M, sum(calculated)
 
-    ask.views = optimal_scanning_zone(planning, (0.03,), (0.0, 1.0))
+    ask.views = optimal_scanning_zone(planning, (0.25,), (0.0, 1.0))
     return ask
 
 

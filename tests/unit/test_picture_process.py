@@ -12,6 +12,7 @@ from cell.plan.picture_process import beside  # before the fixture that has othe
 COVER = {"marginal_area": np.array([0.5, 0.3]), "coverable": 0.9, "total": 1.0, "lower_bound": 1}
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_pictures_drawn_at_a_time_are_those_drawn_alone(tmp_path: Path) -> None:
     """Every picture that was sent is there when `finish` returns, with the bytes that a call in this process gives."""
     shares = (0.5, 0.7, 0.9)

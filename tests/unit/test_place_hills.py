@@ -25,7 +25,7 @@ def test_the_best_half_is_kept_and_every_hill_has_its_turn():
 
 def test_a_closer_look_has_the_candidates_of_a_quicker_one():
     """Else a place that is reached in a quick look might not be in a closer one."""
-    bench = Bench(load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 60}}), samples=1000)
+    bench = Bench(load_scene(None, {"part": {"name": "mug"}, "plan": {"faces": 60}}), samples=1000)
     few, more = (bench.some(count)[0].T_object_scanner for count in (20, 45))
     assert len(few) == 20
     assert {pose.tobytes() for pose in few} < {pose.tobytes() for pose in more}

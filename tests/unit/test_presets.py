@@ -15,9 +15,9 @@ from cell.scene.scene import Scene, load_scene
 
 
 @pytest.fixture(scope="module")
-def petanque() -> Workpiece:
+def mug() -> Workpiece:
     """A built-in part with its own defaults."""
-    return workpiece.load("petanque", None)
+    return workpiece.load("mug", None)
 
 
 def _scene(preset: str, tmp_path: Path, text: str = "", **options: dict[str, Any]) -> Scene:
@@ -41,7 +41,7 @@ def test_balanced_is_the_defaults(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != DEFAULT])
-def test_a_preset_fills_in_what_nobody_gives(name: str, tmp_path: Path, petanque: Workpiece) -> None:
+def test_a_preset_fills_in_what_nobody_gives(name: str, tmp_path: Path, mug: Workpiece) -> None:
     """Each of its keys arrives, is another value than the default, and nothing else changes."""
     preset, scene = PRESETS[name], _scene(name, tmp_path)
     for table, keys in (("plan", preset.plan), ("scanner", preset.scanner)):
@@ -50,17 +50,17 @@ def test_a_preset_fills_in_what_nobody_gives(name: str, tmp_path: Path, petanque
         for key, value in keys.items():
             assert got[key] == value != usual[key], key
         assert {key for key in got if got[key] != usual[key]} - {"preset"} == set(keys)
-    assert resolve(scene, petanque).faces == round(preset.faces_factor * resolve(Scene(), petanque).faces)
+    assert resolve(scene, mug).faces == round(preset.faces_factor * resolve(Scene(), mug).faces)
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
-def test_scene_file_and_options_go_before_a_preset(name: str, tmp_path: Path, petanque: Workpiece) -> None:
+def test_scene_file_and_options_go_before_a_preset(name: str, tmp_path: Path, mug: Workpiece) -> None:
     """Even where they say the default."""
     text = "[scanner]\nresolution_deg = [0.25, 0.25]\n[plan]\nfaces = 200\n"
     scene = _scene(name, tmp_path, text, plan={"samples_per_face": 4})
     assert scene.scanner.resolution_deg == (0.25, 0.25)
     assert scene.plan.samples_per_face == 4
-    assert resolve(scene, petanque).faces == 200
+    assert resolve(scene, mug).faces == 200
 
 
 def test_the_option_goes_before_the_file(tmp_path: Path) -> None:

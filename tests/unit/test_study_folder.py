@@ -1,7 +1,10 @@
 """A study's folder: tidy rows, what failed, pictures and sentences; equal trials give equal bytes."""
 
+import base64
 import csv
 import json
+import re
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +14,14 @@ from matplotlib.figure import Figure
 
 from cell.commands.terminal import Terminal
 from cell.errors import FileError
+from cell.scene.options import tables
 from cell.study import study as studies
 from cell.study import table_row
-from cell.study.study import Study, StudyResult, conduct, markdown_table, shown
+from cell.study.again import options
+from cell.study.curves import KNOBS
+from cell.study.study import Study, StudyResult, conduct, markdown_table
 from cell.study.trial import Outcome, Trial
+from cell.view.study_page import shown, study_page
 
 _TRIALS = [Trial.of(table_row.row, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
 
@@ -48,11 +55,14 @@ def _study() -> Study:
         figure.add_subplot().plot([row["faces"] for row in rows], [row["views"] for row in rows])
         yield "views", figure
 
-    return Study("faces", "Views over faces", _TRIALS, rows, pictures, lambda rows: [f"{len(rows)} rows."])
+    return Study(
+        "faces", "Views over faces", _TRIALS, rows, pictures, lambda rows: [f"{len(rows)} rows."],
+        options=lambda row: f"--faces {row['faces']}", best=lambda rows: rows[1],
+    )  # fmt: skip
 
 
 @pytest.fixture
-def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: None) -> Path:
     """A study of three trials, one of which fails."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = conduct(_study(), _Workers(), out=tmp_path / "out", narrator=Terminal(quiet_stdout=True))
@@ -72,6 +82,36 @@ def test_rows_are_in_the_order_of_the_trials_and_failures_stand_apart(conducted:
     assert "(views.png)" in report
 
 
+def test_its_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_path: Path) -> None:
+    """The command of the best row once more above; a study of a version before, without commands, has a page too."""
+    page = (conducted / "view.html").read_text(encoding="utf-8")
+    (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
+    assert base64.b64decode(picture) == (conducted / "views.svg").read_bytes()
+    assert re.findall(r"<code>([^<]*)</code>", page) == [f"cell plan --faces {n}" for n in (10, 8, 10)]
+    assert page.count("<tr class=best>") == 1
+    assert "<script" not in page
+    study = json.loads((conducted / "study.json").read_text())
+    for key in ("title", "pictures", "commands", "best"):
+        del study[key]
+    (conducted / "study.json").write_text(json.dumps({**study, "name": "<script>alert(1)</script>"}))
+    older = study_page(conducted)
+    assert picture in older
+    assert "<script" not in older
+    (conducted / "study.json").write_text("{}")
+    with pytest.raises(FileError, match=r"study\.json is damaged"):
+        study_page(conducted)
+
+
+@pytest.mark.parametrize(("knob", "value"), [("standoff", 250.0), ("baseline", 30.0), ("sensors", "gocator-2340")])
+def test_options_of_a_row_say_what_its_trial_had(knob: str, value: object) -> None:
+    """Read as the command line reads them, they are the keys that the study set."""
+    keys = KNOBS[knob].tables(value)
+    words = (word.removeprefix("--").partition("=") for word in shlex.split(options(keys)))
+    assert tables({name: text for name, _, text in words}) == keys
+    told = options({"part": {"name": "mug"}, "plan": {"faces": 75}, "scanner": {"fov_deg": [20.0, 20.0]}})
+    assert told == "mug --faces=75  # with fov_deg = [20.0, 20.0] under [scanner] in the scene file"
+
+
 def test_the_same_again_is_the_same_bytes_and_only_failures_are_computed(
     conducted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,7 +120,7 @@ def test_the_same_again_is_the_same_bytes_and_only_failures_are_computed(
     result = conduct(_study(), workers, out=tmp_path / "again", narrator=Terminal(quiet_stdout=True))
     assert workers.asked == 1
     assert result.computed == 1
-    for name in ("rows.csv", "study.json", "report.md", "views.png", "views.svg"):
+    for name in ("rows.csv", "study.json", "report.md", "view.html", "views.png", "views.svg"):
         assert (result.folder / name).read_bytes() == (conducted / name).read_bytes(), name
 
 

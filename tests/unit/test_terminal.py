@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -30,3 +31,26 @@ def test_every_word_is_there(width: int, capsys: pytest.CaptureFixture[str], mon
     tables = printed.count("┏")
     assert printed.count(_ROWS[0][0]) == len(_ROWS) * tables
     assert (tables == 1) == (width == 200)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_borders_are_whole_at_any_width(
+    seed: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Random tables in terminals of random widths: each line ends with its border, each word is there."""
+    rng = np.random.default_rng(seed)
+    width, n_columns = int(rng.integers(50, 120)), int(rng.integers(2, 10))
+    monkeypatch.setenv("COLUMNS", str(width))
+
+    def words(most: int) -> str:
+        return " ".join("abcdefghijklmnop"[: rng.integers(1, 12)] for _ in range(rng.integers(1, most)))
+
+    columns = [words(3) for _ in range(n_columns)]
+    rows = [[words(6) for _ in columns] for _ in range(3)]
+    Terminal().grid(columns, rows)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    assert {line[-1] for line in lines} == set("┓┃┩│┘")
+    assert {word for cell in (*columns, *(each for row in rows for each in row)) for word in cell.split()} <= set(
+        " ".join(lines).split()
+    )

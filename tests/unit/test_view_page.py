@@ -1,8 +1,8 @@
 """The page as data: what it shows is what the run says, it asks for nothing from outside, names stay text."""
 
 import base64
-import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cell.plan.report import markdown
+from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell
@@ -23,6 +24,7 @@ from planner.measurability import coverage
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import sample
 
+DataOf = Callable[[str], dict[str, Any]]
 _EVIL = "<script>alert(1)</script>"
 
 
@@ -36,13 +38,6 @@ def run(planned: Path) -> RunRecord:
 def page(planned: Path) -> str:
     """The page beside its report.md."""
     return (planned / "view.html").read_text(encoding="utf-8")
-
-
-def data_of(page: str) -> dict[str, Any]:
-    """What the page's script reads."""
-    found = re.findall(r'<script type="application/json" id="(?:stage|play-data)">(.*?)</script>', page, re.DOTALL)
-    assert len(found) == 2
-    return json.loads(found[0]) | json.loads(found[1])
 
 
 def unpacked(packed: dict[str, str]) -> np.ndarray:
@@ -65,14 +60,18 @@ def test_nothing_comes_from_outside(page: str) -> None:
     assert not re.search(r"https?:|fetch\(|XMLHttp|WebSocket|innerHTML|document\.write", own)
 
 
-def test_the_page_shows_the_plan(page: str, run: RunRecord) -> None:
+def test_the_page_shows_the_plan(page: str, run: RunRecord, data_of: DataOf) -> None:
     """Views, motion and part are those of the run's files, to the last step of their quantisation."""
     data, plan, motion = data_of(page), run_reader.plan(run), run_reader.motion(run)
-    assert [view["number"] for view in data["views"]] == list(range(1, len(plan.views) + 1))
+    assert [view["number"] for view in data["views"]] == [str(k + 1) for k in range(len(plan.views))]
     for shown, view in zip(data["views"], plan.views, strict=True):
         np.testing.assert_allclose(shown["T_base_scanner"], view.T_base_scanner, atol=1e-8)
         at = np.array([np.interp(shown["time"], motion.t, motion.q[:, axis]) for axis in range(6)])
         np.testing.assert_allclose(at, view.q, atol=1e-4)
+        (moved,) = (text.rpartition(":")[2] for text in shown["commands"] if "--move" in text)
+        xyz, abc = np.split(np.array(moved.split(","), dtype=float), 2)
+        same = pose_from_kuka_abc(xyz / 1000, np.radians(abc))
+        np.testing.assert_allclose(same, view.T_base_scanner, atol=3e-5)  # what can be pasted names the pose it has
     t, q = unpacked(data["motion"]["t"]), unpacked(data["motion"]["q"]).reshape(-1, 6)
     assert t[-1] == pytest.approx(motion.duration, abs=1e-4)
     np.testing.assert_allclose(q[[0, -1]], motion.q[[0, -1]], atol=1e-6)
@@ -83,7 +82,7 @@ def test_the_page_shows_the_plan(page: str, run: RunRecord) -> None:
     assert unpacked(part["mesh"]["faces"]).max() < len(drawn)
 
 
-def test_the_colours_count_what_the_views_measure(page: str, run: RunRecord) -> None:
+def test_the_colours_count_what_the_views_measure(page: str, run: RunRecord, data_of: DataOf) -> None:
     """By vertices that stand for area alike, the share that some view measures is the plan's visible coverage."""
     data = data_of(page)
     layer = data["surfaces"][0]["layers"][0]
@@ -113,15 +112,15 @@ def test_the_same_run_gives_the_same_bytes(run: RunRecord) -> None:
     assert contents.run_page(run) == contents.run_page(run)
 
 
-def test_a_name_is_text_everywhere(run: RunRecord) -> None:
+def test_a_name_is_text_everywhere(run: RunRecord, data_of: DataOf) -> None:
     """Part, fixture, view, number, sentence and command that look like markup never leave their string."""
     cell = cell_of_run(run, run_reader.scene(run))
     mesh = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
     cell = replace(cell, pieces=(*cell.pieces, Piece(_EVIL, 0, mesh.vertices, np.array(mesh.faces), np.ones(3))))
-    layer = Layer(_EVIL, "reasons", np.zeros(3, dtype=np.uint8), _EVIL, names=(_EVIL,))
+    layer = Layer(_EVIL, "named", np.zeros(3, dtype=np.uint8), _EVIL, named=[(_EVIL, "#000000")])
     play = Play(
-        [View(1, np.eye(4), 0.0, [(_EVIL, _EVIL)])], rows=[(_EVIL, _EVIL)], problems=[_EVIL], notes=[_EVIL],
-        next=[_EVIL],
+        [View(_EVIL, np.eye(4), 0.0, [(_EVIL, _EVIL)], [_EVIL])], rows=[(_EVIL, _EVIL)], problems=[_EVIL],
+        notes=[_EVIL], next=[_EVIL],
     )  # fmt: skip
     made = html_of(Stage(_EVIL, cell, [Shown(_EVIL, mesh, [layer])]), play)
     assert _EVIL not in made
@@ -130,7 +129,7 @@ def test_a_name_is_text_everywhere(run: RunRecord) -> None:
     report = run_reader.report(run)
     told = report.model_copy(update={"part": report.part.model_copy(update={"name": _EVIL})})
     assert "<script" not in markdown(told)
-    assert data["title"] == data["pieces"][-1]["name"] == data["surfaces"][0]["layers"][0]["names"][0] == _EVIL
+    assert data["title"] == data["pieces"][-1]["name"] == data["surfaces"][0]["layers"][0]["named"][0][0] == _EVIL
 
 
 def test_spacing_is_that_of_neighbouring_rays() -> None:

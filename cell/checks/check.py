@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from cell import scanners
+from cell.checks.doubtful import doubtful
+from cell.checks.possible import impossible
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.robot.model import AXES, dimensions
@@ -13,7 +15,6 @@ from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.possible import impossible
 
 Triple = tuple[float, float, float]
 
@@ -45,6 +46,7 @@ class CheckResult:
 
     Attributes:
         problems: what is wrong, one sentence each; empty for a scene that can be planned.
+        warnings: what is hardly meant, one sentence each.
         findings: what the part's checks noted.
         part: its name.
         part_size_mm: sides of its bounding box.
@@ -67,6 +69,7 @@ class CheckResult:
     """
 
     problems: tuple[str, ...]
+    warnings: tuple[str, ...]
     findings: tuple[str, ...]
     part: str
     part_size_mm: Triple
@@ -121,6 +124,7 @@ class CheckResult:
             ("keeps clear of", f"{', '.join(self.obstacles)} by {self.clearance_mm:g} mm"),
             ("part in collisions", _FIDELITY[self.collision]),
             ("guarded pairs", f"{self.guarded_pairs} pairs of shapes"),
+            *[("warning", warning) for warning in self.warnings],
             *[("note", finding) for finding in self.findings],
         ]
 
@@ -182,6 +186,7 @@ def checked(cell: Compiled) -> CheckResult:
     standing = {"part", "post", "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
     return CheckResult(
         problems=tuple(problems),
+        warnings=tuple(doubtful(world)),
         findings=tuple(finding.sentence for finding in part.findings),
         part=part.name,
         part_size_mm=_triple(part.size),

@@ -1,0 +1,203 @@
+"""Edited plans and refused edits judged again: other kinematics, true triangles, other rays, another solver.
+
+The arm is py-opw-kinematics with the data sheet's lengths; contacts and distances are those of
+`benchmarks.triangle_cell`, the motion's limits those of `benchmarks.motion_recheck`, coverage that of
+`benchmarks.checks`; how few views repair what is missing is asked of HiGHS. Metres, radians.
+"""
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+from py_opw_kinematics import KinematicModel, Robot
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.spatial.transform import RigidTransform
+
+from benchmarks.checks import independent_visible
+from benchmarks.motion_recheck import excess
+from benchmarks.random_edits import RandomEdit
+from benchmarks.triangle_cell import TriangleCell
+from cell.errors import CellError
+from cell.proof.proof import prove
+from cell.run import reader
+from cell.run.cell import world_of
+from cell.run.planned import PlannedRun
+from planner.timing.motion import retime
+from planner.values import Floats
+
+POSE_M, CLEARANCE_M = 20e-6, 60e-6
+"""What the rounding of joint angles to 1e-4 deg leaves of a pose, and of a distance."""
+VISIBLE = 0.006
+"""Of two counts of 100,000 samples each: 0.6 points are 3.5 standard deviations or more."""
+
+_STEP_S, _DISTANCES = 1e-3, 40
+_ARM = Robot(
+    KinematicModel(
+        a1=0.26, a2=0.035, c1=0.675, c2=0.68, c3=0.67, c4=0.158, offsets=(0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0),
+        flip_axes=(True, False, False, True, False, True),
+    ),
+    degrees=False,
+)  # fmt: skip
+
+
+class EditJudge:
+    """Judges what becomes of edits of a plan.
+
+    Args:
+        run: the plan; its cell, limits and clearance are those of every edit of it.
+    """
+
+    def __init__(self, run: PlannedRun) -> None:
+        self._scene = reader.scene(run.record)
+        self._world = world_of(run.record, run.reference)
+        self._triangles = TriangleCell(self._world, run.reference)
+        self._limits = np.radians(self._scene.joint_limits_deg)
+        self.visible_error = 0.0
+
+    def accepted(self, run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> list[str]:
+        """What does not hold of an edited plan; empty where all does."""
+        return [
+            *self._views(asked, made), *_kept(run, asked, made), *self._motion(made), *self._coverage(made),
+            *(_repaired(run, asked, made) if asked.wishes.get("repair") else ()),
+        ]  # fmt: skip
+
+    def refused(self, asked: RandomEdit, error: CellError) -> list[str]:
+        """What is untrue of a refusal; empty where its reason is the true one."""
+        told = str(error)
+        if asked.wrong:
+            return [] if asked.wrong in told else [f"should say: {asked.wrong}"]
+        found = re.match(
+            r"(view \d+|candidate \d+|added pose \d+) cannot be (taken|part of a motion): (.*); move it", told
+        )
+        if found is None or found[1] not in asked.poses:
+            return ["names no view that the edit names anew"]
+        T, reason = asked.poses[found[1]] @ np.linalg.inv(self._scene.T_flange_scanner), found[3]
+        every, within = self._solutions(T)
+        if "out of the arm's reach" in reason:
+            return [] if not len(every) else [f"{len(every)} solutions"]
+        if "joint limit" in reason and "collides" not in reason:
+            return [] if len(every) and not len(within) else [f"{len(within)} of {len(every)} solutions within limits"]
+        if "collides" in reason:
+            return self._collides(within, reason)
+        return self._no_path(within) if "path" in reason else [f"a reason that is not known here: {reason}"]
+
+    def _solutions(self, T_base_flange: Floats) -> tuple[Floats, Floats]:
+        """(n, 6) all branches of a flange pose, and (m, 6) their turns within the joint limits."""
+        q = np.asarray(_ARM.reach(RigidTransform.from_matrix(T_base_flange[None])).joints).reshape(-1, 6)
+        q = q[~np.isnan(q).any(axis=1)]
+        turns = np.stack(np.meshgrid(*[2 * np.pi * np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
+        full = np.zeros((len(turns), 6))
+        full[:, [0, 3, 5]] = turns  # of A2, A3 and A5 no turn fits
+        base = (q + np.pi) % (2 * np.pi) - np.pi
+        all_turns = (base[:, None] + full).reshape(-1, 6)
+        inside = (all_turns >= self._limits[:, 0] - 1e-6) & (all_turns <= self._limits[:, 1] + 1e-6)
+        return q, all_turns[inside.all(axis=1)]
+
+    def _collides(self, within: Floats, reason: str) -> list[str]:
+        """Each solution is nearer to something than the clearance, and one of them to what is named."""
+        if not len(within):
+            return ["no solution is within the joint limits"]
+        near = [self._triangles.distances(q[None], self._world.clearance + CLEARANCE_M) for q in within]
+        named = re.search(r"\((.*)\)", reason)
+        found = [f"{sum(not each for each in near)} of {len(near)} solutions are free"] if not all(near) else []
+        pairs = {frozenset(pair.split(" with ")) for each in near for pair in each}
+        if named is not None and frozenset(named[1].split(" with ")) not in pairs:
+            found.append(f"none is near {named[1]}")
+        return found
+
+    def _no_path(self, within: Floats) -> list[str]:
+        """That no path is found cannot be judged; that the straight moves from home are not free can."""
+        for q in within:
+            share = np.linspace(0.0, 1.0, 400)[:, None]
+            if not self._triangles.distances(self._world.home + share * (q - self._world.home), self._world.clearance):
+                return ["the straight move from home is free"]
+        return []
+
+    def _views(self, asked: RandomEdit, made: PlannedRun) -> Iterator[str]:
+        """Views are where their joint angles put them, within limits, and where they were asked for."""
+        T = np.stack([_ARM.forward(q).as_matrix() for q in made.q]) @ self._scene.T_flange_scanner
+        if (wrong := float(np.abs(T - made.T_base_scanner).max())) > 1e-9:
+            yield f"poses are {1e6 * wrong:.3g} um off their joint angles"
+        if ((made.q < self._limits[:, 0] - 1e-9) | (made.q > self._limits[:, 1] + 1e-9)).any():
+            yield "a joint limit is exceeded"
+        for name, pose in asked.poses.items():
+            apart = np.linalg.norm(T[:, :3, 3] - pose[:3, 3], axis=1)
+            if apart.min() > POSE_M or np.abs(T[apart.argmin()] - pose).max() > 1e-4:
+                yield f"{name} is {1e6 * apart.min():.0f} um from where it was asked for"
+
+    def _motion(self, made: PlannedRun) -> Iterator[str]:
+        """No triangle touches another at any millisecond, no limit is exceeded, the clearance is what is said."""
+        motion = made.motion
+        dense = retime(motion.via_q, motion.segment, motion.view, motion.limits, _STEP_S)
+        if contacts := self._triangles.contacts(dense.q):
+            yield f"contacts: {contacts}"
+        if max(excess(motion), excess(dense)) > 1e-9:
+            yield "a limit of the motion is exceeded"
+        if motion.view[motion.view >= 0].tolist() != made.candidate.tolist():
+            yield "the motion visits other views"
+        said = made.report.motion.minimum_clearance_mm
+        nearest = self._triangles.nearest(dense.q[:: max(1, len(dense.q) // _DISTANCES)], 0.3)
+        if said is not None and 1000 * nearest < said - 1000 * CLEARANCE_M:
+            yield f"{1000 * nearest:.2f} mm near, said to be {said:.2f}"
+        try:
+            prove(made.folder)
+        except CellError as error:
+            yield f"would not be driven: {error}"
+
+    def _coverage(self, made: PlannedRun) -> Iterator[str]:
+        self.visible_error = made.coverage.visible - independent_visible(made.folder, seed=12345)
+        if abs(self.visible_error) > VISIBLE:
+            yield f"visible coverage is {100 * self.visible_error:+.2f} points off"
+
+
+def _kept(run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> Iterator[str]:
+    """Candidates keep their rows, dropped views are gone, the order is as told."""
+    before, after = reader.candidates(run.record), reader.candidates(made.record)
+    if after.T_object_scanner[: len(before)].tobytes() != before.T_object_scanner.tobytes():
+        yield "candidates changed"
+    if (reader.reached(made.record).verdict[: len(before)] != reader.reached(run.record).verdict).any():
+        yield "verdicts changed"
+    was, now = run.candidate.tolist(), made.candidate.tolist()
+    if gone := [number for number in asked.wishes.get("drop", ()) if was[number - 1] in now]:
+        yield f"view {gone[0]} is still there"
+    changed = {*asked.wishes.get("drop", ()), *asked.wishes.get("move", ()), *asked.wishes.get("turn", ())}
+    untouched = [view for number, view in enumerate(was, start=1) if number not in changed]
+    if lost := [view for view in untouched if view not in now]:
+        yield f"candidate {lost[0]} is lost"
+    told = was if asked.wishes.get("keep_order") else []
+    if "order" in asked.wishes:
+        told = [was[number - 1] for number in asked.wishes["order"] if number <= len(was)]
+    told = [view for view in told if view in untouched]
+    if told and [view for view in now if view in told] != told:
+        yield "the order is another"
+    if made.bound > len(made.q):
+        yield "the bound is above the number of views"
+
+
+def _repaired(run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> Iterator[str]:
+    """What the run was asked to cover is covered again, by the fewest added views that HiGHS finds."""
+    M, reached = reader.measurability(made.record), reader.reached(made.record)
+    matrix, areas = M.matrix().astype(np.float64), M.features.areas
+    banned = {int(run.candidate[number - 1]) for number in asked.wishes.get("drop", ())} - {*made.candidate.tolist()}
+    open_to_all = matrix @ reached.reachable > 0
+    target = (made.plan.coverage.target_on_features or 1.0) * float(areas[open_to_all].sum())
+    has = matrix[:, made.candidate].sum(axis=1) > 0
+    if float(areas[has].sum()) < target * (1 - 1e-6):
+        yield f"repaired to {100 * areas[has].sum() / areas[open_to_all].sum():.3f} % of coverable, not to the target"
+    known = len(reader.candidates(run.record))
+    asked_for = [view for view in made.candidate.tolist() if view >= known or view in run.candidate]
+    asked_for += [view for view in asked.wishes.get("add_candidate", ()) if view not in asked_for]
+    added = len(made.candidate) - len(asked_for)
+    if added < 1 or run.plan.coverage.target_on_features not in (None, 1.0):
+        return
+    base = matrix[:, asked_for].sum(axis=1) > 0
+    rest = np.flatnonzero(open_to_all & ~base)
+    columns = np.array([c for c in np.flatnonzero(reached.reachable) if c not in banned and c not in asked_for])
+    block = matrix[rest][:, columns]
+    rows = np.asarray(block.sum(axis=1)).ravel() > 0
+    best = milp(
+        np.ones(len(columns)), integrality=np.ones(len(columns)), bounds=Bounds(0, 1),
+        constraints=LinearConstraint(block[rows], lb=1), options={"time_limit": 20.0},
+    )  # fmt: skip
+    if best.status == 0 and round(best.fun) < added and not made.plan.dropped:
+        yield f"repaired by {added} views, {round(best.fun)} do"

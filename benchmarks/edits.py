@@ -1,0 +1,173 @@
+"""Random edits of plans of every part, and differences of runs, each judged by means of its own.
+
+Each part is planned at its defaults; edits are drawn (`benchmarks.random_edits`), a quarter of them of a plan that was
+edited before. What is accepted and what is refused is judged by `benchmarks.edit_judge`, the differences of accepted
+plans from the plan before, of two edited plans, and of executions by `benchmarks.diff_recount`; a run must not differ
+from itself. Pictures and pages are left out: they take as long as the rest.
+
+SCAN_CELL_EDITS (default 14, the full form has 200) is the number of edits, dealt to the parts in turn; the first
+eighth of it are differences of executions as well, at most 4. With SCAN_CELL_RECHECK=FOLDER plans and finished rows
+are kept there, and a call that was stopped goes on where it ended.
+"""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from time import process_time
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from benchmarks.diff_recount import recounted
+from benchmarks.edit_judge import EditJudge
+from benchmarks.parts import parts, place
+from benchmarks.random_edits import random_edit
+from cell.api import open_run, plan, scan
+from cell.diff.compare import compare
+from cell.errors import CellError
+from cell.narrator import Quiet
+from cell.plan.picture_process import Drawing
+
+_FULL_PAIRS, _EXECUTIONS = 30, 4
+_REASONS = {"reach": "out of the arm's reach", "limit": "exceeds a joint limit", "collision": "limits collides"}
+_OF_AN_EDITED = 4  # each so many-th edit is of the plan that was edited last
+
+
+def run() -> list[dict[str, Any]]:
+    """One row a part, one over all, and one for each finding."""
+    count = int(os.environ.get("SCAN_CELL_EDITS", "14"))
+    with tempfile.TemporaryDirectory() as scratch, _no_pictures():
+        folder = Path(os.environ.get("SCAN_CELL_RECHECK", scratch))
+        folder.mkdir(parents=True, exist_ok=True)
+        kept = folder / "rows.jsonl"
+        rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+        known = list(parts(folder))
+        judge = lru_cache(maxsize=None)(
+            lambda home: EditJudge(open_run(home / "plan"))
+        )  # the cell is that of all edits
+        for number in sorted({*range(count)} - {row["edit"] for row in rows}):
+            name, arguments = known[number % len(known)]
+            home = folder / f"runs {name}"
+            _planned(home, arguments)
+            rows.append({"part": name, "edit": number} | _judged(home, judge(home), number, count))
+            with kept.open("a") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    rows = sorted((row for row in rows if row["edit"] < count), key=lambda row: row["edit"])
+    return [*_summary(rows), *(row for row in rows if row["findings"])]
+
+
+def _planned(home: Path, arguments: tuple[str, ...]) -> None:
+    """The plan of a part, made where it is not there yet."""
+    if not (home / "plan").exists():
+        units = {"units": arguments[2]} if len(arguments) > 1 else {}
+        place_mm = tuple(float(number) for number in place().split(","))
+        plan(arguments[0], place=place_mm, out=home / "plan", **units)
+
+
+def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, Any]:
+    """One edit: made or refused, and judged; with the differences that it gives."""
+    begin = process_time()
+    last, out = home / "last", home / f"edit {number}"
+    before = open_run(last if number // _OF_AN_EDITED % _OF_AN_EDITED == 3 and last.exists() else home / "plan")
+    asked = random_edit(np.random.default_rng([number, 17]), before)
+    row: dict[str, Any] = {"asked": asked.said, "wishes": json.dumps(asked.wishes), "of": before.folder.name}
+    shutil.rmtree(out, ignore_errors=True)
+    try:
+        made = before.edited(out=out, **asked.wishes)
+    except CellError as error:
+        findings = judge.refused(asked, error)
+        return row | {"refused": str(error), "findings": findings, "s": process_time() - begin}
+    findings = [*judge.accepted(before, asked, made), *(["should have been refused"] if asked.wrong else [])]
+    seconds = process_time() - begin
+    pairs, samples = 0, 0.0
+    if number < _FULL_PAIRS:
+        pairs = 1
+        sides = [(before.folder, out)]
+        if number < min(_EXECUTIONS, count // 8):
+            sides.append((_execution(before.folder), _execution(out)))
+        for a, b in sides:
+            found = compare(a, b, Quiet())
+            wrong, samples = recounted(found)
+            findings += [f"diff: {each}" for each in wrong]
+            findings += [f"{each} differs from itself" for each in (a, b) if not compare(each, each, Quiet()).empty]
+        pairs = len(sides)
+    shutil.rmtree(home / "last", ignore_errors=True)
+    out.rename(home / "last")
+    return row | {
+        "refused": "", "findings": findings, "visible error": judge.visible_error, "pairs": pairs,
+        "off samples": samples, "s": seconds,
+    }  # fmt: skip
+
+
+def _execution(run: Path) -> Path:
+    """The folder of an execution of a run, on a coarse grid of rays."""
+    first = run / "executions" / "0001"
+    return first if first.exists() else scan(run, resolution=1.0).folder
+
+
+def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row a part and one over all."""
+    names = list(dict.fromkeys(row["part"] for row in rows))
+    groups = [(name, [row for row in rows if row["part"] == name]) for name in names]
+    return [_counted(name, group) for name, group in [*groups, ("all", rows)]]
+
+
+def _counted(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    accepted = [row for row in rows if not row["refused"]]
+    refused = {reason: sum(word in row["refused"] for row in rows) for reason, word in _REASONS.items()}
+    return {
+        "part": name,
+        "edits": len(rows),
+        "accepted": len(accepted),
+        "repaired": sum("--repair" in row["asked"] for row in accepted),
+        "refused": len(rows) - len(accepted),
+        **refused,
+        "other": len(rows) - len(accepted) - sum(refused.values()),
+        "visible error points": 100 * max((abs(row["visible error"]) for row in accepted), default=0.0),
+        "diffs": sum(row["pairs"] for row in accepted),
+        "off samples": max((row["off samples"] for row in accepted), default=0.0),
+        "findings": sum(len(row["findings"]) for row in rows),
+        "cpu s an edit": float(np.median([row["s"] for row in rows])) if rows else 0.0,
+    }
+
+
+class _Blank(Drawing):
+    """Leaves empty files in place of pictures."""
+
+    def __init__(self) -> None:
+        self._sent = []
+
+    def send(self, picture: str, path: Path, **arrays: Any) -> None:
+        if path.suffix:
+            path.touch()
+            self._sent.append(path)
+
+    def make_ready(self, folder: Path) -> None:
+        pass
+
+    def _wait(self) -> None:
+        pass
+
+
+@contextmanager
+def _no_pictures() -> Iterator[None]:
+    """Plans are made without pictures and page, executions without theirs."""
+
+    @contextmanager
+    def beside() -> Iterator[Drawing]:
+        yield _Blank()
+
+    blank = lambda path, *_: path.write_bytes(b"")  # noqa: E731
+    with (
+        mock.patch("cell.plan.picture_process.beside", beside),
+        mock.patch("cell.plan.pipeline.finish_page"),
+        mock.patch("cell.scan.post_processing.part_and_views", blank),
+        mock.patch("cell.view.contents.execution_page", return_value=""),
+    ):
+        yield

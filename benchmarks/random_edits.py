@@ -1,0 +1,116 @@
+"""Random edits of a finished plan as a person might make them, some wrong on purpose, and what each asks for.
+
+Every edit is drawn from its random stream and the plan alone. Base frame, metres; what a user gives in mm and degrees.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from cell.run import reader
+from cell.run.planned import PlannedRun
+from planner.values import Floats
+
+_WRONG = 0.08  # share of edits that name what is not there
+_NEAR, _FAR = (20.0, 5.0), (150.0, 25.0)  # mm and deg, one sigma each: most are taken, many are not
+_SHARE_FAR, _SHARE_REACHABLE = 0.2, 0.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RandomEdit:
+    """An edit and what it asks for.
+
+    Attributes:
+        wishes: keywords of `EditableRun.edited`.
+        poses: (4, 4) T_base_scanner of each view that is named anew, by what refusals call it.
+        wrong: what the sentence must hold that refuses it; "" where nothing is wrong by construction.
+    """
+
+    wishes: dict[str, Any]
+    poses: Mapping[str, Floats] = field(default_factory=dict)
+    wrong: str = ""
+
+    @property
+    def said(self) -> str:
+        """Options as on the command line, values left out."""
+        return " ".join(f"--{key.replace('_', '-')}" for key, value in self.wishes.items() if value is not False)
+
+
+def random_edit(rng: np.random.Generator, run: PlannedRun) -> RandomEdit:
+    """Views dropped, moved, turned, added, in another order, with and without repair.
+
+    Args:
+        rng: draws.
+        run: a finished plan of at least four views.
+    """
+    if rng.random() < _WRONG:
+        return _wrong(rng, run)
+    n = len(run.candidate)
+    numbers = [int(number) for number in rng.permutation(n) + 1]
+    wishes: dict[str, Any] = {}
+    if rng.random() < 0.5:
+        wishes["drop"] = numbers[: int(rng.integers(1, 3))]
+    if rng.random() < 0.4:
+        wishes["move"] = {numbers[2]: _beside(rng, run.T_base_scanner[numbers[2] - 1])}
+    if rng.random() < 0.4:
+        wishes["turn"] = {numbers[3]: float(np.round(rng.uniform(-180, 180), 1))}
+    if rng.random() < 0.3:
+        among = reader.reached(run.record).reachable
+        among = among if rng.random() < _SHARE_REACHABLE else np.ones_like(among)
+        others = np.setdiff1d(np.flatnonzero(among), run.candidate)
+        wishes["add_candidate"] = [int(rng.choice(others))]
+    if rng.random() < 0.3:
+        wishes["add_pose"] = [_beside(rng, run.T_base_scanner[numbers[0] - 1])]
+    if rng.random() < 0.3:
+        wishes["keep_order"] = True
+    elif not wishes or rng.random() < 0.3:
+        kept = [number for number in numbers if number not in wishes.get("drop", ())]
+        added = len(wishes.get("add_candidate", ())) + len(wishes.get("add_pose", ()))
+        wishes["order"] = [int(k) for k in rng.permutation([*kept, *range(n + 1, n + 1 + added)])]
+    wishes["repair"] = bool(rng.random() < 0.4)
+    return RandomEdit(wishes, _poses(wishes, run))
+
+
+def _beside(rng: np.random.Generator, T: Floats) -> list[float]:
+    """x, y, z [mm] and A, B, C [deg] of a pose near another, some of them a hand away."""
+    mm, degrees = _FAR if rng.random() < _SHARE_FAR else _NEAR
+    position, abc = kuka_abc_from_pose(T)
+    moved = [*(position * 1000 + rng.normal(0, mm, 3)), *(np.degrees(abc) + rng.normal(0, degrees, 3))]
+    return [float(number) for number in np.round(moved, 2)]
+
+
+def _wrong(rng: np.random.Generator, run: PlannedRun) -> RandomEdit:
+    """An edit that names what is not there, or a view twice."""
+    n, total = len(run.candidate), run.report.verdicts.total
+    twice = int(rng.integers(n))
+    cases = (
+        ({"drop": [n + 3]}, f"view {n + 3}; the plan has the views 1 to {n}"),
+        ({"turn": {n + 1: 90.0}}, f"view {n + 1}; the plan has the views 1 to {n}"),
+        ({"add_candidate": [total]}, f"no candidate {total} to add; there are candidates 0 to {total - 1}"),
+        ({"add_candidate": [int(run.candidate[twice])]}, f"view {n + 1} would be the same pose as view {twice + 1}"),
+        ({"order": list(range(n, 1, -1))}, "the order leaves out 1"),
+        ({"drop": list(range(1, n + 1))}, "leaves no view"),
+        ({"drop": [2], "turn": {2: 90.0}}, "view 2 twice"),
+    )
+    wishes, told = cases[rng.integers(len(cases))]
+    return RandomEdit(wishes, wrong=told)
+
+
+def _poses(wishes: dict[str, Any], run: PlannedRun) -> dict[str, Floats]:
+    """Where the scanner has to be for the views that an edit names anew."""
+    candidates = reader.candidates(run.record).T_object_scanner[:, 0]
+    T_base_object = reader.scene(run.record).T_base_object
+
+    def given(each: list[float]) -> Floats:
+        T: Floats = pose_from_kuka_abc(np.array(each[:3]) / 1000, np.radians(each[3:]))
+        return T
+
+    poses = {f"view {number}": given(each) for number, each in wishes.get("move", {}).items()}
+    poses |= {f"added pose {k}": given(each) for k, each in enumerate(wishes.get("add_pose", ()), start=1)}
+    for number, angle in wishes.get("turn", {}).items():
+        about = pose_from_kuka_abc(np.zeros(3), np.radians([angle, 0.0, 0.0]))
+        poses[f"view {number}"] = T_base_object @ candidates[run.candidate[number - 1]] @ about
+    return poses | {f"candidate {k}": T_base_object @ candidates[k] for k in wishes.get("add_candidate", ())}

@@ -1,0 +1,62 @@
+"""What stands in a cell while the robot is at home, as solids in the base frame."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.checks.solid import Solid
+from cell.rays.occluders import prism, shape_triangles
+from cell.robot.model import LINKS
+from cell.world.model import World
+from planner.values import Floats
+
+_SIDES = 192  # of a prism around a cylinder: its corners stand off by 0.04 mm at a radius of 300 mm
+ROBOT = (*LINKS, "bracket", "housing")
+OWN = ("post", "pedestal", "floor")
+"""What the cell has without being a fixture."""
+
+
+def standing(world: World) -> dict[str, Solid]:
+    """Part, fixtures, post, pedestal, base, links, bracket and housing by name; the floor, which is endless, is not.
+
+    Args:
+        world: the compiled scene, at its own placement.
+    """
+    data, T = world.data(), world.T_base_object
+    attached = {fixture.name: fixture.attached_to == "object" for fixture in world.scene.fixtures}
+    meshes = {"part": world.part_mesh, **world.fixture_meshes}
+    found = {}
+    for name in dict.fromkeys(world.entities):
+        geoms = [geom for geom, entity in enumerate(world.entities) if entity == name]
+        if name == "floor":
+            continue
+        if name in meshes:
+            mesh = meshes[name]
+            frame = T if attached.get(name, True) else np.eye(4)
+            hull = world.part_hull.vertices if name == "part" else None
+            found[name] = Solid(name, mesh.vertices, mesh.faces, frame[:3, :3].T, T=frame, hull=hull)
+        elif name == "post":
+            top = world.post_top(T)
+            if top[2] > world.floor:  # no longer than to the floor, unlike its collision shape
+                vertices, faces = prism(float(world.model.geom_size[geoms[0]][0]), float(top[2] - world.floor), _SIDES)
+                found[name] = Solid(name, vertices + np.array([*top[:2], (top[2] + world.floor) / 2]), faces)
+        else:
+            sides = {} if name in ROBOT else {"sides": _SIDES}
+            pieces = [shape_triangles(world.model, data, geom, **sides) for geom in geoms]
+            axes = data.geom_xmat[geoms[0]].reshape(3, 3).T if len(geoms) == 1 else None
+            found[name] = Solid(name, *_joined(pieces), axes)
+    return found
+
+
+def robot(solids: dict[str, Solid]) -> Solid:
+    """Base, arm, bracket and housing as one."""
+    pieces = [(solids[name].vertices, solids[name].faces) for name in ROBOT if name in solids]
+    return Solid("robot", *_joined(pieces))
+
+
+def _joined(pieces: Sequence[tuple[Floats, NDArray[np.integer]]]) -> tuple[Floats, NDArray[np.integer]]:
+    """Vertices and faces of several pieces as those of one mesh."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    faces = [faces + start for (_, faces), start in zip(pieces, first[:-1], strict=True)]
+    return np.concatenate([vertices for vertices, _ in pieces]), np.concatenate(faces)

@@ -1,0 +1,214 @@
+"""Thirty-one written mistakes of scenes: found with both partners, and gone where their own words are followed."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.checks.doubtful import doubtful
+from cell.checks.possible import impossible
+from cell.part import workpiece
+from cell.scene.scene import Scene
+from cell.world.model import World, compile_world
+
+ON_TABLE = [1200.0, 500.0, 0.0]  # the part's middle; it is 100 mm high
+NO_POST = {"post": {"enabled": False}}
+
+
+def box(name: str, size: list[float], at: list[float], **more: object) -> dict[str, Any]:
+    """A box among the fixtures."""
+    return {"name": name, "shape": "box", "size_mm": size, "position_mm": at, **more}
+
+
+def rod(name: str, size: list[float], at: list[float], **more: object) -> dict[str, Any]:
+    """A cylinder among the fixtures."""
+    return {"name": name, "shape": "cylinder", "size_mm": size, "position_mm": at, **more}
+
+
+def table(top: float = -50.0, at: tuple[float, float] = (1200.0, 500.0), side: float = 400.0) -> dict[str, Any]:
+    """From the floor up to a height [mm]."""
+    return box("table", [side, side, top + 600], [*at, (top - 600) / 2])
+
+
+def cup() -> trimesh.Trimesh:
+    """A cup of 100 mm with walls of 5 mm."""
+    profile = np.array([[0, -50], [50, -50], [50, 50], [45, 50], [45, -45], [0, -45]], dtype=float)
+    return trimesh.creation.revolve(profile, sections=48)
+
+
+def block() -> trimesh.Trimesh:
+    """A cube of 100 mm."""
+    return trimesh.creation.box((100, 100, 100))
+
+
+def angle() -> trimesh.Trimesh:
+    """An L of two plates, 200 mm long, that stands on the short one."""
+    plates = [[[0, 0, 0], [40, 100, 100]], [[40, 0, 80], [240, 100, 100]]]
+    return trimesh.util.concatenate([trimesh.creation.box(bounds=plate) for plate in plates])
+
+
+Mesh = Callable[[], trimesh.Trimesh]
+
+ERRORS: dict[str, tuple[Mesh, dict[str, Any], tuple[str, ...]]] = {
+    "part 29 mm deep in a table": (block, {"fixtures": [table(-21)], **NO_POST}, ("part", "'table', 29.0 mm deep")),
+    "part a millimetre in a table": (block, {"fixtures": [table(-49)]}, ("part", "'table', 1.0 mm deep")),
+    "cup in a box": (cup, {"fixtures": [box("crate", [300, 300, 300], ON_TABLE)]}, ("part", "'crate', 200.0 mm deep")),
+    "rod through a cup's wall": (cup, {"fixtures": [rod("pin", [10, 60], [1248, 500, 40])]}, ("part", "'pin'")),
+    "ball in a turned box": (
+        lambda: trimesh.creation.icosphere(3, 50),
+        {"fixtures": [box("wedge", [200, 200, 200], [1200, 650, 0], abc_deg=[45, 0, 0])]},
+        ("part", "'wedge', 41."),
+    ),
+    "clamp that travels with the part in it": (
+        block,
+        {"fixtures": [box("clamp", [50, 50, 50], [0, 0, 70], attached_to="object")],
+         "placement": {"position_mm": ON_TABLE, "abc_deg": [30, 20, 10]}},
+        ("'clamp'", "part, 5.0 mm deep", "fixtures[0].position_mm by (0, 0, 5)"),
+    ),
+    "mesh fixture in the part": (block, {"mesh": (cup, [1290, 500, 0])}, ("part", "'vice', 10.0 mm deep")),
+    "part in the pedestal": (block, {"placement": {"position_mm": [330, 0, -100]}}, ("part", "pedestal, 20.0 mm deep")),
+    "post in the pedestal": (block, {"placement": {"position_mm": [310, 0, 300]}}, ("post", "pedestal, 10.0 mm deep")),
+    "part in the base": (block, {"placement": {"position_mm": [0, 0, 300]}, **NO_POST}, ("part", "robot's base")),
+    "part in a link": (block, {"placement": {"position_mm": [0, 0, 700]}, **NO_POST}, ("part", "robot's link_1")),
+    "part in the scanner": (block, {"placement": {"position_mm": [930, 0, 1000]}}, ("part", "housing at home")),
+    "part nearer than the clearance": (
+        block,
+        {"placement": {"position_mm": [930, 0, 985]}},
+        ("part", "housing at home", "nearer than the clearance"),
+    ),
+    "part in the floor": (block, {"placement": {"position_mm": [1200, 500, -560]}}, ("10.0 mm below the floor",)),
+    "fixture in a link": (block, {"fixtures": [box("wall", [50, 900, 900], [700, 0, 1300])]}, ("'wall'", "link_")),
+    "fixture in the base": (block, {"fixtures": [box("foot", [60, 60, 200], [100, 0, 100])]}, ("'foot'", "base")),
+    "fixture in the scanner": (block, {"fixtures": [rod("lamp", [40, 900], [930, 60, 1300])]}, ("'lamp'", "at home")),
+    "housing before the source": (block, {"housing": {"position_mm": [0, 0, 100]}}, ("housing hides",)),
+    "source in the housing": (block, {"housing": {"position_mm": [37.5, 0, -20]}}, ("housing hides", "(0, 0, -10)")),
+    "scanner that looks back": (
+        block, {"mount": {"position_mm": [0, 0, 120], "abc_deg": [0, 180, 0]}}, ("flange and bracket hide 100 %",),
+    ),
+    "housing in the flange": (block, {"mount": {"position_mm": [0, 0, 55]}}, ("housing", "link_6", "5.0 mm deep")),
+}  # fmt: skip
+
+WARNINGS: dict[str, tuple[Mesh, dict[str, Any], tuple[str, ...]]] = {
+    "fixture in a fixture": (
+        block, {"fixtures": [table(), box("rail", [50, 400, 50], [1200, 890, -60])]}, ("'rail'", "'table', 10.0 mm"),
+    ),
+    "mesh fixture in a fixture": (
+        block, {"fixtures": [table()], "mesh": (cup, [1100, 500, -6.5])}, ("'vice'", "'table', 6.5 mm deep"),
+    ),
+    "fixture in the floor": (
+        block, {"fixtures": [box("pit", [90, 90, 90], [1500, 0, -570])]}, ("'pit'", "15.0 mm below"),
+    ),
+    "post through a table": (block, {"fixtures": [table()]}, ("post", "'table'", "post.enabled = false")),
+    "part in the air": (block, {"fixtures": [table(-62.5)], **NO_POST}, ("part", "12.5 mm above the fixture 'table'")),
+    "part in the air of nothing": (block, NO_POST, ("part", "550.0 mm above the floor")),
+    "shelf in the air": (block, {"fixtures": [box("shelf", [300, 300, 20], [0, 1500, 410])]}, ("'shelf'", "1000.0 mm")),
+    "part over the edge": (
+        block,
+        {"fixtures": [table(at=(1010, 500), side=300)], **NO_POST},
+        ("centre of mass of the part is 40", "'table'"),
+    ),
+    "an angle that tips": (angle, {"fixtures": [table()], **NO_POST}, ("centre of mass of the part", "'table'")),
+    "a fixture in inches": (
+        block, {"mesh": (lambda: cup().apply_scale(1 / 25.4), [0, 1500, -598])}, ("'vice'", "100 mm in in"),
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> Callable[[Mesh, dict[str, Any]], World]:
+    """Compiles tables of a scene with a part of its own."""
+
+    def compiled(mesh: Mesh, tables: dict[str, Any]) -> World:
+        tables = {**tables, "fixtures": list(tables.get("fixtures", []))}
+        if vice := tables.pop("mesh", None):
+            vice[0]().export(tmp_path / "vice.ply")
+            place = {"path": str(tmp_path / "vice.ply"), "units": "mm", "position_mm": vice[1]}
+            tables["fixtures"].append({"name": "vice", "shape": "mesh", **place})
+        part = mesh()
+        part = workpiece.from_arrays("part", part.vertices, part.faces, "mm").reference
+        return compile_world(Scene.model_validate(tables), part.vertices, part_faces=part.faces, baseline_mm=75.0)
+
+    return compiled
+
+
+def followed(tables: dict[str, Any], sentence: str) -> dict[str, Any] | None:
+    """The tables with what a sentence says to type; None where it says no position."""
+    found = re.search(r"move (?:(\w+)|fixtures\[(\d)\])\.position_mm by \(.*?\) mm, to \((.*?)\)", sentence)
+    if found is None:
+        return {**tables, **NO_POST} if "set post.enabled" in sentence else None
+    place = [float(value) for value in found[3].split(", ")]
+    if found[2] is None:
+        return {**tables, found[1]: {**tables.get(found[1], {}), "position_mm": place}}
+    fixtures = [dict(fixture) for fixture in tables.get("fixtures", [])]
+    if int(found[2]) == len(fixtures):
+        return {**tables, "mesh": (tables["mesh"][0], place)}
+    fixtures[int(found[2])]["position_mm"] = place
+    return {**tables, "fixtures": fixtures}
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_an_error_is_found_and_its_cure_cures_it(name: str, world: Callable[..., World]) -> None:
+    """Exit code 2's sentence names both partners; typed in, the same two are no problem any more."""
+    mesh, tables, words = ERRORS[name]
+    said = [each for each in impossible(world(mesh, tables)) if all(word in each for word in words)]
+    assert len(said) == 1, impossible(world(mesh, tables))
+    cured = followed(tables, said[0])
+    if name == "scanner that looks back":
+        assert cured is None
+        return
+    assert cured is not None
+    left = impossible(world(mesh, cured))
+    assert not [each for each in left if each.split("; ")[0].split(",")[0] == said[0].split("; ")[0].split(",")[0]], (
+        left
+    )
+
+
+@pytest.mark.parametrize("name", WARNINGS)
+def test_a_warning_is_found_and_its_cure_cures_it(name: str, world: Callable[..., World]) -> None:
+    """A scene that is hardly meant so is no error, and is told."""
+    mesh, tables, words = WARNINGS[name]
+    cell = world(mesh, tables)
+    assert not impossible(cell)
+    said = [each for each in doubtful(cell) if all(word in each for word in words)]
+    assert len(said) == 1, doubtful(cell)
+    cured = followed(tables, said[0])
+    if name in ("a fixture in inches", "an angle that tips"):
+        return  # no move helps
+    assert cured is not None
+    left = doubtful(world(mesh, cured))
+    assert not [each for each in left if all(word.split(",")[0] in each for word in words)], left
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {},
+        {"fixtures": [table()], **NO_POST},
+        {"fixtures": [table(), box("stop", [20, 100, 40], [1260, 500, -30])], **NO_POST},
+        {"fixtures": [table(), box("clamp", [50, 50, 50], [0, 0, 75], attached_to="object")], **NO_POST},
+        {"fixtures": [rod("stand", [30, 550], [1200, 500, -325])], **NO_POST},
+    ],
+)
+def test_what_stands_flush_is_neither(tables: dict[str, Any], world: Callable[..., World]) -> None:
+    """Part on table, stop on table beside the part, clamp on the part, part on a stand of one's own."""
+    cell = world(block, tables)
+    assert impossible(cell) == []
+    assert doubtful(cell) == []
+
+
+def test_a_cup_over_a_peg_is_no_mistake_although_its_hull_is(world: Callable[..., World]) -> None:
+    """True triangles: the peg stands in the hollow."""
+    assert impossible(world(cup, {"fixtures": [rod("peg", [60, 80], [1200, 500, 5])]})) == []
+
+
+def test_a_file_in_inches_is_told_by_its_size() -> None:
+    """A cube of 4 inches read as millimetres, one in metres, and one that is right."""
+    for side, units, hint in ((4.0, "mm", "102 mm in in"), (0.1, "mm", "100 mm in m"), (100.0, "mm", "")):
+        cube = trimesh.creation.box((side, side, side))
+        found = [each.sentence for each in workpiece.from_arrays("cube", cube.vertices, cube.faces, units).findings]
+        assert bool(found) == bool(hint)
+        assert all(hint in sentence for sentence in found)
