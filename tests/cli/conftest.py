@@ -61,6 +61,13 @@ class Chromium:
         """PNG."""
         return base64.b64decode(self._ask("Page.captureScreenshot")["data"])
 
+    def busy(self) -> float:
+        """Processor time of all its processes [s]: what a page costs, however busy the machine is."""
+        session, self._session = self._session, ""
+        processes = self._ask("SystemInfo.getProcessInfo")["processInfo"]
+        self._session = session
+        return sum(each["cpuTime"] for each in processes)
+
     def click(self, x: float, y: float) -> None:
         """With the mouse."""
         for kind in ("mousePressed", "mouseReleased"):
@@ -242,10 +249,10 @@ def browser(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     made.close()
 
 
-@pytest.fixture
-def chromium_without_webgl(tmp_path: Path) -> Iterator[Chromium]:
-    """As on a machine whose graphics are barred."""
+@pytest.fixture(params=[()])
+def chromium(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Chromium]:
+    """Chromium with further flags."""
     if Chromium.missing:
         pytest.skip(Chromium.missing)
-    with contextlib.closing(Chromium(tmp_path, "--disable-3d-apis")) as made:
+    with contextlib.closing(Chromium(tmp_path, *request.param)) as made:
         yield made

@@ -6,7 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pytest
+import trimesh
 from PIL import Image
+
+from cell.run import reader
+from cell.run.record import open_run
+from cell.view.contents import part_of
+from cell.view.packed import stepped
+from cell.view.page import Play, Shown, Stage, View, html_of
+from cell.view.pieces import cell_of_run
+from cell.view.surface import Surface, canvas_of
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
 
 _LATER = "const later = (ms) => new Promise((done) => setTimeout(done, ms));"
 _TOUCH = f"""(async () => {{ {_LATER}
@@ -27,6 +40,10 @@ _PLAY = f"""(async () => {{ {_LATER}
   byId("play").click(); await later(1500); byId("play").click();
   found.plays = Number(byId("time").value) > before;
   return found;
+}})()"""
+_FIRST_FRAME = f"""(async () => {{ {_LATER}
+  while (!document.body.dataset.frames) await later(10);
+  renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, new Uint8Array(4));
 }})()"""
 _EVERY_COLOUR = f"""(async () => {{ {_LATER}
   const colour = byId("colour");
@@ -77,9 +94,49 @@ def test_every_page_is_shown(
             assert {"Number of views", "Spacing of points", "Deviation"} <= set(titles)
 
 
-def test_without_webgl_a_page_says_so_and_keeps_its_numbers(chromium_without_webgl: Any, planned: Path) -> None:
+@pytest.mark.parametrize("chromium", [("--disable-3d-apis",)], indirect=True)
+def test_without_webgl_a_page_says_so_and_keeps_its_numbers(chromium: Any, planned: Path) -> None:
     """A sentence, the list of views and what is said of each."""
-    chromium_without_webgl.open((planned / "view.html").as_uri())
-    told = chromium_without_webgl.run("Promise.resolve((select(0), document.body.textContent))")
+    chromium.open((planned / "view.html").as_uri())
+    told = chromium.run("Promise.resolve((select(0), document.body.textContent))")
     assert "nothing in three dimensions" in told
     assert "view1, candidate" in told
+
+
+@pytest.mark.parametrize(
+    ("subdivisions", "views", "points"), [(6, 20, 100_000), pytest.param(8, 200, 1_000_000, marks=pytest.mark.slow)]
+)
+def test_a_large_page_is_soon_there(
+    subdivisions: int, views: int, points: int, chromium: Any, planned: Path, tmp_path: Path
+) -> None:
+    """1.3 million faces twice, 200 views, a million points: 25 MB, the first frame after 5 s of processor time.
+
+    In the software renderer; what is not drawn is told.
+    """
+    rng, ball = np.random.default_rng(0), trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
+    mesh = TriangleMesh(ball.vertices, ball.faces.astype(np.int32))
+    samples = sample(mesh, mesh, 20_000, rng)
+    away = rng.normal(size=(views, 3))
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    layers = {name: rng.random(len(samples)) for name in ("sigma", "spacing")}
+    canvas = canvas_of(mesh, samples)
+    part = part_of(canvas, Surface(samples, samples.normals @ away.T > 0.5, layers))
+    surface = Shown("surface", canvas.mesh, [stepped(canvas.mesh.vertices[:, 0], "Deviation", "signed", (-1, 1), "")])
+    run = open_run(planned)
+    cell = cell_of_run(run, reader.scene(run))
+    poses = np.tile(np.eye(4), (views, 1, 1))
+    poses[:, :3, 3] = 0.4 * away
+    said = [View(str(k), cell.T_base_object @ T, 0.1 * k, [("view", str(k))]) for k, T in enumerate(poses, 1)]
+    t = np.linspace(0, 0.1 * views, 20_000)
+    play = Play(said, (t, cell.arm.home + np.sin(t)[:, None]), cloud=0.05 * rng.normal(size=(points, 3)))
+    page = tmp_path / "large.html"
+    page.write_text(html_of(Stage("large", cell, [part, surface]), play), encoding="utf-8")
+    assert page.stat().st_size <= 25e6
+    if len(mesh.faces) > len(canvas.mesh.faces):
+        assert part.layers[0].note == f"drawn with {len(canvas.mesh.faces):,} of {len(mesh.faces):,} faces"
+    chromium.open("about:blank")
+    before = chromium.busy()
+    chromium.open(page.as_uri())
+    chromium.run(_FIRST_FRAME)
+    assert chromium.busy() - before <= 5.0
+    assert (chromium.faults(), chromium.asked()) == ([], [])
