@@ -74,6 +74,7 @@ def test_a_page_plays_clicks_hides_and_recolours(browser: Any, planned: Path) ->
     assert coloured(browser) > 1000
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_every_page_is_shown(
     browser: Any, planned: Path, executed: Path, run_cell: Callable[..., Any], tmp_path: Path
 ) -> None:
