@@ -34,7 +34,9 @@ RESERVED_NAMES = (
     *("bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
 )
 
-PART, _HARDWARE = "Part and place", "Robot and scanner"
+_SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
+
+PART, _HARDWARE, _REPORT = "Part and place", "Robot and scanner", "Output"
 _PLACE = Option(
     "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
     PART,
@@ -213,6 +215,28 @@ class Post(Table):
     diameter_mm: Positive = 40.0
 
 
+class Picture(Table):
+    """How the report shows the cell (cell.png); nothing that is planned depends on it."""
+
+    camera_deg: Annotated[
+        tuple[float, float] | None,
+        Field(strict=False),
+        Option(
+            "Camera of the report's picture of the cell: azimuth and elevation as seen from the part, deg. Default: "
+            "beside part and arm.", _REPORT, metavar="AZ,EL", form="azimuth,elevation (deg)",
+            examples=("-60,20",), counts=(2,),
+        ),
+    ] = None  # fmt: skip
+    hide: Annotated[
+        tuple[str, ...],
+        Field(strict=False),
+        Option(
+            "What that picture leaves out: fixtures, robot, scanner, post, pedestal or floor.", _REPORT,
+            metavar="NAME[,NAME...]", made=lambda texts: [each for text in texts for each in text.split(",")],
+        ),
+    ] = ()  # fmt: skip
+
+
 class _Fixture(_Posed):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]  # it names a file
     attached_to: Literal["base", "object"] = "base"
@@ -270,6 +294,7 @@ class Scene(Table):
     post: Post = Field(default_factory=Post)
     fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
     plan: PlanSettings = Field(default_factory=PlanSettings)
+    picture: Picture = Field(default_factory=Picture)
 
     @field_validator("fixtures")
     @classmethod
@@ -279,6 +304,15 @@ class Scene(Table):
         if twice:
             raise ValueError(f"hold the name '{twice[0]}' more than once; every fixture needs its own name")
         return fixtures
+
+    @field_validator("picture")
+    @classmethod
+    def _hides_what_is_there(cls, picture: Picture, info: ValidationInfo) -> Picture:
+        known = [*_SHOWN, *(fixture.name for fixture in info.data.get("fixtures", ()))]
+        for name in picture.hide:
+            if name not in known:
+                raise ValueError(f".hide names '{name}', which is nothing of this cell; it has: {', '.join(known)}")
+        return picture
 
 
 def load_scene(
