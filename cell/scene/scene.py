@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from cell.errors import SceneError
+from cell.part.formats import units_of
 from cell.scene import scene_file
 from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
 from cell.scene.option import Option
@@ -190,6 +191,8 @@ class Part(Table):
     def _given_for_a_file(cls, units: str | None, info: ValidationInfo) -> str | None:
         path = info.data.get("path", "given, but wrong")
         if path is not None and units is None:
+            if (own := units_of(path)) is not None:
+                return own
             raise ValueError("is missing; say what the file's numbers are in: mm, cm, m, um or in")
         if path is None and units is not None:
             raise ValueError("is given for a built-in part, which has its own size; leave it out, or give part.path")
@@ -270,6 +273,12 @@ class MeshFixture(_Fixture):
     shape: Literal["mesh"]
     path: str
     units: Units
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_its_format(cls, table: Any) -> Any:
+        own = units_of(str(table.get("path"))) if isinstance(table, dict) else None
+        return {"units": own, **table} if own is not None else table
 
     @field_validator("path")
     @classmethod
