@@ -18,6 +18,7 @@ def test_a_run_is_shown_and_never_changed(planned: Path, run_cell: Run, tmp_path
     before = sorted((path.name, path.stat().st_mtime_ns) for path in planned.rglob("*"))
     done = run_cell("view", planned, "--no-open", cwd=tmp_path)
     assert (done.returncode, done.stdout.strip()) == (0, str(planned / "view.html")), done.stderr
+    assert f"next:\n  cell scan {planned}\n" in done.stderr
     done = run_cell("view", planned, "--no-open", "--out", "again.html", cwd=tmp_path)
     assert (done.returncode, done.stdout.strip()) == (0, "again.html"), done.stderr
     done = run_cell("view", planned, "--no-open", "--out", planned / "other.html", cwd=tmp_path)
