@@ -15,7 +15,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 from time import process_time
@@ -33,6 +33,7 @@ from cell.diff.compare import compare
 from cell.errors import CellError
 from cell.narrator import Quiet
 from cell.plan.picture_process import Drawing
+from cell.view.contents import HALF_PAGE
 
 _FULL_PAIRS, _EXECUTIONS = 30, 4
 _REASONS = {"reach": "out of the arm's reach", "limit": "exceeds a joint limit", "collision": "limits collides"}
@@ -66,6 +67,7 @@ def _planned(home: Path, arguments: tuple[str, ...]) -> None:
     """The plan of a part, made where it is not there yet."""
     if not (home / "plan").exists():
         units = {"units": arguments[2]} if len(arguments) > 1 else {}
+        shutil.rmtree(home / "plan.part", ignore_errors=True)  # of a call that was stopped
         place_mm = tuple(float(number) for number in place().split(","))
         plan(arguments[0], place=place_mm, out=home / "plan", **units)
 
@@ -77,7 +79,8 @@ def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, 
     before = open_run(last if number // _OF_AN_EDITED % _OF_AN_EDITED == 3 and last.exists() else home / "plan")
     asked = random_edit(np.random.default_rng([number, 17]), before)
     row: dict[str, Any] = {"asked": asked.said, "wishes": json.dumps(asked.wishes), "of": before.folder.name}
-    shutil.rmtree(out, ignore_errors=True)
+    for left in (out, out.with_name(f"{out.name}.part")):
+        shutil.rmtree(left, ignore_errors=True)  # of a call that was stopped
     try:
         made = before.edited(out=out, **asked.wishes)
     except CellError as error:
@@ -138,18 +141,15 @@ def _counted(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 class _Blank(Drawing):
-    """Leaves empty files in place of pictures."""
+    """Leaves empty files in place of pictures and of the page's first half."""
 
     def __init__(self) -> None:
         self._sent = []
 
-    def send(self, picture: str, path: Path, **arrays: Any) -> None:
-        if path.suffix:
+    def _post(self, what: str, path: Path, **arrays: Any) -> None:
+        if not path.is_dir():
             path.touch()
-            self._sent.append(path)
-
-    def make_ready(self, folder: Path) -> None:
-        pass
+            (path.parent / HALF_PAGE).touch()
 
     def _wait(self) -> None:
         pass
@@ -158,16 +158,9 @@ class _Blank(Drawing):
 @contextmanager
 def _no_pictures() -> Iterator[None]:
     """Plans are made without pictures and page, executions without theirs."""
-
-    @contextmanager
-    def beside() -> Iterator[Drawing]:
-        yield _Blank()
-
-    blank = lambda path, *_: path.write_bytes(b"")  # noqa: E731
     with (
-        mock.patch("cell.plan.picture_process.beside", beside),
-        mock.patch("cell.plan.pipeline.finish_page"),
-        mock.patch("cell.scan.post_processing.part_and_views", blank),
+        mock.patch("cell.plan.picture_process.beside", side_effect=lambda: nullcontext(_Blank())),
+        mock.patch("cell.scan.post_processing.part_and_views", lambda path, *_: path.write_bytes(b"")),
         mock.patch("cell.view.contents.execution_page", return_value=""),
     ):
         yield

@@ -61,12 +61,12 @@ def run() -> list[dict[str, Any]]:
     return [summary, *found]
 
 
-def judged(number: int, n_views: int = _VIEWS) -> dict[str, Any]:
-    """One scene planned and judged, with a number of views."""
+def judged(number: int) -> dict[str, Any]:
+    """One scene planned and judged."""
     begin = perf_counter()
-    cell = usable(number, least=n_views)
+    cell = usable(number, least=_VIEWS)
     rng = np.random.default_rng(number)
-    views = rng.choice(cell.reachable, n_views, replace=False)
+    views = rng.choice(cell.reachable, _VIEWS, replace=False)
     poses = cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0]
     visits = Visits([cell.reach.q_of(int(view)) for view in views], cell.world.home, poses)
     tour = plan_motion(visits, cell.checker, cell.world.limits, rng)

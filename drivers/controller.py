@@ -12,7 +12,6 @@ taken as standing still, one that jumps ahead finishes the motion.
 """
 
 import math
-from contextlib import suppress
 
 from drivers.clock import Clock
 from drivers.commands import LAST_SEQUENCE, Answer, Command, Move, Reset, Result, Stop, is_newer, same
@@ -233,9 +232,7 @@ class Controller:
         self._in_position = False
 
     def _plant_failed(self) -> bool:
-        """Whether the plant no longer follows; latches the fault. Remembers where it says it is, also then."""
-        with suppress(SetPointError):  # axes that are no numbers are nowhere; the last ones stay
-            self._axes = from_rad(self.plant.reported_axes)
+        """Whether the plant no longer follows; latches the fault."""
         if failure := self._plant_failure():
             self._latch(Fault.PLANT, f"{Fault.PLANT.sentence}: {failure}")
             self._braking = False  # nothing can be asked of it any more
@@ -243,13 +240,12 @@ class Controller:
         return False
 
     def _plant_failure(self) -> str:
-        if self.plant.failure:
-            return self.plant.failure
+        """Why the plant does not follow, if it does not. Remembers where it says it is."""
         try:
-            from_rad(self.plant.reported_axes)
-        except SetPointError:
-            return "its axes are no numbers"
-        return ""
+            self._axes = from_rad(self.plant.reported_axes)
+        except SetPointError:  # axes that are no numbers are nowhere; the last ones stay
+            return self.plant.failure or "its axes are no numbers"
+        return self.plant.failure
 
     def _passed(self) -> int:
         """Share of the last move's path that is passed [1e-4]; less than all before it has ended there."""

@@ -56,6 +56,8 @@ class IdealPlant:
     @property
     def reported_axes(self) -> Floats:
         """(6,) axes [rad]: the reference."""
+        if self.settled:
+            return self._reference.end
         return np.asarray(self._reference.sample(np.array([self._elapsed]))[0][0])
 
     @property

@@ -363,11 +363,10 @@ class Emulated:
         return self.process.wait(20)
 
 
-@pytest.fixture(scope="session")
-def emulate(
+@contextlib.contextmanager
+def _emulating(
     tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
 ) -> Iterator[Callable[..., Emulated]]:
-    """Starts `cell emulate` with arguments; given `beside`, with the arm (and the journal) of an earlier one."""
     started: list[Emulated] = []
 
     def start(*arguments: str, beside: Emulated | None = None) -> Emulated:
@@ -387,3 +386,24 @@ def emulate(
         emulated.process.wait(20)
         if emulated.process.stdout:
             emulated.process.stdout.close()
+
+
+@pytest.fixture
+def emulate(
+    tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
+) -> Iterator[Callable[..., Emulated]]:
+    """Starts `cell emulate` with arguments; given `beside`, with the arm (and the journal) of an earlier one.
+
+    It is ended with the test: a controller without work looks at its line fifty times a second.
+    """
+    with _emulating(tmp_path_factory, start_cell) as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def emulate_for_all(
+    tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
+) -> Iterator[Callable[..., Emulated]]:
+    """As `emulate`, for all tests of a module."""
+    with _emulating(tmp_path_factory, start_cell) as start:
+        yield start

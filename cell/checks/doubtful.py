@@ -65,47 +65,55 @@ def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:
 
 def _standing_badly(world: World, solids: dict[str, Solid]) -> list[str]:
     """What nothing carries, and what tips."""
-    names = [name for name in solids if name not in ("post", "pedestal")]
     beside = {name: {other for other in solids if other != name and _touch(solids, name, other)} for name in solids}
-    if "post" in solids:
+    if "post" in solids:  # it holds the part, wherever that touches it
         beside["part"].add("post")
         beside["post"].add("part")
-    said = []
-    on_ground = [name for name in solids if solids[name].low[2] <= world.floor + TOUCHING or name == "pedestal"]
-    for name in names:
-        carriers = beside[name] & _carried(beside, on_ground, name)
-        rests = _Rests(solids[name], [solids[each] for each in sorted(carriers)], world.floor)
-        if not carriers and name not in on_ground:
-            if name in _carried(beside, on_ground, ""):  # by what it carries itself
-                continue
-            others = _carried(beside, on_ground, "")
-            under = _Rests(
-                solids[name], [solid for each, solid in solids.items() if each in others], world.floor, _FINE
-            )
-            gap, below = under.gap()
-            said.append(
-                f"nothing carries {called(name)}: it hangs {1000 * gap:.1f} mm above {called(below)}; "
-                f"{move(world, name, np.array([0.0, 0.0, -gap]))}"
-            )
-        elif "post" not in carriers and rests.on >= carriers and rests.tips() is not None:
-            way = _Rests(solids[name], [solids[each] for each in sorted(carriers)], world.floor, _FINE).tips()
-            if way is None:
-                continue
-            below = sorted(rests.on)[0] if rests.on else "floor"
-            said.append(
-                f"the centre of mass of {called(name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside what it "
-                f"rests on ({called(below)}); it tips unless it is fastened: {move(world, name, way)}"
-            )
+    ground = [name for name in solids if solids[name].low[2] <= world.floor + TOUCHING or name == "pedestal"]
+    carried = _joined(beside, ground, "")
+    said, left = [], [name for name in solids if name not in carried]
+    while left:
+        together = _joined(beside, left[:1], "")
+        left = [name for name in left if name not in together]
+        said.append(_in_the_air(world, solids, together))
+    for name in solids:
+        carriers = beside[name] & _joined(beside, ground, name)
+        if name in ("post", "pedestal") or name not in carried or "post" in carriers:
+            continue
+        below = [solids[each] for each in sorted(carriers)]
+        rests = _Rests(solids[name], below, world.floor)
+        if rests.on >= carriers and rests.tips() is not None:
+            way = _Rests(solids[name], below, world.floor, _FINE).tips()
+            if way is not None:
+                said.append(
+                    f"the centre of mass of {called(name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside what "
+                    f"it rests on ({', '.join(called(each) for each in sorted(rests.on)) or 'the floor'}); it tips "
+                    f"unless it is fastened: {move(world, name, way)}"
+                )
     return said
+
+
+def _in_the_air(world: World, solids: dict[str, Solid], together: set[str]) -> str:
+    """A sentence about things that touch each other and that nothing carries."""
+    others = [solid for name, solid in solids.items() if name not in together]
+    gaps = {name: _Rests(solids[name], others, world.floor, _FINE).gap() for name in solids if name in together}
+    name = min(gaps, key=lambda each: gaps[each][0])
+    gap, below = gaps[name]
+    rest = [called(each) for each in solids if each in together and each != name]
+    with_it = f" (with {', '.join(rest)})" if rest else ""
+    return (
+        f"nothing carries {called(name)}{with_it}: it hangs {1000 * gap:.1f} mm above {called(below)}; "
+        f"{move(world, name, np.array([0.0, 0.0, -gap]))}"
+    )
 
 
 def _touch(solids: dict[str, Solid], one: str, other: str) -> bool:
     return touches(solids[one], solids[other], TOUCHING)
 
 
-def _carried(beside: dict[str, set[str]], on_ground: list[str], without: str) -> set[str]:
-    """What a chain of contacts joins with the ground, `without` one thing."""
-    found = {name for name in on_ground if name != without}
+def _joined(beside: dict[str, set[str]], some: list[str], without: str) -> set[str]:
+    """What a chain of contacts joins with some things, `without` one thing."""
+    found = {name for name in some if name != without}
     open_ends = list(found)
     while open_ends:
         for name in beside[open_ends.pop()] - found - {without}:

@@ -66,7 +66,7 @@ def tell(terminal: "Terminal", result: "StudyResult") -> None:
     if result.rows:
         terminal.grid(result.shown, [[shown(row.get(column)) for column in result.shown] for row in result.rows])
     for sentence in result.sentences:
-        terminal.say(sentence)
+        terminal.say(sentence.replace("**", "").replace("`", ""))  # they are Markdown
     kept = f"{result.computed} trials computed now" if result.rows else "nothing succeeded"
     failed = f", {len(result.failed)} failed (see report.md)" if result.failed else ""
     terminal.say(f"{kept}{failed}; study folder {result.folder}")

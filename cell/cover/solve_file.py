@@ -49,7 +49,7 @@ class CoverOutcome:
             "lower_bound": self.result.cost_bound,
             "gap": self.result.gap,
             "status": self.result.status.name.lower(),
-            "sentence": self.result.sentence,
+            "sentence": self.sentence,
             "uncoverable_rows": [int(row) + 1 for row in self.result.uncoverable_rows],
             "work": self.result.work,
             "seconds": round(self.seconds, 3),

@@ -170,7 +170,7 @@ def _measured(before: _Before, edited: EditedViews, run: Run, job: Job, surface:
     candidates, reached, M = before.candidates, before.reached, reader.measurability(before.run.record)
     casters, scanner = steps.casters_of(surface, cell), limited(job.scene, job.scanner)
     if len(edited.appended):
-        with run.step("reach and measurability of new poses") as progress:
+        with run.step("reach of new poses") as progress:
             reached = join_reach([reached, steps.reach_of(job, cell, edited.appended, progress)])
     _require_reached(edited, reached)
     if len(edited.appended):

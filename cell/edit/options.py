@@ -14,18 +14,20 @@ _POSE_FORM = "x,y,z,a,b,c of the scanner in base (mm and deg, KUKA ABC)"
 
 Number = Annotated[int, Field(ge=1)]
 Numbers = Annotated[tuple[Number, ...], Field(strict=False)]
+Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
 Candidates = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)]
 
 
 class Pose(NamedTuple):
     """The scanner in the robot's base frame [mm, deg], KUKA's A, B, C."""
 
-    x: float
-    y: float
-    z: float
-    a: float
-    b: float
-    c: float
+    x: Millimetres
+    y: Millimetres
+    z: Millimetres
+    a: Degrees
+    b: Degrees
+    c: Degrees
 
 
 class Move(NamedTuple):
@@ -39,7 +41,7 @@ class Turn(NamedTuple):
     """A view, and by how much it is turned about its viewing axis [deg]."""
 
     view: Number
-    angle: float
+    angle: Degrees
 
 
 def _grouped(size: int, made: Callable[[Sequence[float]], Any]) -> Callable[[Sequence[Any]], Sequence[Any]]:

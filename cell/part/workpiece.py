@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
+from cell.part.formats import units_of
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, freeze
@@ -76,10 +77,11 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
 
     Args:
         source: a mesh file (.stl, .obj, .ply, .off, .glb) or the name of a built-in part.
-        units: what the file's numbers are in: m, cm, mm, um or in. Never guessed; not given for a built-in part.
+        units: what the file's numbers are in: m, cm, mm, um or in. Never guessed; not given for a built-in part; a GLB
+            has metres where nothing else is said.
 
     Raises:
-        UsageError: if the units are missing for a file, unknown, or given for a built-in part.
+        UsageError: if the units are missing for another file, unknown, or given for a built-in part.
         FileError: if the file cannot be used, in one sentence.
     """
     from cell import stand_ins
@@ -95,7 +97,7 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     path = Path(source)
     _check_name(path, stand_ins.NAMES)
     content = mesh_files.read_bytes(path)
-    units = _known(str(path), units)
+    units = _known(str(path), units_of(path.name) if units is None else units)
     vertices, faces = mesh_files.parse(path, content)
     return from_mesh(path.stem, vertices, faces, units, hashlib.sha256(content).hexdigest())
 

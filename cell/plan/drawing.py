@@ -10,6 +10,7 @@ from cell.robot.model import dimensions
 from cell.run.folder import RunFolder
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
+from cell.scene.scene import Picture
 from cell.world.model import World
 from planner.timing.motion import Motion
 from planner.values import Floats
@@ -23,6 +24,7 @@ def draw_views(
     part: Workpiece,
     problem: Problem,
     chosen: ConnectedPlan,
+    picture: Picture,
 ) -> None:
     """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict.
 
@@ -32,6 +34,7 @@ def draw_views(
         part: the part.
         problem: the candidates.
         chosen: the views.
+        picture: how the cell is shown.
     """
     cover, world = chosen.cover, problem.world
     drawing.send(
@@ -49,6 +52,8 @@ def draw_views(
         q=chosen.tour.q,
         T_base_scanner=chosen.T_base_scanner,
         way=(problem.kinematics.forward(way_q) @ world.T_flange_scanner)[:, :3, 3],
+        camera_deg=picture.camera_deg or (),
+        hide=picture.hide,
     )
     drawing.send(
         "cover_curve",

@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.plan.pictures import warm_up
 from cell.rays.prediction import held_out
@@ -75,7 +76,15 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
     (path.parent / HALF_PAGE).write_text(first_half(stage), encoding="utf-8")
 
 
-def cell_with_arm(path: Path, *, q: Floats, T_base_scanner: Floats, way: Floats) -> None:
+def cell_with_arm(
+    path: Path,
+    *,
+    q: Floats,
+    T_base_scanner: Floats,
+    way: Floats,
+    camera_deg: Floats,
+    hide: NDArray[np.str_],
+) -> None:
     """cell.png: the arm at one of its views beside the part.
 
     Args:
@@ -83,8 +92,12 @@ def cell_with_arm(path: Path, *, q: Floats, T_base_scanner: Floats, way: Floats)
         q: (n, 6) joint angles of the views [rad].
         T_base_scanner: (n, 4, 4) the views [m].
         way: (M, 3) places of the scanner's source on the way [m].
+        camera_deg: (2,) azimuth and elevation of the camera as seen from the part; (0,) chooses.
+        hide: (n,) names of what is left out, where it is there.
     """
     part, (_, cell, _) = _part(path.parent).mesh, _cell(path.parent)
     stands = q[best_view(cell, part, T_base_scanner)]
-    drawn, _ = draw_cell(cell, part, stands, views=T_base_scanner, way=way, size=_STILL)
+    hidden = {piece.name for piece in cell.pieces} & set(hide)
+    camera = (float(camera_deg[0]), float(camera_deg[1])) if len(camera_deg) else None
+    drawn, _ = draw_cell(cell, part, stands, views=T_base_scanner, way=way, size=_STILL, camera=camera, hide=hidden)
     rays.save(drawn, path)

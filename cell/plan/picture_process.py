@@ -118,8 +118,8 @@ def serve() -> None:
         if fork == 0:
             os._exit(0)  # what a fork leaves to its parent need not be taken down
         forks += [fork] if fork else []
-    gc.freeze()  # nor is it looked through at the end, which would take as long as a picture
-    sys.exit(any([os.waitpid(fork, 0)[1] for fork in forks]))  # a fork that failed has said why
+    # A fork that failed has said why; and what is left here need not be taken down either.
+    os._exit(any([os.waitpid(fork, 0)[1] for fork in forks]))
 
 
 def draw(what: str, path: Path, **arguments: Any) -> None:

@@ -115,7 +115,7 @@ def finish(
         chosen: the plan.
         told: fields of the report that are known otherwise.
     """
-    draw_views(run.drawing, run.folder, job.part, problem, chosen)
+    draw_views(run.drawing, run.folder, job.part, problem, chosen, job.scene.picture)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     further = _further(run, problem, chosen)

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from cell.world.triangles import TriangleTree
 
-_DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 POINTS_SHOWN = 6_000
 """Points of one scan that are shown; more cover the surface without a gap and cost time alone."""
 
@@ -105,8 +104,7 @@ def dress(
             f"{run.folder / 'cell.xml'} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again"
         )
     centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
-    range_mm = scene.scanner.pair("range_mm") or _DRAWN_RANGE_MM
-    corners = frustum(*np.radians(scene.scanner.opening_deg), *(np.array(range_mm) / 1000.0))
+    corners = frustum(*np.radians(scene.scanner.opening_deg), *(np.array(scene.scanner.drawn_range_mm) / 1000.0))
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
     entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)

@@ -30,6 +30,11 @@ class ScannerKeys(OpenTable):
         fan = self.number("fan_deg")
         return self.pair("fov_deg") or ((10.0, 10.0) if fan is None else (0.5, fan))
 
+    @property
+    def drawn_range_mm(self) -> tuple[float, float]:
+        """Smallest and largest distance in pictures [mm]; 100 to 300 of a scanner that states none."""
+        return self.pair("range_mm") or (100.0, 300.0)
+
 
 class ResolvedHousing(JsonTable):
     """The scanner's body and the bracket between it and the flange."""

@@ -21,7 +21,7 @@ from cell.run.record import file_bytes, understood
 from cell.view.contents import of_views
 from cell.view.surface import Surface
 from planner.measurability import coverage
-from planner.ports import Rejection
+from planner.ports import Rejection, Scanner
 from planner.surface.closest import NearestSurface
 from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, readonly
@@ -176,6 +176,28 @@ def merged(scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered
     cloud = merge(clouds)
     stop = np.array([scan.stop for scan in scans], dtype=np.int32)[cloud.scan]
     return Merged(cloud, stop, tuple(poses), registration, before, after)
+
+
+def sigma_of(merged: Merged, scans: Sequence[ExecutedScan], scanner: Scanner) -> Floats:
+    """(N,) expected standard deviation of each merged point along its ray [m], by the scanner's own law.
+
+    The law is asked about the normals of the cloud, from the registered poses. NaN where it says nothing: of a scanner
+    without a law, of a sweep (which of its poses gave a point is not kept), of a point that is seen from behind.
+
+    Args:
+        merged: all scans.
+        scans: the same, in the same order.
+        scanner: that scanned.
+    """
+    sigma = np.full(len(merged.cloud), np.nan)
+    law = getattr(scanner, "sigma", None)
+    for number, (scan, T) in enumerate(zip(scans, merged.poses, strict=True)):
+        own = merged.cloud.scan == number
+        if callable(law) and len(scan.T_true_poses) == 1 and own.any():
+            R, t = T[:3, :3], T[:3, 3]
+            sigma[own] = law((merged.cloud.points[own] - t) @ R, merged.cloud.normals[own] @ R)
+    sigma[~np.isfinite(sigma)] = np.nan
+    return sigma
 
 
 def _rms_to(nearest: NearestSurface, clouds: Sequence[ScanCloud]) -> float:

@@ -26,7 +26,7 @@ from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, open_finished, understood
 from cell.scan import execution_page
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, usable
+from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, sigma_of, usable
 from cell.scan.execution_summary import Results, execution_report, settings_of
 from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
@@ -95,22 +95,23 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         _adopt(folder, scans)
         nearest = NearestSurface(cell.reference)
         cloud = merged(scans, nearest, registered=options.registers)
-        folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop))
+        folder.write_bytes(
+            "cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop, sigma_of(cloud, scans, cell.scanner))
+        )
 
     with work.step("reconstruct"):
         model = reconstruct(cloud.cloud, close=options.close_holes)
         for doubt in model.doubts:
             work.narrator.note(doubt)
-        if model.mesh is None:
-            folder.remove("mesh.ply")
-        else:
-            folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed))
 
     with work.step("measure"):
         reached = achieved(scans, plan, cloud.cloud, cell, run.seed)
         off = None
-        if model.mesh is not None:
+        if model.mesh is None:
+            folder.remove("mesh.ply")
+        else:
             off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
+            folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices))
 
     with work.step("report"):
         legs = legs_of(motion, options.view)

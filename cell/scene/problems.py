@@ -91,7 +91,7 @@ def _sentence(detail: ErrorDetails, model: type[BaseModel], lengths: Mapping[tup
         return f"{where} is {_show(value)}; it must be {word} {context[key]:g}"
     if kind == "value_error":
         told = str(context["error"])  # a table as a whole names the key itself: ".key is ..."
-        return where + told if told.startswith(".") else f"{where} {told}"
+        return (where + told).removeprefix(".") if told.startswith(".") else f"{where} {told}"
     if kind in _WANTED:
         return f"{where} is {_show(value)}; it must be {_WANTED[kind]}"
     return f"{where} is {_show(value)}, which it cannot be"

@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from cell.errors import SceneError
+from cell.part.formats import units_of
 from cell.scene import scene_file
 from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
 from cell.scene.option import Option
@@ -34,7 +35,9 @@ RESERVED_NAMES = (
     *("bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
 )
 
-PART, _HARDWARE = "Part and place", "Robot and scanner"
+_SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
+
+PART, _HARDWARE, _REPORT = "Part and place", "Robot and scanner", "Output"
 _PLACE = Option(
     "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
     PART,
@@ -188,6 +191,8 @@ class Part(Table):
     def _given_for_a_file(cls, units: str | None, info: ValidationInfo) -> str | None:
         path = info.data.get("path", "given, but wrong")
         if path is not None and units is None:
+            if (own := units_of(path)) is not None:
+                return own
             raise ValueError("is missing; say what the file's numbers are in: mm, cm, m, um or in")
         if path is None and units is not None:
             raise ValueError("is given for a built-in part, which has its own size; leave it out, or give part.path")
@@ -211,6 +216,28 @@ class Post(Table):
 
     enabled: bool = True
     diameter_mm: Positive = 40.0
+
+
+class Picture(Table):
+    """How the report shows the cell (cell.png); nothing that is planned depends on it."""
+
+    camera_deg: Annotated[
+        tuple[float, float] | None,
+        Field(strict=False),
+        Option(
+            "Camera of the report's picture of the cell: azimuth and elevation as seen from the part, deg. Default: "
+            "beside part and arm.", _REPORT, metavar="AZ,EL", form="azimuth,elevation (deg)",
+            examples=("-60,20",), counts=(2,),
+        ),
+    ] = None  # fmt: skip
+    hide: Annotated[
+        tuple[str, ...],
+        Field(strict=False),
+        Option(
+            "What that picture leaves out: fixtures, robot, scanner, post, pedestal or floor.", _REPORT,
+            metavar="NAME[,NAME...]", made=lambda texts: [each for text in texts for each in text.split(",")],
+        ),
+    ] = ()  # fmt: skip
 
 
 class _Fixture(_Posed):
@@ -247,6 +274,12 @@ class MeshFixture(_Fixture):
     path: str
     units: Units
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_its_format(cls, table: Any) -> Any:
+        own = units_of(str(table.get("path"))) if isinstance(table, dict) else None
+        return {"units": own, **table} if own is not None else table
+
     @field_validator("path")
     @classmethod
     def _found(cls, path: str, info: ValidationInfo) -> str:
@@ -270,6 +303,7 @@ class Scene(Table):
     post: Post = Field(default_factory=Post)
     fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
     plan: PlanSettings = Field(default_factory=PlanSettings)
+    picture: Picture = Field(default_factory=Picture)
 
     @field_validator("fixtures")
     @classmethod
@@ -279,6 +313,15 @@ class Scene(Table):
         if twice:
             raise ValueError(f"hold the name '{twice[0]}' more than once; every fixture needs its own name")
         return fixtures
+
+    @field_validator("picture")
+    @classmethod
+    def _hides_what_is_there(cls, picture: Picture, info: ValidationInfo) -> Picture:
+        known = [*_SHOWN, *(fixture.name for fixture in info.data.get("fixtures", ()))]
+        for name in picture.hide:
+            if name not in known:
+                raise ValueError(f".hide names '{name}', which is nothing of this cell; it has: {', '.join(known)}")
+        return picture
 
 
 def load_scene(

@@ -111,7 +111,7 @@ def sentences(title: str, rows: Sequence[Row]) -> list[str]:
     """What a buyer of a scanner, or whoever sets it up, needs to know."""
     best, most = best_of(rows), max(rows, key=lambda row: row["visible %"])
     said = [
-        f"Best {title}: **{_value(best[title])}**. {best['views']} views measure {best['visible %']:.1f} % of the "
+        f"Best {title}: **{_value(best[title])}**. {best['views']} views measure {best['visible %']:.2f} % of the "
         f"surface (no fewer than {best['fewest views']} can), {best['sampled %']:.1f} % of it lies within 1 % of the "
         "diagonal of a scan point."
     ]

@@ -24,7 +24,6 @@ from cell.view.page import Play, Shown, Stage, html_of, thinned
 from cell.view.pieces import cell_of_world
 from cell.view.study_page import study_page
 
-_DRAWN_RANGE_MM = (100.0, 300.0)  # of a scanner whose parameters state no range
 _LOOK_S = 0.3  # between two looks at a file that is watched
 _WITHOUT_PART = "the page shows the last scene that could be read"
 
@@ -68,8 +67,7 @@ def scene_page(scene: Scene, watched: str = "") -> tuple[Stage, Play]:
     made = compiled(scene)
     result = checked(made)
     keys = ScannerKeys(**scanners.described(scene.scanner.type, made.scanner))
-    far = (keys.pair("range_mm") or _DRAWN_RANGE_MM)[1] / 1000
-    cell = cell_of_world(made.world, keys.opening_deg, far)
+    cell = cell_of_world(made.world, keys)
     stage = Stage(f"Cell with {made.part.name}", cell, [Shown("part", thinned(made.part.reference))], watched=watched)
     return stage, Play(rows=result.rows(), problems=result.problems)
 

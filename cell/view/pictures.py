@@ -18,7 +18,7 @@ from cell.view.surface import Canvas, Surface, sides
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
-_PANEL = (560, 540)
+_PANEL = (500, 480)
 _MARGIN, _LINE = 12, 26
 _BAR = 0.25  # of the panel's width: the scale bar is at most so long
 

@@ -16,7 +16,7 @@ from cell.rays.occluders import shape_triangles, standing_triangles
 from cell.robot.model import AXES, FLANGE, LINKS
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, understood
-from cell.run.scene_json import ResolvedScene
+from cell.run.scene_json import ResolvedScene, ScannerKeys
 from cell.view.palette import LOOKS, Look, look_of
 from cell.world.model import World
 from cell.world.shapes import quaternion
@@ -110,26 +110,24 @@ def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
         data.mocap_quat[model.body("object").mocapid] = quaternion(T[:3, :3])
         data.qpos[:] = np.radians(scene.home_deg)
         mujoco.mj_kinematics(model, data)
-        far = (scene.scanner.pair("range_mm") or (100.0, 300.0))[1] / 1000
-        return _cell(model, data, T, meshes, scene.T_flange_scanner, frustum(scene.scanner.opening_deg, far))
+        return _cell(model, data, T, meshes, scene.T_flange_scanner, _frustum(scene.scanner))
 
 
-def cell_of_world(world: World, opening_deg: tuple[float, float], far: float) -> Cell:
+def cell_of_world(world: World, scanner: ScannerKeys) -> Cell:
     """The cell of a compiled scene at its own placement, the arm at home.
 
     Args:
         world: the compiled scene.
-        opening_deg: of the scanner's field of view.
-        far: end of its range [m].
+        scanner: what defines it.
     """
-    shape = frustum(opening_deg, far)
-    return _cell(world.model, world.data(), world.T_base_object, world.fixture_meshes, world.T_flange_scanner, shape)
+    fixtures, T_flange_scanner = world.fixture_meshes, world.T_flange_scanner
+    return _cell(world.model, world.data(), world.T_base_object, fixtures, T_flange_scanner, _frustum(scanner))
 
 
-def frustum(opening_deg: tuple[float, float], far: float) -> Floats:
-    """(4, 3) far corners of a field of view [m], scanner frame."""
-    x, y = np.tan(np.radians(opening_deg) / 2)
-    return far * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+def _frustum(scanner: ScannerKeys) -> Floats:
+    """(4, 3) far corners of what a scanner sees [m], scanner frame."""
+    x, y = np.tan(np.radians(scanner.opening_deg) / 2)
+    return scanner.drawn_range_mm[1] / 1000 * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
 
 
 def placed(pieces: Sequence[Piece], links: Floats) -> list[Piece]:

@@ -19,7 +19,7 @@ from cell.errors import FileError
 from planner.values import Floats, Ints, Value
 
 _STEPS = 40  # of a line, each of which is hidden or not
-_EDGE = 0.1  # of full brightness: neighbours that differ by more are looked at again
+_EDGE = 0.15  # of full brightness: neighbours that differ by more are looked at again
 _BLOCK = 16_384  # pixels that are drawn at a time
 _NEAR = 0.004  # of the camera's distance: what is no farther behind a surface than this counts as on it
 

@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from planner.ports import JointLimits
 from planner.timing.motion import move_time
@@ -28,6 +27,8 @@ def least_moves(q: Floats, offsets: Ints, home: Floats, limits: JointLimits) -> 
         home: (6,) joint angles [rad]; both moves may lead there, as in a tour of one view.
         limits: of the axes.
     """
+    from scipy.spatial import KDTree  # half of what the start-up of a plan would take
+
     least = np.zeros(len(offsets) - 1)
     if not len(q):
         return least

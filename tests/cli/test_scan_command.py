@@ -18,7 +18,7 @@ import trimesh
 
 from cell.commands.terminal import Terminal
 from cell.errors import DriverFailureError, FileError
-from cell.run import process
+from cell.run import ply, process
 from cell.run.executions import execution_ids, read_execution, read_scan
 from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord, open_run
@@ -27,6 +27,8 @@ from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome
 from planner.ports import Rejection
+from planner.surface.closest import NearestSurface
+from planner.surface.mesh import TriangleMesh
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Start = Callable[..., "subprocess.Popen[str]"]
@@ -153,6 +155,7 @@ def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path
     header, _, body = content.partition(b"end_header\n")
     assert f"element vertex {report['n_points']}".encode() in header
     kinds = [*((name, "<f8") for name in "xyz"), *((name, "<f4") for name in ("nx", "ny", "nz")), ("view", "<i4")]
+    kinds += [("scalar_view", "<f4"), ("scalar_sigma_mm", "<f4")]
     rows = np.frombuffer(body, dtype=kinds)
     scans = [read_scan(path) for path in sorted((folder / "scans").iterdir())]
     points = np.concatenate([scan.points for scan in scans])
@@ -160,10 +163,14 @@ def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path
     assert rows["view"].tolist() == np.repeat(np.arange(1, len(scans) + 1), [len(s.points) for s in scans]).tolist()
     length = np.sqrt(rows["nx"] ** 2 + rows["ny"] ** 2 + rows["nz"] ** 2)
     np.testing.assert_allclose(length, 1, atol=1e-5)
+    assert (rows["scalar_view"] == rows["view"]).all()
     mesh = trimesh.load(folder / "mesh.ply", process=False)
     assert len(mesh.faces) == report["model"]["faces"] > 500
+    off = ply.elements((folder / "mesh.ply").read_bytes())["vertex"]["scalar_deviation_mm"]
     assert report["deviation"]["rms_mm"] < 0.5
     reference = trimesh.load(executed / "reference.ply")
+    near = NearestSurface(TriangleMesh(np.array(reference.vertices), np.array(reference.faces, dtype=np.int32)))
+    np.testing.assert_allclose(off, near.signed(np.array(mesh.vertices)), atol=1e-4)
     assert np.abs(mesh.bounds - reference.bounds).max() < 5.0
 
 
@@ -249,7 +256,7 @@ def test_closed_holes_are_marked_and_said(copied: Path) -> None:
     assert model.closed_faces > 0
     assert model.faces == open_faces + model.closed_faces
     body = (outcome.folder / "mesh.ply").read_bytes().partition(b"end_header\n")[2]
-    faces = np.frombuffer(body[24 * model.vertices :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
+    faces = np.frombuffer(body[28 * model.vertices :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
     assert faces["closed"].sum() == model.closed_faces
     apart = outcome.summary.deviation.closed
     page = (outcome.folder / "report.md").read_text()

@@ -118,6 +118,8 @@ def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(
         (("study", "scanner", "--fov", "10", "--baseline", "5"), 2, "give one of"),
         (("study", "scanner", "--fov", "200"), 2, "below 180"),
         (("study", "scanner", "--sensors", "nosuch"), 2, "nosuch"),
+        (("study", "scanner", "--sensors", "gocator-2340"), 2, "does not state its baseline"),
+        (("study", "scanner", "--sensors", "gocator-2340,nosuch", "--baseline", "100"), 2, "nosuch"),
         (("study", "table1", "--part", "teapot"), 2, "teapot"),
         (("study", "speed", "samples", "--values", "1,4"), 2, "is now python -m benchmarks speed"),
         (("study", "stability", "ik", "--quick"), 2, "is now python -m benchmarks stability"),

@@ -27,7 +27,7 @@ SPEED = 0.1
 def started(request: pytest.FixtureRequest) -> Callable[[str], str]:
     """Gives the URL of an entry of URLS; for those that are protocols, emulated controllers are started."""
     protocols = [entry for entry in URLS if "://" not in entry]
-    emulate: Callable[..., Any] | None = request.getfixturevalue("emulate") if protocols else None
+    emulate: Callable[..., Any] | None = request.getfixturevalue("emulate_for_all") if protocols else None
     running = {entry: emulate(entry, "--time-scale", "1000") for entry in protocols if emulate}
     return lambda entry: str(running[entry].url) if entry in running else entry
 

@@ -156,9 +156,9 @@ def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
 
 
 @pytest.fixture(scope="module")
-def standing(emulate: Callable[..., Any]) -> Any:
+def standing(emulate_for_all: Callable[..., Any]) -> Any:
     """A controller whose arm no test moves."""
-    return emulate("modbus", *_FAST)
+    return emulate_for_all("modbus", *_FAST)
 
 
 class _Told:

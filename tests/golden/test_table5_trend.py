@@ -1,7 +1,6 @@
 """The paper's Table 5 on the built-in Mseke, reduced: order of the reachable counts, and the row without a robot."""
 
 import numpy as np
-import pytest
 
 from cell.part import workpiece
 from cell.robot.kinematics import Kr16Kinematics
@@ -13,7 +12,6 @@ from planner.surface.decimate import decimate
 from planner.viewpoints.zone import optimal_scanning_zone
 
 
-@pytest.mark.slow
 def test_reachable_counts_fall_as_the_part_moves_away() -> None:
     """1500 < 1400 < 1300 < 1200 at y = 500 and 500 > 600 > 700 > 800 at x = 1200; without a robot all are usable."""
     part = workpiece.load("mseke")

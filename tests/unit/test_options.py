@@ -95,11 +95,12 @@ def test_values_of_python_are_texts_of_the_command_line() -> None:
     texts = {
         "place": "1200,500,0,90,0,0", "standoff": "300", "roll": "0,90", "pin": "1,2", "overlap": "20%", "curve": True,
         "pose_sd": "0.5mm,0.1deg", "seed": "7", "coverage": "0.9", "cost": "time", "speed": "0.5", "faces": None,
+        "camera": "-60,20", "hide": "robot,floor",
     }  # fmt: skip
     values = {
         "place": np.array([1200.0, 500, 0, 90, 0, 0]), "standoff": 300, "roll": (0, 90), "pin": [1, 2],
         "overlap": {"%": 20}, "curve": True, "pose_sd": {"mm": 0.5, "deg": 0.1}, "seed": np.int64(7), "coverage": 0.9,
-        "cost": "time", "speed": 0.5,
+        "cost": "time", "speed": 0.5, "camera": (-60.0, 20.0), "hide": ["robot", "floor"],
     }  # fmt: skip
     asked = tables(texts, "mug")
     assert asked == tables(values, "mug")

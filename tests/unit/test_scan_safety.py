@@ -146,7 +146,7 @@ def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
             safety.require_time_scale(emulator, accepted)
     safety.require_time_scale(emulator, 20.0)
     safety.require_time_scale(_Controller(), None)
-    with pytest.raises(UsageError, match="1 times"):
+    with pytest.raises(UsageError, match="is real time, not 20 times"):
         safety.require_time_scale(_Controller(), 20.0)
     emulator.capabilities = replace(emulator.capabilities, hardware=False)
     safety.require_time_scale(emulator, None)

@@ -1,5 +1,6 @@
 """Pictures by rays: where things are drawn, what hides them, what becomes glass, labels that keep apart."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from PIL import Image
 
 from cell.errors import UsageError
+from cell.plan import looks
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import box
 from cell.run import reader as run_reader
@@ -105,6 +107,27 @@ def test_a_wall_in_front_is_glass(shown: tuple[Cell, TriangleMesh, np.ndarray, n
     assert int((behind[..., 2] > behind[..., 0] + 60).sum()) > 500
     with pytest.raises(UsageError, match=r"--hide door is nothing of this cell; it has: post, pedestal, .*wall"):
         colours(0, "door")
+
+
+def test_the_report_s_picture_is_seen_as_asked(planned: Path, tmp_path: Path) -> None:
+    """Without the robot there is no orange of it; a name that this cell has not is passed over; another camera."""
+    shutil.copytree(planned, tmp_path / "run")
+    views = run_reader.plan(open_run(planned)).views
+    q, poses = np.stack([view.q for view in views]), np.stack([view.T_base_scanner for view in views])
+
+    def picture(camera: tuple[float, ...], *hide: str) -> np.ndarray:
+        path = tmp_path / "run" / "mine.png"
+        way, hidden = np.zeros((0, 3)), np.array(hide, dtype=np.str_)
+        looks.cell_with_arm(path, q=q, T_base_scanner=poses, way=way, camera_deg=np.array(camera), hide=hidden)
+        with Image.open(path) as drawn:
+            return np.asarray(drawn).astype(int)
+
+    def orange(seen: np.ndarray) -> int:
+        return int(((seen[..., 0] > 150) & (seen[..., 2] < 40)).sum())
+
+    usual = picture(())
+    assert orange(usual) > 1000 + orange(picture((), "robot", "turntable"))
+    assert (picture((200.0, 10.0)) != usual).any()
 
 
 def test_colours_differ_for_every_eye() -> None:

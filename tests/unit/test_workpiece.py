@@ -13,6 +13,7 @@ import trimesh
 
 from cell.errors import CellError, FileError, UsageError
 from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
+from cell.scene.scene import Scene
 from planner.surface.mesh import face_areas
 
 
@@ -436,3 +437,16 @@ def test_values_are_read_only(tmp_path: Path) -> None:
     for array in (part.reference.vertices, part.reference.faces, part.bounds, part.centre, part.T_object_centre):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
+
+
+def test_a_glb_has_metres_where_nothing_else_is_said(tmp_path: Path) -> None:
+    """By glTF's definition: as part, in a scene, as a fixture; a unit that is given goes before it."""
+    path = tmp_path / "cube.glb"
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(path)
+    assert load(path).size == pytest.approx(0.1)
+    assert load(path, "cm").size == pytest.approx(0.001)
+    vice = {"name": "vice", "shape": "mesh", "path": str(path)}
+    scene = Scene.model_validate(
+        {"part": {"path": str(path)}, "fixtures": [vice, {**vice, "name": "two", "units": "in"}]}
+    )
+    assert [scene.part.units, *(fixture.units for fixture in scene.fixtures)] == ["m", "m", "in"]
