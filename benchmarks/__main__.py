@@ -35,6 +35,7 @@ REGISTRY = {
     "collision": "collision checks per second beside disagreements with python-fcl",
     "fill": "seconds to fill the measurability matrix beside the error of predicted coverage",
     "candidates": "candidate generators: seconds, views and coverable area of the plan on every part",
+    "free_poses": "what any pose that the arm takes up measures, beside what the candidates do",
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked legs against float64 brute force; the matrix at 10,000 x 10,000; what Embree's share is",
     "coverage_requests": "curve, overlap and promises: processor seconds beside the gap that is left",

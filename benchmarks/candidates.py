@@ -1,4 +1,4 @@
-"""Where candidates come from: optimal scanning zone, view sphere and targeted, in the cell, on every part.
+"""Where candidates come from: grown, optimal scanning zone and view sphere, in the cell, on every part.
 
 For each part at its default settings and the place of the README (SCAN_CELL_PLACE sets another): seconds for reach,
 matrix and selection (no cache, best of two runs that alternate between the generators), the views of the plan at full
@@ -36,14 +36,16 @@ from planner.cover import Cover
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, fill, measured, occlude
 from planner.reach import reach
-from planner.reach.reach import Reach
+from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
 from planner.surface.sample import sample
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints import growth
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 
-GENERATORS = ("optimal-scanning-zone", "view-sphere", "targeted")
+GENERATORS = ("optimal-scanning-zone", "view-sphere", "grown")
 _RUNS = 2
-_COLOURS = {"optimal-scanning-zone": "#2a6f97", "view-sphere": "#7a9e3a", "targeted": "#c4622d"}
+_COLOURS = {"optimal-scanning-zone": "#2a6f97", "view-sphere": "#7a9e3a", "grown": "#c4622d"}
 
 
 def run() -> list[dict[str, Any]]:
@@ -60,12 +62,12 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    parts = list(dict.fromkeys(row["part"] for row in rows))
-    across = 4 if len(parts) > 6 else 3
-    down = -(-len(parts) // across)
+    named = list(dict.fromkeys(row["part"] for row in rows))
+    across = 4 if len(named) > 6 else 3
+    down = -(-len(named) // across)
     figure = Figure(figsize=(3.4 * across, 2.6 * down + 0.8), dpi=110, layout="constrained")
     panels = figure.subplots(down, across, squeeze=False).flat
-    for axis, part in zip(panels, parts, strict=False):
+    for axis, part in zip(panels, named, strict=False):
         for row in (row for row in rows if row["part"] == part):
             colour = _COLOURS[row["candidates"]]
             curve = row["curve"]
@@ -85,7 +87,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
         axis.tick_params(labelsize=8)
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
-    for axis in list(figure.axes)[len(parts) :]:
+    for axis in list(figure.axes)[len(named) :]:
         axis.set_visible(False)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9.5)
@@ -106,9 +108,9 @@ def parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 class Bench:
     """One part in its cell."""
 
-    def __init__(self, options: dict[str, Any]) -> None:
+    def __init__(self, options: dict[str, Any], scanner: dict[str, float] | None = None) -> None:
         place = [float(value) for value in os.environ.get("SCAN_CELL_PLACE", "1200,500,0").split(",")]
-        self.tables = {"part": options, "placement": {"position_mm": place}}
+        self.tables = {"part": options, "placement": {"position_mm": place}, "scanner": scanner or {}}
         scene = load_scene(None, self.tables)
         self.part = workpiece.load(scene.part.source, scene.part.units)
         self.settings = resolve(scene, self.part)
@@ -132,8 +134,12 @@ class Bench:
         world = self.world
         return reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
 
+    def arm(self) -> Arm:
+        """Who measures, and where it gets to."""
+        return generators.arm_of(self.world, self.kinematics, self.checker, self.scanner, self.casters)
+
     def views(self, generator: str) -> Viewpoints:
-        """The generator's candidates; of `targeted`, the base set."""
+        """The generator's candidates before reach is asked."""
         scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
         return generators.first(scene, self.settings, self.part, self.planning)
 
@@ -149,12 +155,12 @@ class Bench:
         """Candidates, reach, M, selection, and the seconds that they took."""
         start = perf_counter()
         views = self.views(generator)
-        reached, M = self.reach_of(views), self.measure(views)
-        if generator == "targeted":
-            views, reached, M = generators.grow(
-                views, reached, M, standoff=self.settings.standoffs[0], scanner=self.scanner, casters=self.casters,
-                reach_of=self.reach_of, measure=self.measure,
-            )  # fmt: skip
+        reached = self.reach_of(views)
+        if generator == generators.GROWN:
+            scouts = sample(self.part.reference, self.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
+            added = generators.grow(views, reached.reachable, scouts, self.arm())
+            views, reached = join_viewpoints([views, added]), join_reach([reached, self.reach_of(added)])
+        M = self.measure(views)
         chosen = self.choose(M, reached, 1.0)
         return views, reached, M, chosen, perf_counter() - start
 

@@ -4,16 +4,20 @@ import json
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cell.commands.options import AsJson
 
+if TYPE_CHECKING:
+    from cell.commands.terminal import Terminal
+
 EPILOG = (
     "Examples:\n\n"
     "cell why sim_runs/trial\n\n"
     "cell why sim_runs/trial --samples 20000 --json\n\n"
+    "cell why sim_runs/trial --advise\n\n"
     "Writes why.json, why.ply, why.png and view.html to why/ in the run folder; the plan stays as it is.\n\n"
     "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
 )
@@ -25,6 +29,12 @@ def why(
         int | None,
         typer.Option(metavar="N", help="Surface samples to ask about. Default: 100,000, as coverage is defined."),
     ] = None,
+    advise: Annotated[
+        bool,
+        typer.Option(
+            "--advise", help="In place of the reasons: what a second set-up or another place of the part would give."
+        ),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
@@ -34,6 +44,9 @@ def why(
     from cell.why.explain import explain
 
     terminal = Terminal(quiet_stdout=as_json)
+    if advise:
+        _advise(run, terminal, as_json=as_json)
+        return
     outcome = explain(run, terminal, samples=samples)
     if as_json:
         sys.stdout.write(json.dumps(outcome.summary.as_json(), indent=2, allow_nan=False) + "\n")
@@ -50,3 +63,22 @@ def why(
         planned = [word for word in without(open_run(run).manifest.argv, "--out") if word != "--json"]
         again = [("cell", *planned, *setting) for setting in better if planned[:1] == ["plan"]]
         terminal.then(*again, ("cell", "scan", run))
+
+
+def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
+    from cell.run.record import open_finished  # kept out of the start-up of --help
+    from cell.why.advise import advise
+
+    visible, found = advise(open_finished(run), terminal)
+    if as_json:
+        content = {"visible": visible, "advice": [advice.as_json() for advice in found]}
+        sys.stdout.write(json.dumps(content, indent=2, allow_nan=False) + "\n")
+        return
+    rows = [
+        (str(number), advice.what, f"{100 * advice.share:.2f} % (+- {100 * advice.standard_error:.2f})")
+        for number, advice in enumerate(found, 1)
+    ]
+    title = f"This plan measures {100 * visible:.2f} % of the surface"
+    terminal.grid(("", "what could be done", "of the surface, by any pose"), rows, title)
+    for number, advice in enumerate(found, 1):
+        terminal.say(f"{number}: {advice.command}")

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -24,9 +23,10 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
+from cell.plan.candidates import limited
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Cell, Job, Measured, Run
-from cell.plan.view_plan import ConnectedPlan, choose_and_connect
+from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.run import reader
@@ -37,8 +37,6 @@ from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene, pose
 from planner.cover import CoverStatus
 from planner.measurability.columns import join_measurability
-from planner.measurability.quality import Limited
-from planner.ports import Scanner, SigmaScanner
 from planner.reach.reach import Reach, Verdict, join_reach
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
@@ -115,7 +113,8 @@ def _steps(before: _Before, wanted: Edit, run: Run, job: Job) -> int:
     order = edited.views if same else edited.order
     known = known_motion(before.run) if same else None
     problem = replace(problem, request=replace(problem.request, order=order, known=known))
-    holds, chosen = _bounded(before, edited, problem, _connected(run, problem, edited))
+    problem, chosen = _connected(run, problem, surface, edited)
+    holds, chosen = _bounded(before, edited, problem, chosen)
     told: dict[str, object] = {"part": before.run.report.part}
     if not holds:
         told["status"] = "edited by hand; how few views would do is not known"
@@ -169,7 +168,7 @@ def _measured(before: _Before, edited: EditedViews, run: Run, job: Job, surface:
         UnreachableError: if the arm cannot take a view.
     """
     candidates, reached, M = before.candidates, before.reached, reader.measurability(before.run.record)
-    casters, scanner = steps.casters_of(surface, cell), _limited(job)
+    casters, scanner = steps.casters_of(surface, cell), limited(job.scene, job.scanner)
     if len(edited.appended):
         with run.step("reach of new poses") as progress:
             reached = join_reach([reached, steps.reach_of(job, cell, edited.appended, progress)])
@@ -183,11 +182,6 @@ def _measured(before: _Before, edited: EditedViews, run: Run, job: Job, surface:
     plan_files.write_reach(run.folder, reached)
     plan_files.write_measurability(run.folder, M)
     return Measured(candidates, reached, M, scanner, casters)
-
-
-def _limited(job: Job) -> Scanner:
-    limit = job.scene.plan.max_sigma_mm
-    return job.scanner if limit is None else Limited(cast(SigmaScanner, job.scanner), limit / 1000)
 
 
 def _require_reached(edited: EditedViews, reached: Reach) -> None:
@@ -215,26 +209,24 @@ def _asked(wanted: Edit, edited: EditedViews, job: Job, measured: Measured) -> P
         pinned = dict.fromkeys((*edited.views, *plan.pinned))
         return plan.model_copy(update={"pinned": tuple(pinned), "banned": (*plan.banned, *edited.dropped)})
     others = np.setdiff1d(np.arange(len(measured.reached)), edited.views)
-    defaults = {key: PlanSettings.model_fields[key].default for key in (*_PLAIN, "coverage")}
-    return plan.model_copy(update={**defaults, "pinned": edited.views, "banned": tuple(others.tolist())})
+    defaults = {key: PlanSettings.model_fields[key].default for key in _PLAIN}
+    given = {"coverage": 1.0, "pinned": edited.views, "banned": tuple(others.tolist())}
+    return plan.model_copy(update={**defaults, **given})
 
 
-def _connected(run: Run, problem: Problem, edited: EditedViews) -> ConnectedPlan:
-    """The views with the motion through them.
+def _connected(run: Run, problem: Problem, surface: PartSurface, edited: EditedViews) -> tuple[Problem, ConnectedPlan]:
+    """The views with the motion through them, and the problem with the samples that a repair added.
 
     Raises:
         UnreachableError: if no motion leads through a view, with the reason.
     """
-    with run.step("order and connect") as progress:
-        try:
-            return choose_and_connect(
-                problem, selection_rng=run.rng(steps.SELECTION), motion_rng=run.rng(steps.MOTION), progress=progress
-            )
-        except PinnedOutError as error:
-            called = edited.called.get(error.candidate, f"pinned candidate {error.candidate}")
-            raise UnreachableError(
-                f"{called} cannot be part of a motion: {error.reason}; move it elsewhere, or drop it"
-            ) from error
+    try:
+        return steps.connect(run, problem, surface)
+    except PinnedOutError as error:
+        called = edited.called.get(error.candidate, f"pinned candidate {error.candidate}")
+        raise UnreachableError(
+            f"{called} cannot be part of a motion: {error.reason}; move it elsewhere, or drop it"
+        ) from error
 
 
 def _bounded(

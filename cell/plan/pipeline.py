@@ -17,18 +17,16 @@ from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
+from cell.plan import answers, picture_process, promise, steps
 from cell.plan import curve as curves
 from cell.plan import files as plan_files
-from cell.plan import picture_process, promise, steps
-from cell.plan import request as requests
 from cell.plan.drawing import draw_motion, draw_views, finish_drawing
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
-from cell.plan.summary import plan_report
+from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.folder import RunFolder
-from cell.run.plan_json import Promise
-from cell.run.report_json import Curve, Report
+from cell.run.report_json import Report
 from cell.scene import doubts
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
@@ -92,9 +90,10 @@ def _steps(run: Run, job: Job) -> int:
     cell = steps.compile_cell(run, job, surface)
     run.drawing.cell_ready(run.folder.path)
     reached = steps.reach_candidates(run, job, cell, candidates)
+    candidates, reached = steps.grow_candidates(run, job, surface, cell, candidates, reached)
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
     problem = steps.ask(run, job, cell, measured, prediction)
-    chosen = steps.connect(run, problem)
+    problem, chosen = steps.connect(run, problem, surface)
     return 3 if _below(run.narrator, finish(run, job, surface.planning, problem, chosen)) else 0
 
 
@@ -119,10 +118,9 @@ def finish(
     draw_views(run.drawing, run.folder, job.part, problem, chosen, job.scene.picture)
     chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
-    promised, curve = _further(run, problem, chosen)
+    further = _further(run, problem, chosen)
     with run.step("report"):
-        adds = coverage.added(chosen.seen)
-        report = plan_report(job, planning, problem, chosen, clearance, motion, adds, promised, curve)
+        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(chosen.seen), further)
         report = report.model_copy(update=dict(told))
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)
@@ -130,13 +128,13 @@ def finish(
     return report
 
 
-def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[Promise | None, Curve | None]:
-    """What is worked out beyond a plain plan: the promise simulated, the curve."""
+def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> Further:
+    """What is worked out beyond the plan itself: what is lost, the promise simulated, the curve."""
     selected, wishes = chosen.selected, problem.request.plan
     if selected.note:
         run.narrator.note(selected.note)
     promised, fewest = None, None
-    if robust := requests.robust_of(selected, chosen.cover.total_area):
+    if robust := answers.robust_of(selected, chosen.cover.total_area):
         with run.step("simulate executions") as progress:
             rng = run.rng(steps.EXECUTIONS)
             promised = promise.simulate(wishes, robust, chosen.T_object_poses, problem.prediction, rng, progress)
@@ -145,21 +143,28 @@ def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[Promise
             curve = curves.curve_of(problem.request, selected, chosen.matrix, problem.reached, run.rng(steps.CURVE))
             curves.write(run.folder, run.drawing, curve, len(chosen.cover.views), chosen.cover.covered_area)
         fewest = curves.fewest_of(curve)
-    return promised, fewest
+    return Further(steps.what_is_lost(run, problem, chosen), promised, fewest)
 
 
 def _below(narrator: Narrator, report: Report) -> bool:
     """Whether the plan stays below a coverage that was asked for; says which, and what would help.
 
-    A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers.
+    A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers; one that is asked several
+    times, or with a probability, is of the matrix' samples as well.
     """
     coverage, settings = report.coverage, report.settings
     share, asked = coverage.visible_of_coverable, settings.coverage
-    missed = asked < 1 and share < asked
+    plain = report.most_coverage is None and report.multiplicity is None and report.promise is None
+    missed = plain and asked < 1 and share < asked
     if missed:
+        why = (
+            f"{len(report.dropped)} views that were chosen could not be connected; move the part, or ask for less"
+            if report.dropped
+            else "what is left is measured by views that the arm shades, or falls between all samples; see cell why"
+        )
         narrator.note(
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
-            "for, although it covers every sample of the matrix; more --samples or --faces bring it closer"
+            f"for: {why}"
         )
     if coverage.visible < settings.required_visible:
         narrator.note(

@@ -4,6 +4,7 @@ import html
 from collections.abc import Iterable
 
 from cell.plan import request_report
+from cell.plan.attainable import sentence
 from cell.plan.clearances import tightest_sentence
 from cell.run.report_json import Report, ReportMotion, ReportSettings
 
@@ -21,6 +22,7 @@ def markdown(report: Report) -> str:
         f"{_percent(coverage.visible_of_coverable)} of what the reachable candidates can measure "
         f"({_percent(coverage.coverable)}). {_sentence(report.status)}",
         "",
+        *(f"{text[0].upper()}{text[1:]}.\n" for _, text in _lost(report)),
         "![The cell, the arm at one of the views](cell.png)",
         "",
         "![The part by the number of views that measure it, and the views](views.png)",
@@ -75,6 +77,7 @@ def table(report: Report) -> list[tuple[str, str]]:
             f"{_percent(coverage.visible)} of the surface, {_percent(coverage.visible_of_coverable)} of what "
             "reachable candidates can measure",
         ),
+        *_lost(report),
         *request_report.rows(report),
         ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.verdicts)),
     ]
@@ -88,6 +91,13 @@ def table(report: Report) -> list[tuple[str, str]]:
         + ("" if clearance is None else f"; nearest {clearance:.1f} mm ({motion.between})")
     )
     return [*rows, ("motion", took)]
+
+
+def _lost(report: Report) -> list[tuple[str, str]]:
+    """What any pose would measure; of older runs nothing."""
+    if report.attainable is None:
+        return []
+    return [("of what it can", sentence(report.coverage.visible, report.coverage.coverable, report.attainable))]
 
 
 def _facts(report: Report) -> list[str]:

@@ -12,17 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import JsonValue
 
 from cell.errors import SceneError
 from cell.rays.prediction import Prediction
-from cell.run import plan_json
 from cell.scene.plan_settings import PlanSettings
 from planner import cover
-from planner.cover import Cover, Overlap, Problem
+from planner.cover import Cover, CoverStatus, Overlap, Problem
 from planner.cover.overlap import Connection, connection
-from planner.cover.robust import RobustCover, robust_cover, views_for_promise
+from planner.cover.robust import RobustCover, robust_cover
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.order.seconds_of_views import least_moves
@@ -37,6 +34,14 @@ LEAST_COST = 1e-6
 """Seconds that a view is taken to cost at least, as a cover's costs are above 0."""
 
 _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
+
+RAISED = 0.002
+"""Share by which a target is raised on the matrix before samples are added to it: one raise is usual."""
+
+_LOOK_WORK = cover.DEFAULT_WORK // 5
+"""Of a short search: nine of ten have the views of the whole work; what that adds is mostly proof."""
+
+_LAST_WORK = cover.DEFAULT_WORK // 2  # after a look
 
 _MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
 
@@ -88,6 +93,8 @@ class Selected:
         sentence: the status in words with its numbers.
         answer: what is known beyond the cover, which for most requests says all; else None.
         cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
+        short: share of what is coverable on the held-out samples that a coverage below 1 misses there; 0 where it is
+            kept, or was not looked at.
     """
 
     cover: Cover
@@ -95,6 +102,7 @@ class Selected:
     sentence: str
     answer: Connection | RobustCover | None = None
     cost_bound: float = 0.0
+    short: float = 0.0
 
     @property
     def note(self) -> str:
@@ -113,12 +121,16 @@ def select(
     *,
     banned: tuple[int, ...],
     rng: np.random.Generator,
+    looked: Selected | None = None,
+    look: bool = False,
 ) -> Selected:
     """Answer a request.
 
     A coverage below 1 is a promise about the surface: where a cover keeps it on the matrix' samples but not on the
     held-out ones, its target on the matrix is raised. Two promises are kept on the matrix alone: the most coverage
     with k views has no target, and probabilities are not known of samples that were not planned for.
+
+    The raises are found by short searches, which seldom miss a view; the whole work goes into the last target alone.
 
     Args:
         request: the wishes.
@@ -128,6 +140,8 @@ def select(
         prediction: held-out samples.
         banned: candidates that turned out to be of no use; those that the user bans come on top.
         rng: randomness of the selection.
+        looked: the answer of a look at the same; it is searched on from there.
+        look: whether a short search is enough, and a cover that misses the promise by more than `RAISED`.
     """
     plan = request.plan
     wish = Problem(
@@ -141,24 +155,65 @@ def select(
     if request.layer is not None:
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, plan.coverage, robust.sentence, robust)
-    target, raises, least = plan.coverage, 0, 0.0
+    if plan.coverage >= 1 or plan.multiplicity > 1:  # of the matrix' samples that is all that it can be asked
+        return _cover(request, wish, rng, cover.DEFAULT_WORK)
+
+    def short(selected: Selected) -> float:
+        return plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
+
+    brief = request.costs is None and request.overlap is None and plan.solver == "auto"
+    work = _LOOK_WORK if brief else cover.DEFAULT_WORK
+    found = looked or _raised(request, wish, rng, work, short, most=RAISED if look else 1.0)
+    if look or not brief or found.cover.status is CoverStatus.PROVEN:
+        return found
+    thorough = _cover(request, replace(wish, coverage=found.target), rng, _LAST_WORK)
+    if len(thorough.cover.views) < len(found.cover.views) and short(thorough) <= found.short:
+        return replace(thorough, short=found.short)
+    return _with_bound(found, thorough.cover.lower_bound)
+
+
+def _raised(
+    request: Request,
+    wish: Problem,
+    rng: np.random.Generator,
+    work: int,
+    short: Callable[[Selected], float],
+    most: float,
+) -> Selected:
+    """The first cover that keeps the promise, its target raised where it has to be.
+
+    Where it would have to be raised by more than `most`, the cover that does not keep the promise.
+    """
+    target, raises, least = request.plan.coverage, 0, 0.0
     while True:
-        asked = replace(wish, coverage=target)
-        if request.overlap is not None:
-            joined = cover.solve(asked, rng=rng, budget=_MOST_WORK)
-            how = connection(asked, joined)
-            selected = Selected(joined, target, joined.sentence if how.connected else how.sentence, how)
-        else:
-            chosen = cover.solve(asked, rng=rng, solver=plan.solver)
-            least = least if raises else chosen.cost_bound
-            selected = Selected(chosen, target, chosen.sentence, cost_bound=least)
-        if target >= 1 or plan.multiplicity > 1:  # full coverage of the matrix' samples is all that it can be asked
-            return selected
-        short = plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
-        if short <= 0:
-            return selected
+        found = _cover(request, replace(wish, coverage=target), rng, work)
+        least = least if raises else found.cost_bound
+        lacks = short(found)
+        found = replace(found, cost_bound=least, short=max(lacks, 0.0))
         raises += 1
-        target = 1.0 if raises == _RAISES else min(1.0, target + short + _STEP)
+        more = 1.0 if raises == _RAISES else min(1.0, target + lacks + _STEP)
+        if lacks <= 0 or target >= 1 or more > request.plan.coverage + most:
+            return found
+        target = more
+
+
+def _cover(request: Request, wish: Problem, rng: np.random.Generator, work: int) -> Selected:
+    """The fewest or cheapest views for a target, which hang together where that is asked."""
+    if request.overlap is not None:
+        joined = cover.solve(wish, rng=rng, budget=_MOST_WORK)
+        how = connection(wish, joined)
+        return Selected(joined, wish.coverage, joined.sentence if how.connected else how.sentence, how)
+    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, budget=work)
+    return Selected(chosen, wish.coverage, chosen.sentence, cost_bound=chosen.cost_bound)
+
+
+def _with_bound(selected: Selected, bound: int) -> Selected:
+    """With a bound that a longer search for the same target has proven."""
+    bound = max(bound, selected.cover.lower_bound)
+    proven = bound >= len(selected.cover.views)
+    status = CoverStatus.PROVEN if proven else selected.cover.status
+    cover = replace(selected.cover, lower_bound=min(bound, len(selected.cover.views)), status=status)
+    return replace(selected, cover=cover, sentence=cover.sentence)
 
 
 def check_named(plan: PlanSettings, reached: Reach) -> None:
@@ -192,89 +247,3 @@ def seconds_of_views(plan: PlanSettings, reached: Reach, home: Floats | None, li
     """
     moves = np.zeros(len(reached)) if home is None else least_moves(reached.q, reached.offsets, home, limits)
     return np.maximum(plan.scan_s + plan.settle_s + moves, LEAST_COST)
-
-
-def settings(plan: PlanSettings) -> dict[str, JsonValue]:
-    """The wishes that differ from their defaults, as report.json lists them."""
-    keys = ("max_views", "multiplicity", "pinned", "banned", "cost", "overlap_mm2", "overlap_share", "overlap_in_order")
-    asked = {key: getattr(plan, key) for key in keys if getattr(plan, key) != PlanSettings.model_fields[key].default}
-    if plan.cost == "time":
-        asked |= {"scan_s": plan.scan_s, "settle_s": plan.settle_s}
-    if plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0:
-        asked |= {key: getattr(plan, key) for key in ("pose_sd_mm", "pose_sd_deg", "alpha", "ensemble")}
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in asked.items()}
-
-
-def most_coverage_of(selected: Selected, total_area: float) -> plan_json.MostCoverage | None:
-    """What plan.json and report.json say of the most coverage with a number of views; None where it was not asked for.
-
-    Args:
-        selected: the answer.
-        total_area: of the surface [m^2].
-    """
-    cover = selected.cover
-    if cover.max_views is None:
-        return None
-    return plan_json.MostCoverage(
-        max_views=cover.max_views,
-        covered=cover.covered_area / total_area,
-        upper_bound=cover.upper_area / total_area,
-        gap_points=cover.gap_points,
-    )
-
-
-def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) -> plan_json.Overlap | None:
-    """What they say of overlap; None where it was not asked for.
-
-    Args:
-        selected: the answer.
-        order: (n,) its views in visiting order.
-        total_area: of the surface [m^2].
-    """
-    answer = selected.answer
-    if not isinstance(answer, Connection):
-        return None
-    without = selected.cover.unconnected_views or 0
-    return plan_json.Overlap(
-        connected=answer.connected,
-        extra_views=len(selected.cover.views) - without,
-        views_without=without,
-        # The first of all overlaps none before it and does not count.
-        without_earlier=sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order))),
-        parts=[
-            plan_json.OverlapPart(views=(answer.part == k).sum(), covered=area / total_area)
-            for k, area in enumerate(answer.part_area)
-        ],
-    )
-
-
-def robust_of(selected: Selected, total_area: float) -> plan_json.RobustSelection | None:
-    """What they say of the selection under pose errors; None where poses count as exact.
-
-    Args:
-        selected: the answer.
-        total_area: of the surface [m^2].
-    """
-    answer = selected.answer
-    if not isinstance(answer, RobustCover):
-        return None
-    return plan_json.RobustSelection(
-        alpha=answer.alpha,
-        members=answer.members,
-        views_needed=views_for_promise(answer.alpha, answer.members),
-        robust_on_features=answer.robust_area / total_area,
-        robust_coverable_on_features=answer.robust_coverable_area / total_area,
-    )
-
-
-def multiplicity_of(selected: Selected) -> plan_json.Multiplicity | None:
-    """What they say of samples measured several times; None where once is enough."""
-    cover = selected.cover
-    if cover.demand == 1:
-        return None
-    return plan_json.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
-
-
-def cost_of(cover: Cover) -> plan_json.Cost | None:
-    """What they say of seconds; None where the number of views counts."""
-    return None if cover.price is None else plan_json.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)

@@ -12,17 +12,16 @@ import numpy as np
 from cell import scanners
 from cell.checks.doubtful import doubtful
 from cell.checks.possible import require_possible
-from cell.errors import UnreachableError
 from cell.narrator import Narrator
-from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
+from cell.plan import attainable, denser, promise
 from cell.plan import files as plan_files
-from cell.plan import promise
-from cell.plan.candidates import first, grow
+from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
-from cell.plan.request import Request, check_named, seconds_of_views
+from cell.plan.reachable import require_reachable
+from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import ConnectedPlan, choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
@@ -30,6 +29,7 @@ from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import Prediction, held_out
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run.folder import RunFolder
+from cell.run.report_json import Attainable
 from cell.scanners import ScannerPlugin
 from cell.scene import doubts
 from cell.scene.resolve import Settings
@@ -39,19 +39,20 @@ from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.measurability import matrix
+from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Scanner
 from planner.reach import reach
-from planner.reach.reach import Reach
+from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
+from planner.surface.sample import sample
 from planner.timing import motion as timing
 from planner.timing.motion import Motion
-from planner.viewpoints.viewpoints import Viewpoints
-
-_ONE_SIDED = (Kind.OPEN, Kind.FLAT)
+from planner.viewpoints import growth
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
 _FEATURES, SELECTION, MOTION, _ENSEMBLE = 0, 2, 3, 4
-EXECUTIONS, CURVE = 5, 6
+EXECUTIONS, CURVE, _SCOUTS, _ASKED, _FRESH = 5, 6, 7, 8, 9
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
 
@@ -159,36 +160,47 @@ def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> 
     with run.step("reach") as progress:
         reached = reach_of(job, cell, candidates, progress)
         plan_files.write_reach(run.folder, reached)
-        if job.scene.plan.candidates != "targeted":  # those come in rounds, see `measure`
-            check_named(job.scene.plan, reached)
-        if not reached.reachable.any():
-            raise UnreachableError(_nothing_reachable(reached, job.part))
+        if job.scene.plan.candidates != GROWN:
+            require_reachable(job.scene.plan, job.part, reached)
         return reached
+
+
+def grow_candidates(
+    run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
+) -> tuple[Viewpoints, Reach]:
+    """Step 4 again: candidates where none that is reached measures, if the scene's generator grows them.
+
+    Raises:
+        UnreachableError: if the arm reaches none after all.
+        SceneError: if the plan names a candidate that there is not, or that is not reached.
+    """
+    if job.scene.plan.candidates != GROWN:
+        return candidates, reached
+    with run.step("grow the candidates") as progress:
+        scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(_SCOUTS))
+        casters = casters_of(surface, cell)
+        scanner = limited(job.scene, job.scanner)
+        arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
+        grown = grow(candidates, reached.reachable, scouts, arm, progress)
+        reached = join_reach([reached, reach_of(job, cell, grown)])
+        candidates = join_viewpoints([candidates, grown])
+        plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_reach(run.folder, reached)
+        require_reachable(job.scene.plan, job.part, reached)
+        return candidates, reached
 
 
 def measure(
     run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Measured, Prediction]:
-    """Step 5: the measurability matrix, grown where candidates are targeted, and the held-out samples."""
-    plan = job.scene.plan
+    """Step 5: the measurability matrix, whose columns are asked where the arm gets to, and the held-out samples."""
     with run.step("measurability") as progress:
         casters = casters_of(surface, cell)
-        M, scanner = columns(
-            run, job, surface, casters, candidates, progress, may_be_empty=plan.candidates == "targeted"
-        )
-        if plan.candidates == "targeted":
-            candidates, reached, M = grow(
-                candidates, reached, M, standoff=job.settings.standoffs[0], scanner=scanner, casters=casters,
-                reach_of=lambda views: reach_of(job, cell, views),
-                measure=lambda views: columns(run, job, surface, casters, views, progress, may_be_empty=True)[0],
-                progress=progress,
-            )  # fmt: skip
-            plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
-            plan_files.write_reach(run.folder, reached)
-        check_named(plan, reached)
-        candidates = scanners.swept(job.scanner, candidates)
+        usable = np.flatnonzero(reached.reachable)
+        M, scanner = columns(run, job, surface, casters, pick_viewpoints(candidates, usable), progress)
+        M = spread_measurability(M, usable, len(candidates))
         plan_files.write_measurability(run.folder, M)
-        measured = Measured(candidates, reached, M, scanner, casters)
+        measured = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
         return measured, predicted(run, surface, measured, progress)
 
 
@@ -196,10 +208,7 @@ def columns(
     run: Run, job: Job, surface: PartSurface, casters: Sequence[RayCaster], views: Viewpoints, progress: Progress,
     *, may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:  # fmt: skip
-    """M of viewpoints, occluders applied and the limit on sigma kept; and the scanner that keeps it.
-
-    `may_be_empty`: whether there are others, where these measure nothing so precisely.
-    """
+    """M of viewpoints past occluders, within the limit on sigma (`limit_sigma`), and the scanner that keeps it."""
     views = scanners.swept(job.scanner, views)
     M = part_matrix(
         job.scene, job.settings, surface, views, narrator=run.narrator, use_cache=run.use_cache, progress=progress
@@ -242,12 +251,17 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
     )  # fmt: skip
 
 
-def connect(run: Run, problem: Problem) -> ConnectedPlan:
-    """Steps 6 to 8: the views, their order with a joint solution each, and free paths between them."""
+def connect(run: Run, problem: Problem, surface: PartSurface) -> tuple[Problem, ConnectedPlan]:
+    """Steps 6 to 8: the problem with the samples that its promise took, and its views connected by free paths."""
     with run.step("select, order and connect") as progress:
-        return choose_and_connect(
-            problem, selection_rng=run.rng(SELECTION), motion_rng=run.rng(MOTION), progress=progress
+        chooses, matrix_before = run.rng(SELECTION), problem.M
+        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH))
+        if problem.M is not matrix_before:
+            plan_files.write_measurability(run.folder, problem.M)
+        chosen = choose_and_connect(
+            problem, selected, selection_rng=chooses, motion_rng=run.rng(MOTION), progress=progress
         )
+        return problem, chosen
 
 
 def prove_and_time(
@@ -266,6 +280,12 @@ def prove_and_time(
         return replace(chosen, tour=tour), measured, motion
 
 
+def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainable:
+    """What any pose would measure that the robot takes up here, beside what the plan measures."""
+    with run.step("what is lost"):
+        return attainable.of_plan(problem, chosen.visible, run.rng(_ASKED))
+
+
 def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
     """Verdicts and joint solutions of viewpoints."""
     poses, world = scanners.swept(job.scanner, views), cell.world
@@ -281,14 +301,3 @@ def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
             f"the planning mesh has {came_out} faces in place of {wanted}: this mesh does not come closer (slivers, "
             "several bodies, or fewer faces than asked for); the plan uses these"
         )
-
-
-def _nothing_reachable(reached: Reach, part: Workpiece) -> str:
-    counts = ", ".join(f"{count} {verdict.sentence}" for verdict, count in reached.counts().items() if count)
-    worst = next(iter(reached.blockers()), "")
-    return (
-        f"none of the {len(reached)} candidate viewpoints is reachable: {counts}"
-        + (f" (most often {worst})" if worst else "")
-        + "; move the part (--place), change the standoff or allow more --roll values"
-        + (", or turn its faces round if they face inwards" if any(f.kind in _ONE_SIDED for f in part.findings) else "")
-    )

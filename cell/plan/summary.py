@@ -1,21 +1,38 @@
 """What a plan amounts to: the value that report.json, the page and the table are made of."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.plan import request as requests
+from cell.plan import answers
 from cell.plan.clearances import clearance_of
 from cell.plan.problem import Problem
 from cell.plan.steps import Job
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.described import degrees
 from cell.run.plan_json import Coverage, Dropped, Promise, Verdicts
-from cell.run.report_json import Curve, Report, ReportMotion, ReportPart, ReportSettings, ReportView, Sigma
+from cell.run.report_json import Attainable, Curve, Report, ReportMotion, ReportPart, ReportSettings, ReportView, Sigma
 from cell.world.clearance import MotionClearance
 from planner.measurability.quality import best_sigma
 from planner.surface.mesh import TriangleMesh, face_areas
 from planner.timing.motion import Motion, jerk_free_duration
 from planner.values import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Further:
+    """What is worked out beyond a plain plan.
+
+    Attributes:
+        lost: what any pose measures that the robot takes up.
+        promise: under pose errors, where that was asked for.
+        curve: over the number of views, where that was asked for.
+    """
+
+    lost: Attainable
+    promise: Promise | None = None
+    curve: Curve | None = None
 
 
 def plan_report(
@@ -26,8 +43,7 @@ def plan_report(
     clearance: MotionClearance,
     motion: Motion,
     adds: Floats,
-    promise: Promise | None,
-    curve: Curve | None,
+    further: Further,
 ) -> Report:
     """Everything that the report says.
 
@@ -39,8 +55,7 @@ def plan_report(
         clearance: of the motion.
         motion: timed.
         adds: (n,) share of the surface that each view adds to those before it.
-        promise: under pose errors, where that was asked for.
-        curve: over the number of views, where that was asked for.
+        further: what was worked out beyond the plan.
     """
     cover, plan = chosen.cover, job.scene.plan
     return Report(
@@ -49,6 +64,7 @@ def plan_report(
         n_views=len(cover.views),
         n_features=problem.M.shape[0],
         coverage=_coverage(problem, chosen),
+        attainable=further.lost,
         sigma=None if plan.max_sigma_mm is None else _sigma(problem, chosen, plan.max_sigma_mm),
         solver=cover.solver,
         status=_sentence(chosen) + _at_target(chosen.target, plan.coverage),
@@ -59,12 +75,12 @@ def plan_report(
         dropped=[Dropped(id=lost.candidate, reason=lost.reason) for lost in chosen.dropped],
         views=_views(problem, chosen, adds),
         motion=_motion(chosen, motion, job.scene.robot.speed_scaling),
-        most_coverage=requests.most_coverage_of(chosen.selected, cover.total_area),
-        overlap=requests.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
-        promise=promise,
-        multiplicity=requests.multiplicity_of(chosen.selected),
-        cost=requests.cost_of(cover),
-        curve=curve,
+        most_coverage=answers.most_coverage_of(chosen.selected, cover.total_area),
+        overlap=answers.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
+        promise=further.promise,
+        multiplicity=answers.multiplicity_of(chosen.selected),
+        cost=answers.cost_of(cover),
+        curve=further.curve,
         clearance=clearance_of(clearance, motion, problem.world.collision),
     )
 
@@ -99,7 +115,7 @@ def _settings(job: Job, chosen: ConnectedPlan) -> ReportSettings:
         coverage=scene.plan.coverage,
         required_visible=scene.plan.required_visible,
         seed=scene.plan.seed,
-        **requests.settings(scene.plan),
+        **answers.settings(scene.plan),
         **{key: list(value) if isinstance(value, tuple) else value for key, value in own.items()},
     )
 

@@ -67,7 +67,7 @@ def _exchanged(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
             pinned=chosen.pinned.tolist(), spare=allowed,
         )  # fmt: skip
-        if target >= 1:
+        if problem.request.plan.coverage >= 1:
             return found, found.groups
         poses = problem.candidates.T_object_scanner[found.views]
         if problem.prediction.share_of_coverable(poses) >= problem.request.plan.coverage:

@@ -115,8 +115,26 @@ class _Again:
     refused: Mapping[int, str] = field(default_factory=dict)
 
 
+def first_choice(
+    problem: Problem, rng: np.random.Generator, *, looked: Selected | None = None, look: bool = False
+) -> Selected:
+    """Views that answer the request before any motion is known, for `choose_and_connect`.
+
+    Args:
+        problem: candidates, cell and wishes.
+        rng: randomness of the selection.
+        looked: the answer of a look at the same problem; it is searched on from there.
+        look: whether a short search is enough, and views that miss what is asked for by some.
+
+    Raises:
+        UnreachableError: if no view measures anything.
+    """
+    return _choose(problem, _views_of(problem), {}, rng, looked=looked, look=look)
+
+
 def choose_and_connect(
     problem: Problem,
+    selected: Selected,
     *,
     selection_rng: np.random.Generator,
     motion_rng: np.random.Generator,
@@ -126,6 +144,7 @@ def choose_and_connect(
 
     Args:
         problem: candidates, cell and wishes.
+        selected: the first choice of views.
         selection_rng: randomness of the selection.
         motion_rng: randomness of order and paths.
         progress: told about the edges of the tour as they become real.
@@ -134,9 +153,8 @@ def choose_and_connect(
         SceneError: if home itself is nearer to something than the clearance.
         UnreachableError: if no view that measures anything can be connected, or a pinned one cannot.
     """
-    views: Views = ViewsAtRest(problem) if problem.at_rest else SweepingViews(problem)
+    views = _views_of(problem)
     refused: dict[int, str] = {}
-    selected = _choose(problem, views, refused, selection_rng)
     while isinstance(found := _connect(problem, views, selected, refused, motion_rng, progress), _Again):
         refused |= _not_pinned(found.refused, problem.request)
         if found.next is Next.CHOOSE:
@@ -144,7 +162,19 @@ def choose_and_connect(
     return _plan(problem, views, selected, refused, found)
 
 
-def _choose(problem: Problem, views: Views, refused: Mapping[int, str], rng: np.random.Generator) -> Selected:
+def _views_of(problem: Problem) -> Views:
+    return ViewsAtRest(problem) if problem.at_rest else SweepingViews(problem)
+
+
+def _choose(
+    problem: Problem,
+    views: Views,
+    refused: Mapping[int, str],
+    rng: np.random.Generator,
+    *,
+    looked: Selected | None = None,
+    look: bool = False,
+) -> Selected:
     """Views that answer the request as far as is known by now."""
     selected = select(
         problem.request,
@@ -154,6 +184,8 @@ def _choose(problem: Problem, views: Views, refused: Mapping[int, str], rng: np.
         problem.prediction,
         banned=tuple(refused),
         rng=rng,
+        looked=looked,
+        look=look,
     )
     if not len(selected.cover.views):
         told = [f"candidate {view}: {reason}" for view, reason in {**refused, **views.shaded}.items()]

@@ -179,7 +179,7 @@ def limit_sigma(
         scanner: the sensor's law.
         max_sigma_mm: largest expected standard deviation of a point [mm], inclusive.
         casters: the part's and the occluders'.
-        may_be_empty: whether more candidates follow where these measure nothing so precisely.
+        may_be_empty: whether there are others where these measure nothing so precisely.
 
     Raises:
         SceneError: if the scanner does not know its sigma, or no candidate measures anything so precisely.

@@ -66,6 +66,20 @@ class ReportSettings(OpenTable):
         return {key: content[key] for key in first if key in content} | content
 
 
+class Attainable(JsonTable):
+    """What any pose would measure that this robot takes up here; fractions of the surface."""
+
+    share: float = Field(
+        description="measured by some pose: of the held-out samples, those that no candidate measures searched for"
+    )
+    standard_error: float = Field(description="of it: not all of those were searched for")
+    asked: int = Field(description="samples that were searched for")
+    out_of_reach: float = Field(
+        description="seen past part and occluders, but only from poses that the arm does not take up"
+    )
+    out_of_sight: float = Field(description="seen from no pose that was tried")
+
+
 class Sigma(JsonTable):
     """With `--max-sigma`: expected standard deviation of the plan's points, over the samples of the matrix."""
 
@@ -123,6 +137,7 @@ class Report(JsonTable):
     n_views: int = Field(description="views of the plan")
     n_features: int = Field(description="samples of the matrix")
     coverage: Coverage
+    attainable: Attainable | None = optional("none in older runs")
     sigma: Sigma | None = optional()
     solver: str = Field(description="that chose the views")
     status: str = Field(description="what is proven of the selection, in words")

@@ -40,9 +40,9 @@ class PlanKeys(Table):
         Option(f"What is settled where neither scene file nor option says anything. {presets.line()}.", _VIEWS),
     ] = "balanced"
     candidates: Annotated[
-        Literal["optimal-scanning-zone", "view-sphere", "targeted"],
-        Option("Which viewpoints are looked at; in the optimal scanning zone one per face.", _VIEWS),
-    ] = "optimal-scanning-zone"
+        Literal["grown", "optimal-scanning-zone", "view-sphere"],
+        Option("Which viewpoints are looked at: one per face and others where these fail; or the paper's.", _VIEWS),
+    ] = "grown"
     view_sphere_step_deg: Annotated[
         tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
     ] = (15.0, 15.0)
@@ -75,7 +75,7 @@ class PlanKeys(Table):
     ] = "auto"
     coverage: Annotated[
         Share, Option("Share of the coverable area that the plan must measure.", _VIEWS, metavar="SHARE")
-    ] = 1.0
+    ] = 0.99
     required_visible: Annotated[
         float,
         Field(ge=0, le=1),
@@ -83,6 +83,7 @@ class PlanKeys(Table):
             "Exit with code 3 when the predicted visible coverage of the WHOLE surface is below this share.",
             _VIEWS,
             name="require",
+            also="require_total",
             metavar="SHARE",
         ),
     ] = 0.0
@@ -136,12 +137,12 @@ class PlanSettings(PlanKeys):
             )
         return collision
 
-    @field_validator("fill")
+    @field_validator("candidates", mode="before")
     @classmethod
-    def _aimed_at_samples(cls, fill: str, info: ValidationInfo) -> str:
-        if fill == "rays" and info.data.get("candidates") == "targeted":
-            raise ValueError("is 'rays', and candidates = 'targeted' aims at surface samples; choose fill = 'aimed'")
-        return fill
+    def _without_targeted(cls, candidates: object) -> object:
+        if candidates == "targeted":
+            raise ValueError("is 'targeted', which is gone: 'grown' measures more with fewer views; choose 'grown'")
+        return candidates
 
     @field_validator("percent_kept")
     @classmethod
@@ -176,7 +177,7 @@ def _contradiction(plan: PlanSettings) -> str:
     asked = [key for key, is_asked in special.items() if is_asked]
     if len(asked) > 1 and asked != ["multiplicity", "cost"]:
         return f"{asked[0]} and plan.{asked[1]} are different questions to the selection; ask one of them"
-    if plan.max_views is not None and plan.coverage < 1:
+    if plan.max_views is not None and plan.coverage < 1 and "coverage" in plan.model_fields_set:
         return "max_views and plan.coverage both set how long the plan is; give one of them"
     if plan.max_views is not None and len(plan.pinned) > plan.max_views:
         return f"max_views is {plan.max_views} and {len(plan.pinned)} views are pinned; allow more or pin fewer"

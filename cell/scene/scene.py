@@ -102,7 +102,7 @@ class Scanner(Table):
         NotNegative | None, Option("From laser source to sensor. Default: the part's.", _HARDWARE)
     ] = None
     grazing_max_deg: Grazing = 75.0
-    sensor_grazing_max_deg: Grazing = 90.0
+    sensor_grazing_max_deg: Grazing = 75.0
     sensor_fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] | None = None
     sensor_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] | None = None
     depth_of_field_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None

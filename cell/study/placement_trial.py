@@ -10,18 +10,26 @@ from typing import Any
 
 import numpy as np
 
+from cell import scanners
+from cell.plan.candidates import GROWN, arm_of
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
+from cell.study.bench import Bench
 from cell.study.scenes import bench_of
 from planner import cover
 from planner.measurability import coverage
-from planner.measurability.columns import pick_measurability
-from planner.measurability.matrix import occlude
+from planner.measurability.columns import join_measurability, pick_measurability
+from planner.measurability.matrix import Measurability, fill, occlude
 from planner.order.moves import Moves
 from planner.order.orderings import sequence
+from planner.ports import CollisionChecker, RayCaster
 from planner.reach import reach
+from planner.reach.reach import Reach, join_reach, pick_reach
 from planner.timing.motion import scaled
-from planner.viewpoints.viewpoints import pick_viewpoints
+from planner.values import Floats
+from planner.viewpoints import growth
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, standing_at
 
 COVERAGE_ONLY, WHOLE = "coverage", "whole"
 
@@ -56,6 +64,9 @@ def placement(settings: Mapping[str, Any]) -> dict[str, object]:
     in_the_way = caster_of(occluder_triangles(world, T_base_object))
     M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
     M = occlude(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
+    reached = pick_reach(reached, which)
+    if bench.scene.plan.candidates == GROWN and settings["candidates"] is None:
+        views, reached, M = _grown(bench, T_base_object, checker, (bench.caster, in_the_way), (views, reached, M))
     measured = np.diff(M.indptr) > 0
     values["coverable"] = float(M.features.areas[measured].sum() / M.features.areas.sum())
     if settings["what"] == COVERAGE_ONLY or not measured.any():
@@ -63,8 +74,8 @@ def placement(settings: Mapping[str, Any]) -> dict[str, object]:
     rng = np.random.default_rng(bench.scene.plan.seed)
     share, solver = bench.scene.plan.coverage, settings["solver"]
     found = cover.solve(cover.Problem(M.matrix(), M.features.areas, coverage=share), rng=rng, solver=solver)
-    poses = candidates.T_object_scanner[which[found.views]]
-    configurations = [reached.q_of(int(which[view])) for view in found.views]
+    poses = views.T_object_scanner[found.views]
+    configurations = [reached.q_of(int(view)) for view in found.views]
     limits = scaled(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
     moves = Moves.straight(configurations, world.home, limits)
     tour = sequence(moves, T_base_object @ poses[:, 0], rng, bound_work=0)
@@ -75,3 +86,34 @@ def placement(settings: Mapping[str, Any]) -> dict[str, object]:
         "visible": coverage.visible(poses, bench.samples, bench.scanner, (bench.caster, in_the_way)).fraction,
         "cycle_s": tour.duration if np.isfinite(tour.duration) else None,
     }
+
+
+def _grown(
+    bench: Bench,
+    T_base_object: Floats,
+    checker: CollisionChecker,
+    casters: tuple[RayCaster, RayCaster],
+    known: tuple[Viewpoints, Reach, Measurability],
+) -> tuple[Viewpoints, Reach, Measurability]:
+    """Reachable candidates with those grown at this placement; the rows of the matrix are the scouts here.
+
+    Args:
+        bench: the part and the scanner.
+        T_base_object: (4, 4) the placement [m].
+        checker: of the cell there.
+        casters: the part's and the occluders'.
+        known: reachable candidates, their reach, and what they measure.
+    """
+    views, reached, M = known
+    scanner, features, world = bench.scanner, M.features, bench.world
+    arm = arm_of(world, bench.kinematics, checker, scanner, casters, T_base_object)
+    found = growth.grow(Targets.of(features.points, features.normals), np.diff(M.indptr) > 0, arm)
+    if not len(found):
+        return known
+    added = standing_at(found.T_object_scanner, features.points[found.row], features.planning_face[found.row])
+    added = scanners.swept(scanner, added)
+    measured = occlude(
+        fill(added, features, scanner, casters[0]), added, scanner, casters[1], ray_caster=casters[0]
+    )  # fmt: skip
+    of_added = reach.solve(added, T_base_object, world.T_flange_scanner, bench.kinematics, checker)
+    return join_viewpoints([views, added]), join_reach([reached, of_added]), join_measurability([M, measured])

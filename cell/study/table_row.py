@@ -17,6 +17,9 @@ from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
 FINE_RESOLUTION_DEG = 0.25
 """Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
 
+PAPER_SCANNER = {"grazing_max_deg": 75.0, "sensor_grazing_max_deg": 90.0}
+"""The paper limits the incidence of the laser alone, whatever the defaults are."""
+
 
 def row(settings: Mapping[str, Any]) -> dict[str, object]:
     """Both methods on one row.
@@ -78,8 +81,9 @@ def _bench(settings: str) -> Bench:
 
 def scene_keys(asked: Mapping[str, Any]) -> Tables:
     """Tables of the scene of a row's settings (`row`)."""
-    keys: Tables = {"part": {"name": asked["part"]}, "scanner": {}}
-    keys["plan"] = {"rolls_deg": [0.0], **{key: asked[key] for key in ("faces", "samples_per_face")}}
+    keys: Tables = {"part": {"name": asked["part"]}, "scanner": dict(PAPER_SCANNER)}
+    keys["plan"] = {"rolls_deg": [0.0], "candidates": "optimal-scanning-zone"}
+    keys["plan"] |= {key: asked[key] for key in ("faces", "samples_per_face")}
     if "standoff_mm" in asked:
         keys["plan"]["standoffs_mm"] = [asked["standoff_mm"]]
     if "fov_deg" in asked:

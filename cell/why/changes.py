@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cell import scanners
+from cell.plan.candidates import GROWN
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
@@ -131,7 +132,7 @@ class Changes:
         limit = self.cell.scanner_keys.number("grazing_max_deg")
         limit = 90.0 if limit is None else limit
         sweep = np.linalg.inv(what_if.middle(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
-        setting = "" if self.cell.scene.plan.candidates == "targeted" else "--candidates targeted"
+        setting = "" if self.cell.scene.plan.candidates == GROWN else f"--candidates {GROWN}"
         rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
         yield [
             self._reached(

@@ -42,6 +42,18 @@ def pick_measurability(measurability: Measurability, which: NDArray[np.integer])
     return _of(measurability.matrix().tocsc()[:, which].tocsr(), measurability.features)
 
 
+def spread_measurability(measurability: Measurability, which: NDArray[np.integer], total: int) -> Measurability:
+    """M whose columns are those of some viewpoints of a longer list; the columns of the others are empty.
+
+    Args:
+        measurability: M of n viewpoints.
+        which: (n,) their rows in the list, ascending.
+        total: length of the list.
+    """
+    indices = np.asarray(which, dtype=np.int32)[measurability.indices]
+    return Measurability(measurability.indptr, indices, measurability.features, total, measurability.sigma)
+
+
 def _with(measurability: Measurability, data: NDArray[np.float32]) -> "csr_array":
     from scipy.sparse import csr_array
 

@@ -23,7 +23,7 @@ from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, free_pairs, in_view
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, rotations
 
 MEMBERS = 32
 """Default size of the ensemble. One view is then credited with at most 98.5 %, see `credited`."""
@@ -198,14 +198,3 @@ def times_measured(
         if progress:
             progress(number + 1, len(errors))
     return times, share
-
-
-def rotations(vectors: Floats) -> Floats:
-    """(n, 3, 3) rotations about vectors (n, 3) by their lengths [rad] (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
-    K = np.zeros((len(vectors), 3, 3))
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    K -= K.transpose(0, 2, 1)
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + sine * K + (1.0 - cosine) * (K @ K))

@@ -111,12 +111,7 @@ def solve(
     Raises:
         PlannerError: if a transform is not rigid.
     """
-    T_base_object = _rigid("T_base_object", T_base_object)
-    T_flange_scanner = _rigid("T_flange_scanner", T_flange_scanner)
-    T_scanner_flange = np.eye(4)
-    T_scanner_flange[:3, :3] = T_flange_scanner[:3, :3].T
-    T_scanner_flange[:3, 3] = -T_flange_scanner[:3, :3].T @ T_flange_scanner[:3, 3]
-
+    T_base_object, T_scanner_flange = _rigid("T_base_object", T_base_object), _inverse_mount(T_flange_scanner)
     total, poses = viewpoints.T_object_scanner.shape[:2]
     if poses == 0:
         raise PlannerError("T_object_scanner has no pose per viewpoint; K must be 1 or more")
@@ -143,6 +138,62 @@ def solve(
             progress(int(chunk[-1]) + 1, total)
     offsets = np.concatenate(([0], np.cumsum(free_count)))
     return Reach(verdict, np.concatenate(free_q) if free_q else np.empty((0, 6)), offsets, tuple(blocker))
+
+
+def takes_up(
+    T_object_scanner: Floats,
+    T_base_object: ArrayLike,
+    T_flange_scanner: ArrayLike,
+    kinematics: Kinematics,
+    checker: CollisionChecker,
+) -> Bools:
+    """Whether the arm takes up each view, by the same rules as `solve`, which tells how and why not as well.
+
+    A branch is looked at only where none before it was free, which saves most of the collision checks.
+
+    Args:
+        T_object_scanner: (N, K, 4, 4) views of K poses [m], all of which must be taken up.
+        T_base_object: (4, 4) placement of the part [m].
+        T_flange_scanner: (4, 4) mount of the scanner [m].
+        kinematics: of the arm; its limits are the joint limits.
+        checker: of the cell at this placement.
+
+    Returns:
+        (N,) True where a view is reachable.
+
+    Raises:
+        PlannerError: if a transform is not rigid.
+    """
+    T_base_object, T_scanner_flange = _rigid("T_base_object", T_base_object), _inverse_mount(T_flange_scanner)
+    taken = np.zeros(len(T_object_scanner), dtype=np.bool_)
+    for start in range(0, len(T_object_scanner), _CHUNK):
+        alive = np.arange(start, min(start + _CHUNK, len(T_object_scanner)))
+        for k in range(T_object_scanner.shape[1]):
+            T_base_flange = T_base_object @ T_object_scanner[alive, k] @ T_scanner_flange
+            alive = alive[_any_free(T_base_flange, kinematics, checker)]
+        taken[alive] = True
+    return taken
+
+
+def _any_free(T_base_flange: Floats, kinematics: Kinematics, checker: CollisionChecker) -> Bools:
+    """(N,) whether a solution of each pose is within the limits and free."""
+    solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
+    q, pose = solved.q[solved.first], solved.pose[solved.first]
+    found = np.zeros(len(T_base_flange), dtype=np.bool_)
+    turn = np.arange(len(pose)) - np.searchsorted(pose, pose)  # of the branches within the limits, which it is
+    for branch in range(int(turn.max(initial=-1)) + 1):
+        asked = np.flatnonzero((turn == branch) & ~found[pose])
+        found[pose[asked[checker.free(q[asked])]]] = True
+    return found
+
+
+def _inverse_mount(T_flange_scanner: ArrayLike) -> Floats:
+    """(4, 4) T_scanner_flange [m]."""
+    T_flange_scanner = _rigid("T_flange_scanner", T_flange_scanner)
+    T_scanner_flange = np.eye(4)
+    T_scanner_flange[:3, :3] = T_flange_scanner[:3, :3].T
+    T_scanner_flange[:3, 3] = -T_flange_scanner[:3, :3].T @ T_flange_scanner[:3, 3]
+    return T_scanner_flange
 
 
 def _solve_poses(
@@ -190,4 +241,16 @@ def join_reach(parts: Sequence[Reach]) -> Reach:
         np.concatenate([part.q for part in parts]),
         np.concatenate([[0], np.cumsum(counts)]),
         tuple(name for part in parts for name in part.blocker),
+    )
+
+
+def pick_reach(reached: Reach, which: Ints) -> Reach:
+    """Verdicts and solutions of some viewpoints, (n,) rows in the order that is wanted."""
+    counts = np.diff(reached.offsets)[which]
+    rows = np.repeat(reached.offsets[which] - np.cumsum(counts) + counts, counts) + np.arange(int(counts.sum()))
+    return Reach(
+        reached.verdict[which],
+        reached.q[rows],
+        np.concatenate([[0], np.cumsum(counts)]),
+        tuple(reached.blocker[view] for view in which),
     )

@@ -11,7 +11,7 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.surface.closest import closest_face
 from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
-from planner.values import Floats, Ints, Ints32, Value
+from planner.values import Bools, Floats, Ints, Ints32, Value
 
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
 
@@ -104,3 +104,14 @@ def _morton_order(points: Floats) -> Ints:
         cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)  # spread the bits of each coordinate apart
     code = cells[:, 0] | (cells[:, 1] << np.uint32(1)) | (cells[:, 2] << np.uint32(2))
     return np.argsort(code, kind="stable")
+
+
+def pick_samples(samples: SurfaceSamples, which: Bools) -> SurfaceSamples:
+    """Some of the samples: (S,) bool; each stands for the area that it did."""
+    return SurfaceSamples(
+        samples.points[which],
+        samples.normals[which],
+        samples.areas[which],
+        samples.face[which],
+        samples.planning_face[which],
+    )

@@ -74,6 +74,25 @@ def looking_at(
     )
 
 
+def standing_at(T_object_scanner: Floats, aim: Floats, face: NDArray[np.integer]) -> Viewpoints:
+    """Viewpoints of given poses.
+
+    Args:
+        T_object_scanner: (N, 4, 4) poses of the scanner [m].
+        aim: (N, 3) points that they are aimed at [m], object frame; the standoff is the distance to them.
+        face: (N,) planning face of each point, -1 for none.
+    """
+    R = T_object_scanner[:, :3, :3]
+    level = _look_along(R[:, :, 2])
+    along, across = (np.einsum("ni,ni->n", level[:, :, axis], R[:, :, 0]) for axis in (0, 1))
+    return Viewpoints(
+        T_object_scanner[:, None],
+        np.asarray(face, dtype=np.int32),
+        np.linalg.norm(aim - T_object_scanner[:, :3, 3], axis=1),
+        np.arctan2(across, along) % (2 * np.pi),
+    )
+
+
 def enclosing_radius(mesh: TriangleMesh, centre: ArrayLike) -> float:
     """Radius [m] of the smallest sphere about `centre` ((3,) [m], object frame) that holds every vertex."""
     return float(np.linalg.norm(mesh.vertices - readonly("centre", centre, (3,)), axis=1).max())
@@ -94,6 +113,17 @@ def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | Bools) 
     return Viewpoints(
         viewpoints.T_object_scanner[which], viewpoints.face[which], viewpoints.standoff[which], viewpoints.roll[which]
     )
+
+
+def rotations(vectors: Floats) -> Floats:
+    """(n, 3, 3) rotations about vectors (n, 3) by their lengths [rad] (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
+    K = np.zeros((len(vectors), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    K -= K.transpose(0, 2, 1)
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sine * K + (1.0 - cosine) * (K @ K))
 
 
 def _look_along(directions: Floats) -> Floats:

@@ -14,7 +14,7 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: 
     """The table ends with gains and costs and lines to paste; the JSON object has the difference; RUN is untouched."""
     before = {path: path.read_bytes() for path in planned.iterdir() if path.is_file()}
     done = run_cell("edit", planned, "--drop", "2", "--out", "without", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    assert (done.returncode, "less than the 99 % asked for" in done.stderr) == (3, True), done.stderr
     text = " ".join(done.stdout.replace("│", " ").split())
     assert "5 views instead of 6" in text
     assert "loses" in text

@@ -5,6 +5,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 Cell = Callable[..., "object"]
 
 
@@ -52,3 +54,22 @@ def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_
     assert done.returncode == 0, done.stderr
     assert "nothing stays open" in done.stdout
     assert len(list((tmp_path / "run" / "why").iterdir())) == 4
+
+
+def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """A second set-up never takes from the plan; every command is the plan's own at another placement."""
+    shutil.copytree(planned, tmp_path / "run")
+    done = run_cell("why", "run", "--advise", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    visible = json.loads((tmp_path / "run" / "plan.json").read_text())["coverage"]["visible"]
+    assert said["visible"] == pytest.approx(visible, abs=2e-4)
+    commands = [advice["command"] for advice in said["advice"]]
+    assert len(set(commands)) == len(commands) == 8
+    for advice in said["advice"]:
+        words = advice["command"].split()
+        assert words[:2] == ["cell", "plan"]
+        assert words.count("--place") == 1
+        assert "--out" not in words
+        assert 0 <= advice["share"] <= 1
+        assert advice["share"] >= visible - 2e-4 or "second set-up" not in advice["what"]

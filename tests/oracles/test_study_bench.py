@@ -25,7 +25,7 @@ def tables(part_file: Path) -> dict[str, Any]:
     """A small, coarse job."""
     return {
         "part": {"path": str(part_file), "units": "mm"},
-        "plan": {"faces": 60, "samples_per_face": 3},
+        "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
         "scanner": {"resolution_deg": [1.0, 1.0]},
     }
 

@@ -68,7 +68,7 @@ def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
     ("wishes", "told"),
     [
         ({"drop": 99}, "drop names view 99; the plan has the views 1 to"),
-        ({"add_candidate": 9999}, "there is no candidate 9999 to add; there are candidates 0 to 239"),
+        ({"add_candidate": 9999}, "there is no candidate 9999 to add; there are candidates 0 to 259"),
         ({"order": [2, 1]}, "the order leaves out 3"),
         ({"order": [*range(1, 30)]}, "the order names 7"),
         ({"drop": [1, 2, 3, 4, 5, 6]}, "leaves no view"),

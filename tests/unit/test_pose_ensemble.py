@@ -12,12 +12,11 @@ from planner.measurability.pose_ensemble import (
     ProbabilityLayer,
     credited,
     probability_layer,
-    rotations,
     times_measured,
 )
 from planner.ports import Hits, Rejection
 from planner.surface.sample import SurfaceSamples
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, rotations
 
 
 class Cone:

@@ -6,7 +6,7 @@ import pytest
 from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.reach.reach import Reach, Verdict, solve
+from planner.reach.reach import Reach, Verdict, join_reach, pick_reach, solve, takes_up
 from planner.viewpoints.viewpoints import Viewpoints
 
 KINEMATICS = Kr16Kinematics.load()
@@ -135,6 +135,16 @@ def test_a_column_of_several_poses_needs_them_all():
     np.testing.assert_array_equal(reach.q, alone.q)
 
 
+@pytest.mark.parametrize("poses", [1, 3])
+def test_taking_up_is_being_reachable(poses):
+    """The short answer is the long one's, for stops and for columns of poses."""
+    viewpoints = viewpoints_of(random_flanges(1200 * poses, seed=8).reshape(1200, poses, 4, 4))
+    expected = solved(viewpoints, Wall(0.1)).reachable
+    assert 0 < expected.sum() < 1200
+    T = viewpoints.T_object_scanner
+    np.testing.assert_array_equal(takes_up(T, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, Wall(0.1)), expected)
+
+
 def test_chunks_and_progress_change_nothing():
     """A viewpoint's result does not depend on its neighbours; progress rises to V, and what it raises comes through."""
     T = random_flanges(1300, seed=4)
@@ -184,3 +194,16 @@ def test_reach_refuses_contradictions():
         Reach(np.array([0]), np.zeros((1, 6)), np.array([0, 2]), ("",))
     with pytest.raises(PlannerError, match=r"blocker has shape \(0,\); it must be \(1,\)"):
         Reach(np.array([0]), np.zeros((1, 6)), np.array([0, 1]), ())
+
+
+def test_picked_and_joined_solutions_are_their_viewpoints_own():
+    """In any order, with those that have none between them; joining what was cut apart gives the whole."""
+    reach = solved(viewpoints_of(random_flanges(60)[:, None]), Wall(0.1))
+    which = np.random.default_rng(0).permutation(60)[:40]
+    some = pick_reach(reach, which)
+    for place, view in enumerate(which):
+        np.testing.assert_array_equal(some.q_of(place), reach.q_of(view))
+    np.testing.assert_array_equal(some.verdict, reach.verdict[which])
+    parts = [pick_reach(reach, np.arange(25)), pick_reach(reach, np.arange(25, 60))]
+    np.testing.assert_array_equal(join_reach(parts).q, reach.q)
+    assert len(pick_reach(reach, np.arange(0))) == 0

@@ -1,4 +1,4 @@
-"""`cell plan --candidates targeted` as a user meets it."""
+"""`cell plan --candidates grown` as a user meets it."""
 
 import json
 import subprocess
@@ -10,11 +10,11 @@ import numpy as np
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
-def test_added_candidates_keep_the_run_folder_s_contract(
+def test_grown_candidates_keep_the_run_folder_s_contract(
     part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
     """Cached or not: equal bytes; every array has all candidates; the plan's ids, rolls and poses are theirs."""
-    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--faces", "60", "--candidates", "targeted")
+    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--faces", "60", "--candidates", "grown")
     for name, more in (("a", ()), ("b", ("--no-cache",))):
         done = run_cell(*arguments, *more, "--out", name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -33,8 +33,8 @@ def test_added_candidates_keep_the_run_folder_s_contract(
         np.testing.assert_allclose(np.array(view["T_object_scanner"])[:3, 3], T[view["id"], :3, 3], atol=1e-4)
 
 
-def test_aiming_needs_samples(tmp_path: Path, run_cell: Run) -> None:
-    """With the rows of `rays` there is nothing to aim at: one sentence, exit code 2."""
-    done = run_cell("plan", "--candidates", "targeted", "--fill", "rays", cwd=tmp_path)
+def test_the_former_generator_is_gone(tmp_path: Path, run_cell: Run) -> None:
+    """Its name is answered with the one that took its place: one sentence, exit code 2."""
+    done = run_cell("plan", "--candidates", "targeted", cwd=tmp_path)
     assert done.returncode == 2
-    assert "choose fill = 'aimed'" in done.stderr
+    assert "choose 'grown'" in done.stderr

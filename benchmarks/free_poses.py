@@ -1,0 +1,92 @@
+"""What the robot could measure at all: a free search over poses for each of 10^5 samples, beside the generators.
+
+The oracle of `plan.candidates = "grown"`. Every held-out sample is asked about for itself: poses are drawn over all six
+degrees of freedom (`planner.viewpoints.pointwise`), 2,048 for each sample that none measures, and count where the law
+holds, both legs are free of part and occluders, and the arm takes the pose up without collision. A pose that measures
+one sample is asked about the others, so that those need no search of their own. The samples, the order and the poses
+are other than those that candidates are grown with, and no pose is carried over from a neighbour.
+
+Both incidence limits are 75 degrees for all rows; everything else is as in `candidates`.
+"""
+
+import tempfile
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.candidates import Bench, parts
+from cell.plan import candidates as generators
+from cell.scene.scene import load_scene
+from planner.measurability import coverage
+from planner.surface.sample import sample
+from planner.values import Bools
+from planner.viewpoints import growth
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.pointwise import drawn, frustum
+
+_LIMIT_DEG = 75.0
+_STRETCHES = ((0, 32), (32, 128), (128, 512), (512, 2048))
+_TOGETHER = 200_000  # poses drawn at a time
+_FIRST = 256  # samples asked about at a time while nearly all are open
+_SHARED = 64  # found poses of a batch that are asked about the other samples
+
+
+def run() -> list[dict[str, Any]]:
+    """One row per part."""
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, options in parts(Path(scratch)):
+            limits = {"grazing_max_deg": _LIMIT_DEG, "sensor_grazing_max_deg": _LIMIT_DEG}
+            rows.append({"part": name, **_part(Bench(options, limits))})
+    return rows
+
+
+def _part(bench: Bench) -> dict[str, Any]:
+    scene = load_scene(None, {**bench.tables, "plan": {"candidates": "optimal-scanning-zone"}})
+    arm = bench.arm()
+    zone = generators.first(scene, bench.settings, bench.part, bench.planning)
+    usable = bench.reach_of(zone).reachable
+    start = process_time()
+    scouts = sample(bench.part.reference, bench.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
+    added = generators.grow(zone, usable, scouts, arm)
+    seconds = process_time() - start
+    first, second = zone.T_object_scanner[usable], added.T_object_scanner
+    one, both = (
+        coverage.visible(views, bench.held_out, bench.scanner, bench.casters).fraction
+        for views in (first, np.concatenate([first, second]))
+    )
+    start = process_time()
+    free = free_search(bench.held_out.points, bench.held_out.normals, arm).mean()
+    return {
+        "one a face %": round(100 * one, 2),
+        "reachable": len(first),
+        "grown %": round(100 * both, 2),
+        "added": len(second),
+        "cpu s": round(seconds, 2),
+        "free search %": round(100 * float(free), 2),
+        "open points": round(100 * float(free - both), 2),
+        "free cpu s": round(process_time() - start, 1),
+    }
+
+
+def free_search(points: np.ndarray[Any, Any], normals: np.ndarray[Any, Any], arm: Arm) -> Bools:
+    """(S,) which points (S, 3) [m] with normals (S, 3) some pose measures that the arm takes up."""
+    targets, within = Targets.of(points, normals), frustum(arm.scanner)
+    seen = np.zeros(len(targets), dtype=np.bool_)
+    order = np.random.default_rng(0).permutation(len(targets))
+    for stretch in _STRETCHES:
+        size = min(_TOGETHER // (stretch[1] - stretch[0]), _FIRST if stretch[0] == 0 else len(targets))
+        waiting = order[~seen[order]]
+        while len(waiting):
+            found = arm.measuring(drawn(targets, waiting[:size], stretch, within, arm.scanner), targets)
+            own, which = np.unique(found.row, return_index=True)
+            seen[own] = True
+            still = np.flatnonzero(~seen)
+            views = arm.views(found.pick(which[:_SHARED]))
+            seen[still] = arm.measured(views, targets, still).any(axis=1)
+            waiting = waiting[size:]
+            waiting = waiting[~seen[waiting]]
+    return seen

@@ -1,0 +1,98 @@
+"""What plan.json and report.json say of wishes beyond the fewest views, from the selection that answers them."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import JsonValue
+
+from cell.plan.request import Selected
+from cell.run import plan_json
+from cell.scene.plan_settings import PlanSettings
+from planner.cover import Cover
+from planner.cover.overlap import Connection
+from planner.cover.robust import RobustCover, views_for_promise
+
+
+def settings(plan: PlanSettings) -> dict[str, JsonValue]:
+    """The wishes that differ from their defaults, as report.json lists them."""
+    keys = ("max_views", "multiplicity", "pinned", "banned", "cost", "overlap_mm2", "overlap_share", "overlap_in_order")
+    asked = {key: getattr(plan, key) for key in keys if getattr(plan, key) != PlanSettings.model_fields[key].default}
+    if plan.cost == "time":
+        asked |= {"scan_s": plan.scan_s, "settle_s": plan.settle_s}
+    if plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0:
+        asked |= {key: getattr(plan, key) for key in ("pose_sd_mm", "pose_sd_deg", "alpha", "ensemble")}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asked.items()}
+
+
+def most_coverage_of(selected: Selected, total_area: float) -> plan_json.MostCoverage | None:
+    """What plan.json and report.json say of the most coverage with a number of views; None where it was not asked for.
+
+    Args:
+        selected: the answer.
+        total_area: of the surface [m^2].
+    """
+    cover = selected.cover
+    if cover.max_views is None:
+        return None
+    return plan_json.MostCoverage(
+        max_views=cover.max_views,
+        covered=cover.covered_area / total_area,
+        upper_bound=cover.upper_area / total_area,
+        gap_points=cover.gap_points,
+    )
+
+
+def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) -> plan_json.Overlap | None:
+    """What they say of overlap; None where it was not asked for.
+
+    Args:
+        selected: the answer.
+        order: (n,) its views in visiting order.
+        total_area: of the surface [m^2].
+    """
+    answer = selected.answer
+    if not isinstance(answer, Connection):
+        return None
+    without = selected.cover.unconnected_views or 0
+    return plan_json.Overlap(
+        connected=answer.connected,
+        extra_views=len(selected.cover.views) - without,
+        views_without=without,
+        # The first of all overlaps none before it and does not count.
+        without_earlier=sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order))),
+        parts=[
+            plan_json.OverlapPart(views=(answer.part == k).sum(), covered=area / total_area)
+            for k, area in enumerate(answer.part_area)
+        ],
+    )
+
+
+def robust_of(selected: Selected, total_area: float) -> plan_json.RobustSelection | None:
+    """What they say of the selection under pose errors; None where poses count as exact.
+
+    Args:
+        selected: the answer.
+        total_area: of the surface [m^2].
+    """
+    answer = selected.answer
+    if not isinstance(answer, RobustCover):
+        return None
+    return plan_json.RobustSelection(
+        alpha=answer.alpha,
+        members=answer.members,
+        views_needed=views_for_promise(answer.alpha, answer.members),
+        robust_on_features=answer.robust_area / total_area,
+        robust_coverable_on_features=answer.robust_coverable_area / total_area,
+    )
+
+
+def multiplicity_of(selected: Selected) -> plan_json.Multiplicity | None:
+    """What they say of samples measured several times; None where once is enough."""
+    cover = selected.cover
+    if cover.demand == 1:
+        return None
+    return plan_json.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
+
+
+def cost_of(cover: Cover) -> plan_json.Cost | None:
+    """What they say of seconds; None where the number of views counts."""
+    return None if cover.price is None else plan_json.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)

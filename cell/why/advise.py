@@ -1,0 +1,146 @@
+"""`cell why --advise`: what a second set-up with the part turned would add to a plan, and what other places would give.
+
+Both are asked by the pointwise search (`planner.viewpoints.attainable`), not of candidates: they are what any pose
+measures that the robot takes up there. A second set-up is asked for seeded samples that the plan leaves open; another
+place for seeded samples of the whole surface, because there the plan would be another one.
+"""
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import JsonValue
+
+from cell.narrator import Narrator
+from cell.plan.candidates import arm_of
+from cell.rays.occluders import caster_of, occluder_triangles
+from cell.rays.prediction import held_out
+from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from cell.run import reader as run_reader
+from cell.run.cell import read_cell, world_of
+from cell.run.record import RunRecord
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import World
+from planner.measurability.matrix import measured
+from planner.surface.sample import SurfaceSamples
+from planner.values import Floats, Ints
+from planner.viewpoints.attainable import ASKED, attainable
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.lines_of_sight import Targets
+
+_TURNS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees
+_ASIDE = ((0, 0), (200, 0), (-200, 0), (0, 200), (0, -200))  # mm, x and y of other places
+_ABOVE = (0, 200, 400)  # mm
+_STREAM = 10  # of randomness: which samples are asked about
+TOLD = 4
+"""Other places that are told, the best first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """One thing to try.
+
+    Attributes:
+        what: in words.
+        share: of the surface that is measured then: with a second set-up beside the plan, or at another place.
+        standard_error: of the share.
+        command: to paste.
+    """
+
+    what: str
+    share: float
+    standard_error: float
+    command: str
+
+    def as_json(self) -> dict[str, JsonValue]:
+        """As JSON types."""
+        return {
+            "what": self.what, "share": self.share, "standard_error": self.standard_error, "command": self.command,
+        }  # fmt: skip
+
+
+def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
+    """What the plan measures of the surface, and what to try: second set-ups, then the best of other places.
+
+    Args:
+        run: a finished plan.
+        narrator: is told what goes on.
+    """
+    with narrator.stage("read the run"):
+        cell, plan = read_cell(run), run_reader.plan(run)
+        world = world_of(run, cell.reference)
+        samples = held_out(cell.reference, cell.planning, run.seed)
+        views = run_reader.candidates(run).T_object_scanner[[view.id for view in plan.views]]
+        seen = measured(views, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    rng = np.random.default_rng([run.seed, _STREAM])
+    visible = float(seen.mean())
+
+    def arm(T_base_object: Floats) -> Arm | None:
+        checker = MujocoCollisionChecker(world, T_base_object)
+        if not checker.free(world.home[None])[0]:
+            return None
+        casters = (cell.part_caster, caster_of(occluder_triangles(world, T_base_object)))
+        return arm_of(world, cell.kinematics, checker, cell.scanner, casters, T_base_object)
+
+    found: list[Advice] = []
+    left = np.sort(rng.permutation(np.flatnonzero(~seen))[:ASKED])
+    with narrator.stage("second set-ups"):
+        for what, T_base_centre in _turned(world):
+            share, error = _share(samples, left, arm(world.placed(T_base_centre)))
+            open_share = 1.0 - visible
+            found.append(
+                Advice(what, visible + open_share * share, open_share * error, _command(run, T_base_centre))
+            )  # fmt: skip
+    places: list[Advice] = []
+    some = np.sort(rng.permutation(len(samples))[:ASKED])
+    with narrator.stage("other places"):
+        for what, T_base_centre in _elsewhere(world):
+            share, error = _share(samples, some, arm(world.placed(T_base_centre)))
+            places.append(Advice(what, share, error, _command(run, T_base_centre)))
+    places.sort(key=lambda advice: -advice.share)
+    return visible, [*found, *places[:TOLD]]
+
+
+def _share(samples: SurfaceSamples, rows: Ints, arm: Arm | None) -> tuple[float, float]:
+    """Share of the rows that any pose measures, and its standard error; nothing where home itself is not free."""
+    if arm is None or not len(rows):
+        return 0.0, 0.0
+    share = float(attainable(Targets.of(samples.points[rows], samples.normals[rows]), arm).measured.mean())
+    return share, float(np.sqrt(share * (1 - share) / len(rows)))
+
+
+def _turned(world: World) -> Iterator[tuple[str, Floats]]:
+    """The part turned about its centre."""
+    for axis, angle in _TURNS:
+        turn = np.zeros(3)
+        turn[2 - axis] = np.radians(angle)  # KUKA's angles are about z, y, x
+        T = np.array(world.T_base_object @ world.T_object_centre)
+        T[:3, :3] = pose_from_kuka_abc(np.zeros(3), turn)[:3, :3] @ T[:3, :3]
+        how = "turned upside down" if axis != 2 else f"turned by {angle:g} deg about the vertical"
+        yield f"a second set-up with the part {how}, beside this plan", T
+
+
+def _elsewhere(world: World) -> Iterator[tuple[str, Floats]]:
+    """The part moved aside and up."""
+    for up in _ABOVE:
+        for x, y in _ASIDE:
+            if (x, y, up) != (0, 0, 0):
+                T = np.array(world.T_base_object @ world.T_object_centre)
+                T[:3, 3] += np.array([x, y, up]) / 1000
+                yield f"another place, moved by {x:g}, {y:g}, {up:g} mm", T
+
+
+def _command(run: RunRecord, T_base_centre: Floats) -> str:
+    """The run's own command line at another placement; of a run that was not begun by `cell plan`, the option alone."""
+    position, abc = kuka_abc_from_pose(T_base_centre)
+    numbers = [*(position * 1000).round(3), *(np.degrees(abc).round(3))]
+    place = ",".join(f"{value + 0.0:g}" for value in numbers)
+    words = list(run.manifest.argv)
+    if words[:1] != ["plan"]:
+        return f"--place {place}"
+    for option in ("--place", "--out"):
+        while option in words:
+            at = words.index(option)
+            del words[at : at + 2]
+    return shlex.join(["cell", *words, "--place", place])

@@ -1,0 +1,54 @@
+"""Rows of M added where a plan turned out to need them, and the area that each row stands for then."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from planner.errors import PlannerError
+from planner.measurability.matrix import Measurability
+from planner.surface.sample import SurfaceSamples
+
+
+def add_rows(measurability: Measurability, more: Measurability) -> Measurability:
+    """M with further features below its own.
+
+    A planning face keeps the area that its features stood for and shares it equally among all that it has now; a face
+    that had none brings its own features' area. All areas together stay what they were.
+
+    Args:
+        measurability: M.
+        more: the same columns over other features, with sigma where M has it.
+
+    Raises:
+        PlannerError: if the columns differ, or only one of the two has sigma.
+    """
+    if measurability.n_viewpoints != more.n_viewpoints:
+        raise PlannerError(
+            f"rows of {more.n_viewpoints} viewpoints cannot be added to M of {measurability.n_viewpoints}; fill them "
+            "for the same candidates"
+        )
+    if (measurability.sigma is None) != (more.sigma is None):
+        raise PlannerError("only one of the matrices has a layer of sigma; calculate it for both")
+    own, new = measurability.features, more.features
+    features = SurfaceSamples(
+        np.concatenate([own.points, new.points]),
+        np.concatenate([own.normals, new.normals]),
+        np.concatenate([own.areas, new.areas]),
+        np.concatenate([own.face, new.face]),
+        np.concatenate([own.planning_face, new.planning_face]),
+    )
+    faces = int(features.planning_face.max(initial=-1)) + 1
+    before = np.bincount(own.planning_face, weights=own.areas, minlength=faces)
+    number = np.bincount(features.planning_face, minlength=faces)
+    had = before[features.planning_face] > 0
+    areas = np.where(had, before[features.planning_face] / number[features.planning_face], features.areas)
+    sigma = None
+    if measurability.sigma is not None and more.sigma is not None:
+        sigma = np.concatenate([measurability.sigma, more.sigma])
+    return Measurability(
+        np.concatenate([measurability.indptr, measurability.indptr[-1] + more.indptr[1:]]),
+        np.concatenate([measurability.indices, more.indices]),
+        replace(features, areas=areas * (own.areas.sum() / areas.sum())),
+        measurability.n_viewpoints,
+        sigma,
+    )

@@ -1,0 +1,87 @@
+"""What any pose of all measures that the arm takes up, asked of a few surface points: the bound on every plan.
+
+Each point is searched for by itself (`planner.viewpoints.pointwise`): a stretch of the lattice, then poses carried over
+from points that have one, then a longer stretch. A point that is not found is not proven out of reach: the share that
+is found is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/candidates.md).
+
+What is not found has one of two reasons: no pose that was tried sees the point past part and occluders, or poses do and
+the arm takes up none of them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from planner.values import Bools, Ints, Value
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.pointwise import Aimed, carried, drawn, frustum, seeing
+
+ASKED = 1000
+"""Points that are asked about at most: a second of processor time at worst."""
+
+_STRETCHES = ((0, 32), (32, 96), (96, 256))
+_CARRIED, _NEIGHBOURS = 8, 4
+_TOGETHER = 32_768  # poses that are tried at a time
+_SHARED = 32  # found poses that are asked about the other points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attainable(Value):
+    """What became of each point.
+
+    Attributes:
+        measured: (n,) a pose measures it that the arm takes up.
+        sighted: (n,) a pose sees it past part and occluders, whether or not the arm takes it up.
+    """
+
+    measured: Annotated[Bools, "n"]
+    sighted: Annotated[Bools, "n"]
+
+
+def attainable(targets: Targets, arm: Arm) -> Attainable:
+    """Search a pose for each point.
+
+    Args:
+        targets: n points.
+        arm: the scanner and what it can take up.
+    """
+    within = frustum(arm.scanner)
+    measured, sighted = np.zeros(len(targets), dtype=np.bool_), np.zeros(len(targets), dtype=np.bool_)
+    known = Aimed(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
+    for number, stretch in enumerate(_STRETCHES):
+        for carry in (False, True):
+            part = (number * _CARRIED, (number + 1) * _CARRIED) if carry else stretch
+            each = (part[1] - part[0]) * (_NEIGHBOURS if carry else 1)
+            for rows in _batches(measured, max(1, _TOGETHER // each)):
+                if not carry:
+                    aimed = drawn(targets, rows, part, within, arm.scanner)
+                elif len(known):
+                    aimed = carried(targets, rows, part, known, _NEIGHBOURS, arm.scanner)
+                else:
+                    continue
+                found = seeing(aimed, targets, arm.scanner, arm.casters)
+                sighted[found.row] = True
+                found = found.pick(arm.takes_up(arm.views(found)[:, None] @ arm.T_view_scanner))
+                own, which = np.unique(found.row, return_index=True)
+                measured[own] = True
+                found = found.pick(which)
+                known = Aimed(
+                    np.concatenate([known.T_object_scanner, found.T_object_scanner]),
+                    np.concatenate([known.row, found.row]),
+                )
+                still = np.flatnonzero(~measured)
+                few = arm.views(found.pick(np.arange(min(len(found), _SHARED))))
+                measured[still] = arm.measured(few, targets, still).any(axis=1)
+    return Attainable(measured, sighted | measured)
+
+
+def _batches(measured: Bools, size: int) -> Iterator[Ints]:
+    """Points that are open, a few at a time; those that were measured meanwhile are left out."""
+    rows = np.flatnonzero(~measured)
+    while len(rows):
+        yield rows[:size]
+        rows = rows[size:]
+        rows = rows[~measured[rows]]

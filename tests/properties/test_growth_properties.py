@@ -1,0 +1,100 @@
+"""Grown candidates: all taken up, each measures something open, and together what a dense pool of others measures."""
+
+import numpy as np
+import pytest
+
+from cell.part.workpiece import load
+from cell.rays.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from cell.scanners.laser_line import LaserLine
+from planner.measurability.matrix import measured
+from planner.surface.decimate import decimate
+from planner.surface.sample import sample
+from planner.viewpoints.growth import Arm, Stage, grow
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.sphere import view_sphere
+from planner.viewpoints.zone import optimal_scanning_zone
+
+
+def _above(T):
+    """An arm that only takes up sources above the plane z = -0.02."""
+    return (T[:, :, 2, 3] > -0.02).all(axis=1)
+
+
+@pytest.fixture(scope="module")
+def mug():
+    """The Mug, coarse, with 1,500 scouts."""
+    part = load("mug")
+    planning = decimate(part.reference, 120)
+    scouts = sample(part.reference, planning, 1500, np.random.default_rng(0))
+    return part, planning, scouts, EmbreeRayCaster(part.reference.vertices, part.reference.faces)
+
+
+def _arm(caster, scanner, takes_up=_above):
+    return Arm(scanner, (caster,), takes_up, getattr(scanner, "T_view_scanner", np.eye(4)[None]))
+
+
+def test_what_a_dense_pool_of_reachable_views_measures_is_measured(mug):
+    """Against views along all normals and all directions, at several distances and rolls: 0.5 points at most."""
+    part, planning, scouts, caster = mug
+    scanner = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
+    targets = Targets.of(scouts.points, scouts.normals)
+    grown = grow(targets, np.zeros(len(targets), dtype=bool), _arm(caster, scanner))
+    assert _above(grown.T_object_scanner[:, None]).all()
+    rolls = tuple(np.radians([0, 90, 180, 270]))
+    pools = [
+        optimal_scanning_zone(planning, (0.06, 0.1, 0.14), rolls),
+        view_sphere(part.centre, 0.14, np.radians(20), np.radians(20), rolls),
+    ]
+    pool = np.concatenate([p.T_object_scanner for p in pools])
+    pool = pool[_above(pool)]
+    best = measured(pool, scouts, scanner, (caster,)).mean()
+    mine = measured(grown.T_object_scanner[:, None], scouts, scanner, (caster,), each=True)
+    assert mine.any(axis=1).mean() >= best - 0.005
+    assert mine[grown.row, np.arange(len(grown))].all()  # each measures what it is aimed at
+    assert len(grown) < len(pool) / 5
+
+
+def test_only_what_is_open_is_grown_for(mug):
+    """Nothing open, nothing grown; one point open, every view measures it; equal inputs give equal views."""
+    _, _, scouts, caster = mug
+    arm = _arm(caster, LaserArea(range_mm=(50, 150), baseline_mm=25))
+    targets = Targets.of(scouts.points, scouts.normals)
+    seen = np.ones(len(targets), dtype=bool)
+    assert not len(grow(targets, seen, arm))
+    seen[np.argmax(scouts.points[:, 2])] = False
+    some, again = grow(targets, seen, arm), grow(targets, seen, arm)
+    assert 1 <= len(some) <= 3
+    views = measured(some.T_object_scanner[:, None], scouts, arm.scanner, (caster,), each=True)
+    assert views[~seen].all()
+    np.testing.assert_array_equal(some.T_object_scanner, again.T_object_scanner)
+
+
+def test_nothing_is_grown_that_the_arm_does_not_take_up(mug):
+    """An arm that takes up nothing ends the search without a view, within its bound of work."""
+    _, _, scouts, caster = mug
+    asked = []
+
+    def nowhere(T):
+        asked.append(len(T))
+        return np.zeros(len(T), dtype=bool)
+
+    arm = _arm(caster, LaserArea(range_mm=(50, 150), baseline_mm=25), nowhere)
+    targets = Targets.of(scouts.points, scouts.normals)
+    schedule = (Stage((0, 8), False, 4000), Stage((0, 8), True, 4000))
+    assert not len(grow(targets, np.zeros(len(targets), dtype=bool), arm, schedule=schedule))
+    assert 0 < sum(asked) <= 4000
+
+
+def test_views_of_a_sensor_that_sweeps_measure_in_the_middle_of_their_sweep(mug):
+    """Every pose of a sweep is asked of the arm, and the sweep measures the point that it is aimed at."""
+    _, _, scouts, caster = mug
+    scanner = LaserLine(range_mm=(50, 150), baseline_mm=25, sweep_mm=40.0, sweep_steps=4)
+    arm = _arm(caster, scanner)
+    targets = Targets.of(scouts.points, scouts.normals)
+    schedule = (Stage((0, 16), False, 20_000), Stage((0, 8), True, 20_000))
+    grown = grow(targets, np.zeros(len(targets), dtype=bool), arm, schedule=schedule)
+    sweeps = grown.T_object_scanner[:, None] @ scanner.T_view_scanner
+    assert len(grown)
+    assert _above(sweeps).all()
+    assert measured(sweeps, scouts, scanner, (caster,), each=True)[grown.row, np.arange(len(grown))].all()

@@ -1,0 +1,90 @@
+"""What any pose measures that the arm takes up: against cases whose answer is known, and the line that tells it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.plan.attainable import of_plan, sentence
+from cell.rays.embree import EmbreeRayCaster
+from cell.run.report_json import Attainable
+from cell.scanners.laser_area import LaserArea
+from planner.measurability.coverage import Coverage
+from planner.viewpoints.attainable import attainable
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.lines_of_sight import Targets
+
+SCANNER = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
+
+
+def _ball(takes_up, *around):
+    """300 points of a ball of 40 mm, and the arm and casters that ask about it."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.04)
+    casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (ball, *around)]
+    points, faces = trimesh.sample.sample_surface(ball, 300, seed=0)
+    return Targets.of(points, ball.face_normals[faces]), Arm(SCANNER, casters, takes_up, np.eye(4)[None])
+
+
+def _anywhere(T):
+    return np.ones(len(T), dtype=bool)
+
+
+def test_all_of_a_ball_is_measured_from_anywhere():
+    """Nothing hides a convex body."""
+    found = attainable(*_ball(_anywhere))
+    assert found.measured.all()
+
+
+def test_from_above_the_lowest_points_of_a_ball_are_seen_but_not_reached():
+    """Sources above a plane through the ball's lowest point see what leans from it by less than the limit allows."""
+    targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.04).all(axis=1))
+    found = attainable(targets, arm)
+    assert found.sighted.all()
+    # From height z of a point, 150 mm away at most and within 75 deg of its normal, the source must rise to -40 mm.
+    height, lean = targets.points[2], np.arccos(np.clip(targets.normals[2], -1, 1))
+    highest = height + 0.15 * np.cos(np.maximum(lean - np.radians(75), 0))
+    assert not found.measured[highest < -0.04].any()
+    assert found.measured[lean < np.radians(150)].all()
+
+
+def test_in_a_closed_box_nothing_is_seen_from_outside():
+    """A box near about the ball leaves poses inside it that are nearer than the range."""
+    found = attainable(*_ball(_anywhere, trimesh.creation.box((0.09, 0.09, 0.09))))
+    assert not found.sighted.any()
+
+
+def test_an_arm_that_takes_up_nothing_measures_nothing_of_what_is_seen():
+    """And equal inputs give equal answers."""
+    targets, arm = _ball(lambda T: np.zeros(len(T), dtype=bool))
+    found, again = attainable(targets, arm), attainable(targets, arm)
+    assert found.sighted.all()
+    assert not found.measured.any()
+    np.testing.assert_array_equal(found.sighted, again.sighted)
+
+
+def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
+    """Of few samples the estimate is the count itself and has no error; of half of them it is within a few errors."""
+    targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
+    areas = np.full(300, 2.0)
+    samples = SimpleNamespace(points=targets.points.T, normals=targets.normals.T, areas=areas)
+    covered = targets.points[2] > 0.02
+    some = Coverage(covered, float(areas[covered].sum()), float(areas.sum()))
+    problem = SimpleNamespace(prediction=SimpleNamespace(samples=samples, coverable=some))
+    whole = of_plan(problem, some, arm, np.random.default_rng(0))
+    truth = attainable(targets, arm)
+    assert whole.standard_error == 0
+    assert whole.share == pytest.approx((covered | truth.measured).mean(), abs=0.01)
+    assert whole.share + whole.out_of_reach + whole.out_of_sight == pytest.approx(1.0)
+    monkeypatch.setattr("cell.plan.attainable.ASKED", int((~covered).sum()) // 2)
+    half = of_plan(problem, some, arm, np.random.default_rng(0))
+    assert half.standard_error > 0
+    assert abs(half.share - whole.share) < 4 * half.standard_error + 0.01
+
+
+def test_the_line_names_the_largest_loss_where_little_is_measured():
+    """Above four fifths of the surface it only says how much."""
+    found = Attainable(share=0.75, standard_error=0.001, asked=1000, out_of_reach=0.2, out_of_sight=0.05)
+    assert sentence(0.85, 0.9, found.model_copy(update={"share": 0.91})).endswith("(standard error 0.10)")
+    assert "20.0 % of the surface is lost because the arm takes up no pose that sees it" in sentence(0.7, 0.74, found)
+    assert "30.0 % of the surface is lost because the plan was not asked for it" in sentence(0.44, 0.74, found)
