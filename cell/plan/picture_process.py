@@ -82,7 +82,7 @@ class Drawing:
     def _write(self) -> None:
         """Hand on what was sent: the pipe holds less than a picture, and the process reads after drawing."""
         assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # the process has ended: `finish` says why
+        with suppress(BrokenPipeError, ValueError):  # the process has ended, its pipe may be closed: `finish` says why
             while (content := self._waiting.get()) is not None:
                 self._process.stdin.write(content)
                 self._process.stdin.flush()
