@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.plan.pictures import warm_up
 from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
 from cell.run.cell import scanner_of
@@ -34,7 +33,6 @@ def part_ready(folder: Path) -> None:
     _part.cache_clear()
     _part(folder)
     three()
-    warm_up()
 
 
 def cell_ready(folder: Path) -> None:

@@ -1,7 +1,7 @@
 """The report's pictures, drawn beside the work by a process of their own: matplotlib is never imported by the planner.
 
-The process imports matplotlib while the plan is made, and forks for each picture that it is sent, so that several are
-drawn at a time. Arrays go to it through a pipe as .npz, without pickled objects; it ends when the pipe does.
+The process imports matplotlib while the plan is made, and forks for what rays draw, so that several pictures are drawn
+at a time. Arrays go to it through a pipe as .npz, without pickled objects; it ends when the pipe does.
 """
 
 import gc
@@ -11,6 +11,7 @@ import signal
 import struct
 import subprocess
 import sys
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,7 +25,7 @@ from numpy.typing import ArrayLike
 from cell.run.folder import RunFolder
 
 _LENGTH = struct.Struct("<q")
-_READY = ("part_ready", "cell_ready")
+_BY_RAYS = ("part_and_views", "cell_with_arm")  # take as long as all others together
 
 
 class Drawing:
@@ -81,7 +82,7 @@ class Drawing:
     def _write(self) -> None:
         """Hand on what was sent: the pipe holds less than a picture, and the process reads after drawing."""
         assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # the process has ended: `finish` says why
+        with suppress(BrokenPipeError, ValueError):  # the process has ended, its pipe may be closed: `finish` says why
             while (content := self._waiting.get()) is not None:
                 self._process.stdin.write(content)
                 self._process.stdin.flush()
@@ -106,20 +107,24 @@ def serve() -> None:
     gc.disable()  # for the seconds that this process lives there is nothing to collect
     from cell.plan import looks, pictures  # noqa: F401  # they take seconds: before they are asked for
 
-    forks = []
+    forks, failed = list[int](), False
     while length := sys.stdin.buffer.read(_LENGTH.size):
         with np.load(io.BytesIO(sys.stdin.buffer.read(*_LENGTH.unpack(length))), allow_pickle=False) as content:
             arguments = {name: content[name][()] for name in content.files}
         what, path = str(arguments.pop("what")), Path(str(arguments.pop("path")))
-        # What is made ready stays for all; and Windows has no forks: there one is drawn after the other.
-        fork = os.fork() if hasattr(os, "fork") and what not in _READY else None
-        if not fork:
+        fork = os.fork() if what in _BY_RAYS and hasattr(os, "fork") else None  # Windows has no forks
+        if fork:
+            forks.append(fork)
+            continue
+        try:
             draw(what, path, **arguments)
+        except Exception:
+            traceback.print_exc()  # told when all are waited for
+            failed = True
         if fork == 0:
-            os._exit(0)  # what a fork leaves to its parent need not be taken down
-        forks += [fork] if fork else []
-    # A fork that failed has said why; and what is left here need not be taken down either.
-    os._exit(any([os.waitpid(fork, 0)[1] for fork in forks]))
+            os._exit(failed)
+    ended = [os.waitpid(fork, 0)[1] for fork in forks]
+    os._exit(failed or any(ended))  # what is left here need not be taken down: that would take as long as a picture
 
 
 def draw(what: str, path: Path, **arguments: Any) -> None:

@@ -3,7 +3,6 @@
 Every function takes arrays in SI units and writes one PNG; labels carry units. Equal input gives equal bytes.
 """
 
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +21,6 @@ _VERDICT_COLOURS = {
     Verdict.JOINT_LIMIT: ORANGE,
     Verdict.COLLISION: PURPLE,
 }
-
-
-def warm_up() -> None:
-    """Draw a figure that nobody sees: the first one of a process finds its fonts, which takes 0.3 s."""
-    figure = Figure()
-    figure.add_subplot().set(xlabel="x", title="t")
-    FigureCanvasAgg(figure)
-    figure.savefig(BytesIO(), format="png")
 
 
 def cover_curve(path: Path, *, marginal_area: Floats, coverable: float, total: float, lower_bound: int) -> None:
