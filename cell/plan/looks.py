@@ -18,7 +18,7 @@ from cell.run.record import open_run
 from cell.run.scene_json import ResolvedScene
 from cell.view import pictures, rays
 from cell.view.cell_picture import best_view, draw_cell
-from cell.view.contents import HALF_PAGE, part_of, resolution_deg
+from cell.view.contents import HALF_PAGE, part_of
 from cell.view.page import Stage, first_half, three
 from cell.view.pieces import Cell, cell_of_run
 from cell.view.surface import Canvas, canvas_of, surface_of
@@ -68,8 +68,8 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
         seen: (S, n) which held-out samples each view measures.
     """
     canvas, (scene, cell, scanner) = _part(path.parent), _cell(path.parent)
-    surface = surface_of(canvas.samples, T_object_poses, scanner, (), resolution_deg(scene.scanner), seen)
-    pictures.part_and_views(path, canvas, surface, T_object_scanner, np.radians(scene.scanner.opening_deg))
+    surface = surface_of(canvas.samples, T_object_poses, scanner, (), scene.scanner.pair("resolution_deg"), seen)
+    pictures.part_and_views(path, canvas, surface, T_object_scanner, scene.scanner.opening_deg)
     stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface)])
     (path.parent / HALF_PAGE).write_text(first_half(stage), encoding="utf-8")
 

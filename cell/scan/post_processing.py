@@ -158,7 +158,7 @@ def _draw(
 
     part_and_views(
         folder.path / "views.png", canvas, reached.surface, np.stack([scan.T_true for scan in scans]),
-        np.radians(cell.scanner_keys.opening_deg), [scan.stop for scan in scans],
+        cell.scanner_keys.opening_deg, [scan.stop for scan in scans],
     )  # fmt: skip
     pictures.cover_curve(
         folder.path / "cover.png", marginal_area=reached.largest_first, coverable=plan.coverage.coverable, total=1.0,

@@ -72,7 +72,7 @@ def draw_cell(
     _require_known(hide, [piece.name for piece in pieces])
     pieces = [piece for piece in pieces if piece.name not in hide]
     subject = [piece for piece in pieces if piece.name in ("robot", "scanner", "part")] or pieces
-    marks = _pyramids(views, _SHARE * cell.frustum)
+    marks = rays.pyramids(views, _SHARE * cell.frustum)
     if not isinstance(camera, rays.Camera):
         middle = stands.vertices.mean(axis=0)
         beside = float(np.degrees(np.arctan2(middle[1], middle[0]))) + _BESIDE_DEG
@@ -97,7 +97,7 @@ def draw_cell(
     rays.lines(drawn, seen, marks, "#0b5d57")
     here = links[-1] @ cell.arm.T_link_scanner
     if any(np.allclose(here, view, atol=1e-6) for view in views):
-        rays.lines(drawn, seen, _pyramids(here[None], cell.frustum), ORANGE, width=2)
+        rays.lines(drawn, seen, rays.pyramids(here[None], cell.frustum), ORANGE, width=2)
     return drawn, seen
 
 
@@ -187,14 +187,6 @@ def _joined(pieces: Sequence[Piece]) -> tuple[TriangleMesh, NDArray[np.int64]]:
     faces = np.concatenate([piece.faces + at for piece, at in zip(pieces, starts[:-1], strict=True)])
     mesh = TriangleMesh(np.concatenate([piece.vertices for piece in pieces]), faces.astype(np.int32))
     return mesh, np.repeat(np.arange(len(pieces)), [len(piece.faces) for piece in pieces])
-
-
-def _pyramids(poses: Floats, corners: Floats) -> Floats:
-    """(n * 8, 2, 3) edges from the tip and round the base of a pyramid at each pose."""
-    base = np.einsum("nij,kj->nki", poses[:, :3, :3], corners) + poses[:, None, :3, 3]
-    tip = np.broadcast_to(poses[:, None, :3, 3], base.shape)
-    edges = [np.stack([tip, base], axis=2), np.stack([base, np.roll(base, -1, axis=1)], axis=2)]
-    return np.asarray(np.concatenate(edges, axis=1).reshape(-1, 2, 3))
 
 
 def _require_known(hide: Collection[str], names: Sequence[str]) -> None:

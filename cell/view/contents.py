@@ -20,7 +20,6 @@ from cell.run.executions import RecordedExecution
 from cell.run.plan_json import PlanView
 from cell.run.record import RunRecord
 from cell.run.report_json import Report
-from cell.run.scene_json import ScannerKeys
 from cell.view.packed import POINTS, Layer, stepped
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
 from cell.view.palette import MEASURED, REASONS
@@ -31,7 +30,7 @@ from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.timing.motion import Motion
-from planner.values import Bools, Floats, Ints
+from planner.values import Floats, Ints
 
 NAME = "view.html"
 """The page's file beside a report.md."""
@@ -39,11 +38,10 @@ NAME = "view.html"
 HALF_PAGE = "view.html.half"
 """The page of an unfinished plan, without what is known at the end."""
 
-_NOTES = {
-    "spacing": "the larger distance between neighbouring points, of the view in which it is smallest",
-    "sigma": "expected standard deviation of a point along its ray, of the view in which it is smallest",
+_OF_VIEWS = {
+    "sigma": ("Expected standard deviation", "of a point along its ray, of the view in which it is smallest"),
+    "spacing": ("Spacing of points", "the larger distance between neighbours, of the view in which it is smallest"),
 }
-_TITLES = {"spacing": "Spacing of points", "sigma": "Expected standard deviation"}
 
 
 def run_page(run: RunRecord) -> str:
@@ -130,17 +128,11 @@ def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Ca
     return canvas_of(cell.reference, samples), of_views(cell, samples, poses)
 
 
-def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats], seen: Bools | None = None) -> Surface:
-    """What some views measure of samples; arguments as in `measured` and `surface_of`."""
+def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) -> Surface:
+    """What some views measure of samples; arguments as in `measured`."""
     stacked = np.stack(poses) if len(poses) else np.zeros((0, 1, 4, 4))
-    casters, angle = (cell.part_caster, cell.occluder_caster), resolution_deg(cell.scanner_keys)
-    return surface_of(samples, stacked, cell.scanner, casters, angle, seen)
-
-
-def resolution_deg(keys: ScannerKeys) -> float | None:
-    """Larger angle between neighbouring rays [deg]; None of a scanner that has no such grid."""
-    grid = keys.pair("resolution_deg")
-    return None if grid is None else max(grid)
+    casters, grid = (cell.part_caster, cell.occluder_caster), cell.scanner_keys.pair("resolution_deg")
+    return surface_of(samples, stacked, cell.scanner, casters, grid)
 
 
 def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Shown:
@@ -155,11 +147,12 @@ def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Sh
     layers = list(first)
     bits = np.packbits(surface.seen[own], axis=1, bitorder="little")
     layers.append(Layer("Number of views", "views", bits.reshape(len(own), -1), canvas.note))
-    for name in sorted(surface.layers):
-        values = surface.layers[name]
+    for name, (title, note) in _OF_VIEWS.items():
+        if (values := surface.layers.get(name)) is None:
+            continue
         known = values[np.isfinite(values)]
         limits = (0.0, round(float(np.quantile(known, 0.98)), 6) if len(known) else 1.0)
-        layers.append(stepped(values[own], _TITLES[name], "length", limits, _NOTES[name]))
+        layers.append(stepped(values[own], title, "length", limits, note))
     return Shown("part", canvas.mesh, layers)
 
 
@@ -194,7 +187,7 @@ def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside:
         ("nearest", f"{_mm(moves.minimum_clearance_mm)} ({moves.between})" if moves.between else "nothing near"),
         ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),
     ]
-    then = ["cell scan RUN", "cell why RUN", "cell edit RUN --repair", "cell export RUN"]
+    then = ["cell scan RUN", "cell why RUN", "cell export RUN"]
     return Play(said, (timeline.t, timeline.q), rows=rows, next=then, inside=inside)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,22 +19,7 @@ POINTS, MOMENTS = 300_000, 4_000
 NONE = 65535
 """In a layer: no value here."""
 
-Packed = dict[str, str]
-
-
-class PackedPoints(TypedDict):
-    """Points as steps from a corner."""
-
-    low: list[float]
-    step: list[float]
-    steps: Packed
-
-
-class PackedMesh(TypedDict):
-    """A mesh."""
-
-    vertices: PackedPoints
-    faces: Packed
+Packed = Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,22 +60,7 @@ def stepped(
     return Layer(title, kind, steps, note, low, step, limits)
 
 
-def packed_layer(layer: Layer) -> Mapping[str, object]:
-    """A layer."""
-    return {
-        "title": layer.title,
-        "kind": layer.kind,
-        "values": packed(layer.values, "u1" if layer.values.dtype == np.uint8 else "u2"),
-        "width": layer.values.shape[1] if layer.values.ndim > 1 else 1,
-        "note": layer.note,
-        "low": layer.low,
-        "step": layer.step,
-        "limits": layer.limits,
-        "named": layer.named,
-    }
-
-
-def packed_mesh(mesh: TriangleMesh) -> PackedMesh:
+def packed_mesh(mesh: TriangleMesh) -> Packed:
     """A mesh."""
     return {
         "vertices": packed_points(mesh.vertices),
@@ -98,7 +68,7 @@ def packed_mesh(mesh: TriangleMesh) -> PackedMesh:
     }
 
 
-def packed_points(points: Floats) -> PackedPoints:
+def packed_points(points: Floats) -> Packed:
     """(P, 3) points in steps of 1/65535 of their extent."""
     if len(points) > POINTS:
         points = points[np.linspace(0, len(points) - 1, POINTS).astype(np.int64)]
@@ -114,12 +84,7 @@ def packed(values: ArrayLike, kind: Literal["u1", "u2", "u4", "f4"]) -> Packed:
     return {"kind": kind, "base64": base64.b64encode(content).decode("ascii")}
 
 
-def rounded(values: ArrayLike, digits: int = 6) -> object:
-    """Numbers as JSON has them, without the dust behind the last digit that counts."""
-    return (np.round(np.asarray(values, dtype=np.float64), digits) + 0.0).tolist()
-
-
-def packed_motion(t: Floats, q: Floats, stops: Sequence[float]) -> Mapping[str, Packed]:
+def packed_motion(t: Floats, q: Floats, stops: Sequence[float]) -> Packed:
     """Moments at even distances, and those of the stops; the arm moves straight in joint space between them."""
     even = np.linspace(0, len(t) - 1, min(len(t), MOMENTS)).astype(np.int64)
     kept = np.union1d(even, np.searchsorted(t, stops).clip(0, len(t) - 1))

@@ -11,19 +11,20 @@ import html
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
 
 from cell.errors import CellError
 from cell.view import palette
-from cell.view.packed import Layer, packed_layer, packed_mesh, packed_motion, packed_points, rounded
-from cell.view.pieces import Cell
+from cell.view.packed import Layer, packed, packed_mesh, packed_motion, packed_points
+from cell.view.pieces import Cell, Piece
 from cell.view.surface import FACES
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
@@ -142,7 +143,32 @@ def text(name: str) -> str:
 
 def _json(content: Mapping[str, object]) -> str:
     """JSON that stays text inside a script element, whatever is in it."""
-    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    written = json.dumps(content, default=_plain, separators=(",", ":"), allow_nan=False)
+    return written.replace("<", "\\u003c")
+
+
+def _plain(value: object) -> object:
+    """What the script gets of a value: arrays without the dust behind the last digit that counts, meshes packed."""
+    if isinstance(value, np.ndarray):
+        return (np.round(value, 9) + 0.0).tolist()
+    if isinstance(value, TriangleMesh):
+        return packed_mesh(value)
+    if isinstance(value, Piece):
+        mesh = thinned(TriangleMesh(value.vertices, value.faces))
+        return {"name": value.name, "link": value.link, "rgb": value.rgb, "mesh": mesh}
+    known = _fields(value)
+    if isinstance(value, Layer):
+        width = value.values.shape[1] if value.values.ndim > 1 else 1
+        return {
+            **known,
+            "values": packed(value.values, "u1" if value.values.dtype == np.uint8 else "u2"),
+            "width": width,
+        }
+    return known
+
+
+def _fields(value: Any) -> dict[str, object]:
+    return {each.name: getattr(value, each.name) for each in fields(value)}
 
 
 def thinned(mesh: TriangleMesh) -> TriangleMesh:
@@ -151,7 +177,7 @@ def thinned(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _stage(stage: Stage) -> Mapping[str, object]:
-    cell, arm = stage.cell, stage.cell.arm
+    cell = stage.cell
     middle, near = cell.T_base_object[:3, 3], 1.0
     if stage.surfaces:
         mesh = stage.surfaces[0].mesh
@@ -160,60 +186,31 @@ def _stage(stage: Stage) -> Mapping[str, object]:
     eye = np.array([np.cos(a := np.arctan2(middle[1], middle[0]) - 0.9), np.sin(a), np.tan(0.35)])
     if stage.toward is not None:
         eye = cell.T_base_object[:3, :3] @ stage.toward
-    floor = next((piece.vertices[0, 2] for piece in cell.pieces if piece.name == "floor"), 0.0)
     return {
-        "title": stage.title,
+        **{name: value for name, value in _fields(stage).items() if name != "cell"},
+        **_fields(cell),
         "look": {
-            "target": rounded(0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6])),
-            "distance": round(2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6, 6),
-            "azimuth": round(float(np.arctan2(eye[1], eye[0])), 6),
-            "elevation": round(float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))), 6),
+            "target": 0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6]),
+            "distance": 2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6,
+            "azimuth": float(np.arctan2(eye[1], eye[0])),
+            "elevation": float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))),
             "close": stage.toward is not None,
-            "part": rounded(middle),
-            "near": round(near, 6),
+            "part": middle,
+            "near": near,
         },
-        "floor": round(float(floor), 6),
+        "floor": next((float(piece.vertices[0, 2]) for piece in cell.pieces if piece.name == "floor"), 0.0),
         "palette": _PALETTE,
-        "arm": {
-            "T_parent_link": rounded(arm.T_parent_link, 12),
-            "reference": rounded(arm.reference, 12),
-            "axis": rounded(arm.axis, 12),
-            "home": rounded(arm.home, 12),
-        },
-        "pieces": [
-            {"name": piece.name, "link": piece.link, "rgb": rounded(piece.rgb),
-             "mesh": packed_mesh(thinned(TriangleMesh(piece.vertices, piece.faces)))}
-            for piece in cell.pieces
-        ],
-        "T_base_object": rounded(cell.T_base_object, 12),
-        "surfaces": [
-            {"name": each.name, "mesh": packed_mesh(each.mesh),
-             "layers": [packed_layer(layer) for layer in each.layers]}
-            for each in stage.surfaces
-        ],
-        "frustum": rounded(cell.frustum),
         "glyph": _GLYPH,
-        "watched": stage.watched,
-    }  # fmt: skip
+    }
 
 
 def _play(play: Play) -> Mapping[str, object]:
     stops = [view.time for view in play.views if view.time is not None]
     return {
-        "views": [
-            {"number": view.number, "T_base_scanner": rounded(view.T_base_scanner, 9),
-             "time": None if view.time is None else round(view.time, 6), "rows": view.rows,
-             "commands": view.commands, "colour": view.colour}
-            for view in play.views
-        ],
+        **_fields(play),
         "motion": None if play.motion is None else packed_motion(*play.motion, stops),
         "cloud": None if play.cloud is None or not len(play.cloud) else packed_points(play.cloud),
-        "rows": play.rows,
-        "problems": play.problems,
-        "notes": play.notes,
-        "next": play.next,
-        "inside": play.inside,
-    }  # fmt: skip
+    }
 
 
 _PALETTE = {

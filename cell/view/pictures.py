@@ -9,17 +9,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from cell.view import rays
 from cell.view.palette import MEASURED, OPEN, REASONS, SEEN, rgb
 from cell.view.surface import Canvas, Surface, sides
-from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
 _PANEL = (500, 480)
 _MARGIN, _LINE = 12, 26
+_SHARE = 0.16  # of the distance to the part: a view's small pyramid
 _BAR = 0.25  # of the panel's width: the scale bar is at most so long
 
 
@@ -28,7 +28,7 @@ def part_and_views(
     canvas: Canvas,
     surface: Surface,
     T_object_scanner: Floats,
-    fov_rad: ArrayLike,
+    opening_deg: tuple[float, float],
     numbers: Sequence[int] | None = None,
 ) -> None:
     """The part coloured by how many views measure it, from the two sides that show most that none does; the views.
@@ -38,7 +38,7 @@ def part_and_views(
         canvas: the part.
         surface: what the views measure of it.
         T_object_scanner: (n, 4, 4) views in visiting order [m].
-        fov_rad: horizontal and vertical field of view [rad].
+        opening_deg: of the field of view.
         numbers: (n,) of the views; None counts from 1.
     """
     mesh, areas = canvas.mesh, surface.samples.areas
@@ -46,7 +46,9 @@ def part_and_views(
     colours = np.array([rgb(OPEN), *(rgb(colour) for colour in SEEN)])
     ways = sides(canvas, count == 0, 2)
     panels = [_panel(canvas, colours[count], way, mesh.vertices) for way in ways]
-    pyramids = _frustums(T_object_scanner, fov_rad, mesh)
+    away = T_object_scanner[:, :3, 3] - (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    far = _SHARE * float(np.median(np.linalg.norm(away, axis=1))) if len(away) else 1.0
+    pyramids = rays.pyramids(T_object_scanner, rays.frustum(opening_deg, far))
     around = np.concatenate([mesh.vertices, pyramids.reshape(-1, 3)])
     views, seen = _panel(canvas, colours[count], rays.direction(-60, 25), around)
     rays.lines(views, seen, pyramids, "#333333", hidden="#b9bfc6")
@@ -170,15 +172,3 @@ def _sheet(
         draw.rectangle(square, fill=tuple((255 * colour).astype(int).tolist()), outline="#666666")
         draw.text((x + 22, y + 12), text, "#111111", small, anchor="lm")
     return sheet
-
-
-def _frustums(T_object_scanner: Floats, fov_rad: ArrayLike, mesh: TriangleMesh) -> Floats:
-    """(n * 8, 2, 3) segments of small pyramids: four edges and the base of each view [m]."""
-    place = T_object_scanner[:, :3, 3]
-    away = np.linalg.norm(place - (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, axis=1)
-    h, v = np.tan(np.asarray(fov_rad) / 2.0)
-    corners = 0.16 * float(np.median(away)) * np.array([[-h, -v, 1], [h, -v, 1], [h, v, 1], [-h, v, 1]])
-    base = np.einsum("nij,kj->nki", T_object_scanner[:, :3, :3], corners) + place[:, None]
-    edges = np.stack([np.broadcast_to(place[:, None], base.shape), base], axis=2)
-    rims = np.stack([base, np.roll(base, -1, axis=1)], axis=2)
-    return np.asarray(np.concatenate([edges, rims], axis=1).reshape(-1, 2, 3))

@@ -18,6 +18,7 @@ from cell.run import reader as run_reader
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys
 from cell.view.palette import LOOKS, Look, look_of
+from cell.view.rays import frustum
 from cell.world.model import World
 from cell.world.shapes import quaternion
 from planner.surface.mesh import TriangleMesh
@@ -110,7 +111,7 @@ def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
         data.mocap_quat[model.body("object").mocapid] = quaternion(T[:3, :3])
         data.qpos[:] = np.radians(scene.home_deg)
         mujoco.mj_kinematics(model, data)
-        return _cell(model, data, T, meshes, scene.T_flange_scanner, _frustum(scene.scanner))
+        return _cell(model, data, T, meshes, scene.T_flange_scanner, _seen_by(scene.scanner))
 
 
 def cell_of_world(world: World, scanner: ScannerKeys) -> Cell:
@@ -121,13 +122,12 @@ def cell_of_world(world: World, scanner: ScannerKeys) -> Cell:
         scanner: what defines it.
     """
     fixtures, T_flange_scanner = world.fixture_meshes, world.T_flange_scanner
-    return _cell(world.model, world.data(), world.T_base_object, fixtures, T_flange_scanner, _frustum(scanner))
+    return _cell(world.model, world.data(), world.T_base_object, fixtures, T_flange_scanner, _seen_by(scanner))
 
 
-def _frustum(scanner: ScannerKeys) -> Floats:
+def _seen_by(scanner: ScannerKeys) -> Floats:
     """(4, 3) far corners of what a scanner sees [m], scanner frame."""
-    x, y = np.tan(np.radians(scanner.opening_deg) / 2)
-    return scanner.drawn_range_mm[1] / 1000 * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+    return frustum(scanner.opening_deg, scanner.drawn_range_mm[1] / 1000)
 
 
 def placed(pieces: Sequence[Piece], links: Floats) -> list[Piece]:

@@ -208,6 +208,20 @@ def lines(
                 draw.line(ends, fill=colour if free else hidden, width=width)
 
 
+def frustum(opening_deg: tuple[float, float], far: float) -> Floats:
+    """(4, 3) far corners of a field of view [m], scanner frame."""
+    x, y = np.tan(np.radians(opening_deg) / 2)
+    return far * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+
+
+def pyramids(poses: Floats, corners: Floats) -> Floats:
+    """(n * 8, 2, 3) edges from the tip and round the base of a pyramid at each of (n, 4, 4) poses [m]."""
+    base = np.einsum("nij,kj->nki", poses[:, :3, :3], corners) + poses[:, None, :3, 3]
+    tip = np.broadcast_to(poses[:, None, :3, 3], base.shape)
+    edges = [np.stack([tip, base], axis=2), np.stack([base, np.roll(base, -1, axis=1)], axis=2)]
+    return np.asarray(np.concatenate(edges, axis=1).reshape(-1, 2, 3))
+
+
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int, bool]]:
     """Stretches of equal flags: first and last end, flag."""
     cuts = [0, *(np.flatnonzero(flags[1:] != flags[:-1]) + 1).tolist(), len(flags)]

@@ -104,7 +104,7 @@ def surface_of(
     T_object_scanner: Floats,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-    resolution_deg: float | None,
+    resolution_deg: tuple[float, float] | None,
     seen: Bools | None = None,
 ) -> Surface:
     """Ask the views about the samples.
@@ -114,7 +114,7 @@ def surface_of(
         T_object_scanner: (n, K, 4, 4) poses of the views [m].
         scanner: the sensor's law.
         casters: the part's and the occluders'.
-        resolution_deg: larger angle between neighbouring rays; None for a scanner without such a grid.
+        resolution_deg: angles between neighbouring rays; None for a scanner without such a grid.
         seen: (S, n) which samples each view measures, where that is known; None asks.
     """
     poses = np.asarray(T_object_scanner)
@@ -136,7 +136,7 @@ def surface_of(
                 # apart, in the direction in which it is inclined.
                 r2 = np.einsum("ij,ij->i", points, points)
                 facing = np.abs(np.einsum("ij,ij->i", points, normals))
-                gap = 1000 * np.radians(resolution_deg) * r2 / np.maximum(facing, 1e-9)
+                gap = 1000 * np.radians(max(resolution_deg)) * r2 / np.maximum(facing, 1e-9)
                 layers["spacing"][here] = np.minimum(layers["spacing"][here], gap)
     for values in layers.values():
         values[~np.isfinite(values)] = np.nan

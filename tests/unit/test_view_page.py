@@ -162,7 +162,7 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
     samples = sample(mesh, mesh, 50, np.random.default_rng(0))
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = distance
-    surface = surface_of(samples, T[None, None], Law(), (Free(),), 0.25)  # type: ignore[arg-type] # toys
+    surface = surface_of(samples, T[None, None], Law(), (Free(),), (0.25, 0.1))  # type: ignore[arg-type] # toys
     ray = np.array([np.sin(angle), 0.0, -np.cos(angle)])
     meets = T[:3, 3] - ray * (T[:3, 3] @ normal) / (ray @ normal)
     assert np.median(surface.layers["spacing"]) == pytest.approx(1000 * np.linalg.norm(meets), rel=0.02)
