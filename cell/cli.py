@@ -9,6 +9,7 @@ import atexit
 import gc
 import os
 import sys
+from contextlib import suppress
 
 import typer
 
@@ -65,8 +66,9 @@ def main(argv: list[str] | None = None) -> int:
     code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
     if code == signals.INTERRUPTED:
         # The interrupt may have come between a ray engine and its threads: leave without taking them down in order.
-        sys.stdout.flush()
-        sys.stderr.flush()
+        with suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
 

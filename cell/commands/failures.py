@@ -4,6 +4,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import typer
@@ -66,9 +67,10 @@ def _stopped() -> str:
 
 
 def _say(sentence: str, code: int, as_json: bool, *, said: bool = False) -> int:
-    if not said:
-        sys.stderr.write(f"cell: {sentence}\n")
-    if as_json:
-        status = "interrupted" if code == INTERRUPTED else "failed"
-        sys.stdout.write(json.dumps({"status": status, "exit_code": code, "reason": sentence}, indent=2) + "\n")
+    with suppress(OSError):  # a terminal that was closed cannot be told, and that must not hold up the end
+        if not said:
+            sys.stderr.write(f"cell: {sentence}\n")
+        if as_json:
+            status = "interrupted" if code == INTERRUPTED else "failed"
+            sys.stdout.write(json.dumps({"status": status, "exit_code": code, "reason": sentence}, indent=2) + "\n")
     return code

@@ -1,0 +1,31 @@
+"""How commands end: with one sentence where somebody can read it, and at once where nobody can."""
+
+import errno
+import io
+import sys
+
+import pytest
+
+from cell.commands.failures import guarded
+from cell.errors import UsageError
+from cell.signals import INTERRUPTED
+
+
+class _Closed(io.StringIO):
+    def write(self, text: str) -> int:
+        raise OSError(errno.EIO, "Input/output error")
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+@pytest.mark.parametrize(("raised", "code"), [(KeyboardInterrupt(), INTERRUPTED), (UsageError("no"), 2)])
+def test_a_closed_terminal_holds_nothing_up(
+    raised: BaseException, code: int, as_json: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The exit code is given back although neither stream takes a word."""
+
+    def run() -> None:
+        raise raised
+
+    monkeypatch.setattr(sys, "stdout", _Closed())
+    monkeypatch.setattr(sys, "stderr", _Closed())
+    assert guarded(run, as_json=as_json) == code
