@@ -150,7 +150,7 @@ def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
     """200 executions with errors: what is promised is measured as often as promised; nominal coverage is beside it."""
     _, said = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
     promise = said["promise"]
-    assert (promise["executions"], promise["samples"]) == (200, 10_000)
+    assert (promise["executions"], promise["samples"], promise["alpha"]) == (200, 10_000, 0.1)
     assert promise["robust_on_features"] <= said["coverage"]["planned_on_features"] + 1e-12
     assert promise["robust_on_features"] == pytest.approx(promise["robust_coverable_on_features"])
     assert promise["frequency"] >= 0.9

@@ -1,7 +1,6 @@
 """A scanner of another distribution: installed by pip, found by its entry point, planned with; and broken ones."""
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -35,23 +34,21 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def on_path(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """This process and those that it starts see the installed package."""
+    """This process sees the installed package."""
     monkeypatch.syspath_prepend(str(installed))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(installed), os.environ.get("PYTHONPATH", "")]).strip(":;"))
 
 
 @pytest.mark.usefixtures("on_path")
 def test_a_plan_is_made_with_a_scanner_of_another_distribution(
-    start_cell: Callable[..., "subprocess.Popen[str]"], part_file: Path, tmp_path: Path
+    run_cell: Callable[..., subprocess.CompletedProcess[str]], part_file: Path, tmp_path: Path
 ) -> None:
     """Its key stands in the scene, its law decides what is measured, its parameters are recorded."""
     scene = tmp_path / "cell.toml"
     scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
     arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
-    process = start_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path)
-    out, errors = process.communicate(timeout=300)
-    assert process.returncode == 0, errors
-    summary = json.loads(out)
+    done = run_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
     assert summary["settings"]["scanner"] == "cone"
     assert summary["coverage"]["visible"] > 0.5
     resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())
