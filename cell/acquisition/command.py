@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.acquisition import Acquired, Context, View, point_files
+from cell.acquisition import point_files
 from cell.acquisition.files import frame_and_units
+from cell.acquisition.sources import Acquired, Context, View
 from cell.errors import FileError, UsageError
 
 log = logging.getLogger(__name__)

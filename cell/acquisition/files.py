@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from cell.acquisition import Acquired, Context, Frame, View, point_files
+from cell.acquisition import point_files
+from cell.acquisition.sources import Acquired, Context, Frame, View
 from cell.errors import FileError, UsageError
 from cell.part.workpiece import UNITS
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cell.acquisition import FRAMES, SIMULATED
+from cell.acquisition import SIMULATED
+from cell.acquisition.sources import FRAMES
 from cell.part.workpiece import UNITS
 from cell.run.cell import RunCell
 from cell.scan.execution_results import ExecutedScan

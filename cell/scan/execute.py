@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cell import signals
-from cell.acquisition import Acquisition, View
+from cell.acquisition.sources import Acquisition, View
 from cell.errors import DriverFailureError, FileError
 from cell.run.cell import RunCell
 from cell.scan.execution_folder import ExecutionFolder

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
-from cell import acquisition, signals
-from cell.acquisition import Acquisition
+from cell import signals
+from cell.acquisition import SIMULATED, sources
+from cell.acquisition.sources import Acquisition
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.plant import factory
@@ -70,7 +71,7 @@ def scan(
     driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
     _acquisition(kept, cell, seed, run.folder, narrator)  # what cannot be asked of it leaves no execution behind
-    if options.acquire == acquisition.SIMULATED:
+    if options.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
         connected.enter_context(signals.driving())
@@ -139,7 +140,7 @@ def _resumed(
     for sentence in left_out:
         narrator.note(sentence)
     driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
-    if settled.acquire == acquisition.SIMULATED:
+    if settled.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
         connected.enter_context(signals.driving())
@@ -247,8 +248,8 @@ def _acquisition(
     kept: Mapping[str, JsonValue], cell: RunCell, seed: int, folder: Path, narrator: Narrator
 ) -> Acquisition:
     """Where the points come from, by the options that the execution was begun with."""
-    kind, argument = acquisition.load(str(kept.get("acquire", acquisition.SIMULATED)))
-    return kind(argument, acquisition.Context(cell, kept, seed, folder, narrator.note))
+    kind, argument = sources.load(str(kept.get("acquire", SIMULATED)))
+    return kind(argument, sources.Context(cell, kept, seed, folder, narrator.note))
 
 
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")

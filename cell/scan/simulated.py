@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from cell.acquisition import SIMULATED, Acquired, Context, View
+from cell.acquisition import SIMULATED
+from cell.acquisition.sources import Acquired, Context, View
 from cell.errors import UsageError
 from cell.run.cell import RunCell
 from cell.scan.options import ScanOptions

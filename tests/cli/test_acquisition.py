@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.acquisition import Acquired, Context, View, point_files
+from cell.acquisition import point_files
 from cell.acquisition.files import Files
+from cell.acquisition.sources import Acquired, Context, View
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.run import ply

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cell.acquisition import Acquired
+from cell.acquisition.sources import Acquired
 
 
 class Wall:
