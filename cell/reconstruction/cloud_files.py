@@ -13,13 +13,14 @@ from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 
-def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32], sigma: Floats) -> Iterator[bytes]:
+def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32], sigma: Floats, source: str) -> Iterator[bytes]:
     """Points with normals, the view that gave them and their expected standard deviation.
 
     Args:
         cloud: merged scans.
         stop: (N,) number of the view of each point, from 1 in visiting order: that of its file in scans/.
         sigma: (N,) along the ray [m]; NaN where it is not known.
+        source: where the points come from.
 
     Yields:
         the file, piece by piece.
@@ -34,6 +35,7 @@ def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32], sigma: Floats) -> Iter
     rows["scalar_sigma_mm"] = sigma * 1000.0
     yield (
         "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres; view: from 1 in visiting order\n"
+        f"comment points: {_line(source)}\n"
         f"element vertex {len(rows)}\nproperty double x\nproperty double y\nproperty double z\n"
         "property float nx\nproperty float ny\nproperty float nz\nproperty int view\n"
         f"{''.join(f'property float {name}' + chr(10) for name in scalars)}end_header\n"
@@ -41,13 +43,14 @@ def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32], sigma: Floats) -> Iter
     yield rows.tobytes()
 
 
-def mesh_ply(mesh: TriangleMesh, closed: NDArray[np.bool_], deviation: Floats) -> Iterator[bytes]:
+def mesh_ply(mesh: TriangleMesh, closed: NDArray[np.bool_], deviation: Floats, source: str) -> Iterator[bytes]:
     """The reconstructed surface; `closed` is 1 for faces that close a hole: invented, not measured.
 
     Args:
         mesh: the surface, object frame [m].
         closed: (F,) bool.
         deviation: (V,) signed distance of each vertex from the reference [m], positive outside.
+        source: where the points come from that it was made of.
 
     Yields:
         the file, piece by piece.
@@ -58,9 +61,15 @@ def mesh_ply(mesh: TriangleMesh, closed: NDArray[np.bool_], deviation: Floats) -
     faces["n"], faces["v"], faces["closed"] = 3, mesh.faces, closed
     yield (
         "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres; closed 1: not measured\n"
+        f"comment points: {_line(source)}\n"
         f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
         "property float scalar_deviation_mm\n"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nproperty uchar closed\nend_header\n"
     ).encode()
     yield vertices.tobytes()
     yield faces.tobytes()
+
+
+def _line(text: str) -> str:
+    """A text as one line of a header, which is ASCII."""
+    return " ".join(text.split()).encode("ascii", "backslashreplace").decode("ascii")

@@ -22,13 +22,14 @@ _PIXELS = 560  # along the longer side
 _SIDES = ((-60.0, "from the front right"), (120.0, "from the back left"))
 
 
-def draw(path: Path, mesh: TriangleMesh, deviation: Deviation) -> None:
+def draw(path: Path, mesh: TriangleMesh, deviation: Deviation, source: str) -> None:
     """Write the picture.
 
     Args:
         path: PNG to write.
         mesh: the surface, object frame [m].
         deviation: of the same mesh.
+        source: where the points come from that it was made of.
     """
     figure = Figure(figsize=(14.0, 4.9), dpi=110, layout="constrained")
     panels = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.8))
@@ -63,6 +64,7 @@ def draw(path: Path, mesh: TriangleMesh, deviation: Deviation) -> None:
         f"rms {deviation.rms * 1000:.3f}, 95 % {deviation.quantile_95 * 1000:.3f}, "
         f"largest {deviation.largest * 1000:.3f} mm", fontsize=9,
     )  # fmt: skip
+    figure.suptitle(source, fontsize=9, x=0.01, ha="left")
     panels[2].grid(alpha=0.25)
     FigureCanvasAgg(figure)
     figure.savefig(path, format="png", metadata={"Software": "scan-cell"})

@@ -34,6 +34,11 @@ class ExecutedSettings(JsonTable):
 class ExecutedCoverage(JsonTable):
     """What the executed poses measure; fractions of the surface."""
 
+    kind: str = Field(
+        default="simulated",
+        description="of `visible`: 'simulated' by the true poses, or 'model': computed by the model from the "
+        "registered poses of points that are not simulated, never measured",
+    )
     visible: float = Field(description="visible coverage of the executed poses")
     predicted: float = Field(description="the same of the planned poses of the views that were scanned")
     predicted_all_views: float = Field(description="the same of all views of the plan")
@@ -49,13 +54,15 @@ class ExecutedView(JsonTable):
     stop: int = Field(description="number of the view, from 1 in visiting order")
     id: int = Field(description="candidate, row of viewpoints.npz")
     points: int = Field(description="that it gave")
-    rays: dict[str, int] = Field(description="by what became of them")
+    rays: dict[str, int] | None = Field(description="by what became of them; null where points are not simulated")
     adds: float = Field(description="what it measures that the scans before it do not, fraction of the surface")
     reported_minus_commanded_deg: float = Field(description="of the axis that differs most")
-    pose_error_mm: float = Field(description="distance of the true pose from the reported one")
-    pose_error_deg: float = Field(description="angle between the two")
-    pose_error_after_mm: float = Field(description="distance of the true pose from the registered one")
-    pose_error_after_deg: float = Field(description="angle between the two")
+    pose_error_mm: float | None = Field(
+        description="distance of the true pose from the reported one; null where points are not simulated, as the next"
+    )
+    pose_error_deg: float | None = Field(description="angle between the two")
+    pose_error_after_mm: float | None = Field(description="distance of the true pose from the registered one")
+    pose_error_after_deg: float | None = Field(description="angle between the two")
     registration: str | None = Field(description="how it went; null where it was not asked for")
     free_directions: int = Field(description="along which registration could not tell the pose")
 
@@ -65,6 +72,9 @@ class ExecutedCloud(JsonTable):
 
     rms_to_reference_mm: float | None = Field(description="root mean square of their distances to the reference")
     rms_to_reference_as_reported_mm: float | None = Field(description="the same before registration")
+    outliers: int = Field(
+        default=0, description="off the part, borne out by no neighbour, left out; none where simulated"
+    )
 
 
 class ExecutedRegistration(JsonTable):
@@ -119,6 +129,8 @@ class ExecutionReport(JsonTable):
     """The file."""
 
     part: ExecutedPart
+    source: str = Field(default="simulated", description="where the points come from: 'simulated', or what was named")
+    doubts: tuple[str, ...] = Field(default=(), description="what the points contradict, a sentence each")
     complete: bool = Field(description="whether every view is there and no file was left out")
     missing_views: tuple[int, ...] = Field(description="numbers of the views without a usable scan")
     left_out: tuple[str, ...] = Field(description="a sentence for each file that could not be used")

@@ -50,6 +50,9 @@ class Manifest(JsonTable):
     inputs: dict[str, str] = Field(default_factory=dict, description="sha256 of what the plan depends on")
     files: tuple[NamedFile, ...] = Field(default=(), description="that the user named; none of a built-in cell")
     options: dict[str, JsonValue] = Field(default_factory=dict, description="of an execution: what was asked for")
+    source: str | None = Field(
+        default=None, description="of an execution: where its points come from; 'simulated', or what was named"
+    )
     plan: str | None = Field(default=None, description="of an execution: sha256 of the plan.json that was executed")
     digest: str | None = Field(
         default=None, description="of all that drives; of an execution: of the plan that was executed"

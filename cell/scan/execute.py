@@ -7,29 +7,26 @@ the last one.
 Arm and housing are not among the occluders, as in the plan's prediction.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from cell import signals
+from cell.acquisition.sources import Acquisition, View
 from cell.errors import DriverFailureError, FileError
 from cell.run.cell import RunCell
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import Leg, Legs
-from cell.scan.pose_error import Disturbance
-from cell.scan.sweep_scan import scan_of
 from drivers.clock import Clock
 from drivers.commands import Move, Result
 from drivers.contract import Driver, RobotState
 from drivers.limits import refuse
 from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
-from planner.ports import Progress, Rejection
+from planner.ports import Progress
 from planner.values import Floats
-
-POSE, NOISE = 10, 11
-"""Streams of randomness; a stop has its own of each, so that one view alone is disturbed as in the whole execution."""
 
 _AT_START = 100  # counts: so far the arm may stand from the start of the plan, 0.01 deg
 
@@ -38,10 +35,9 @@ def run(
     legs: Legs,
     driver: Driver,
     cell: RunCell,
-    disturbance: Disturbance,
+    acquisition: Acquisition,
     folder: ExecutionFolder,
     *,
-    seed: int,
     speed: float,
     clock: Clock,
     progress: Progress | None = None,
@@ -52,9 +48,8 @@ def run(
         legs: what to drive.
         driver: connected.
         cell: part, surroundings and scanner.
-        disturbance: noise and pose error.
+        acquisition: gives the points.
         folder: where scans and events go.
-        seed: of the disturbance.
         speed: fraction of the axis speeds at which to drive.
         clock: the controller's, for the times of events.
         progress: told about the legs.
@@ -94,12 +89,13 @@ def run(
                 after = legs.legs[number].stop if number < len(legs.legs) else 0
                 if after != leg.stop:
                     name = f"{leg.stop:04d}.npz"
-                    points = scan_and_write(
-                        looks, cell, disturbance, folder, name, seed,
-                        still=partial(_require_still, leg, driver, cell),
-                    )  # fmt: skip
+                    still = partial(_require_still, leg, driver, cell)
+                    points, told = scan_and_write(looks, cell, acquisition, folder, name, still=still)
                     looks = []
-                    say("scan", stop=leg.stop, view=leg.view, file=f"scans/{name}", points=points)
+                    if points is None:
+                        say("missing", stop=leg.stop, view=leg.view)
+                    else:
+                        say("scan", stop=leg.stop, view=leg.view, file=f"scans/{name}", points=points, **told)
             if progress:
                 progress(number, len(legs.legs))
     except BaseException as error:
@@ -116,59 +112,57 @@ def run(
 def scan_and_write(
     looks: Sequence[tuple[Leg, Floats]],
     cell: RunCell,
-    disturbance: Disturbance,
+    acquisition: Acquisition,
     folder: ExecutionFolder,
     name: str,
-    seed: int,
     still: Callable[[], None] = lambda: None,
-) -> int:
-    """Scan from where the arm stood and put the scan on disk; returns the number of points.
+) -> tuple[int | None, Mapping[str, Any]]:
+    """Scan from where the arm stands and put the scan on disk.
 
     Args:
         looks: the view's leg, or those of all poses of its sweep in driving order, and the (6,) joint angles that the
             controller reported at the end of each [rad].
         cell: part, surroundings and scanner.
-        disturbance: noise and pose error.
+        acquisition: gives the points.
         folder: where the scan goes.
         name: its file.
-        seed: of the disturbance.
         still: looks, once all points are there, whether the arm still stands where it was scanned; raises if not.
+
+    Returns:
+        The number of points, None where the view stays missing; and what the event says of them.
     """
-    leg, order = looks[0][0], np.argsort([each.pose for each, _ in looks])
-    middle = int(order[len(looks) // 2])
-    reported = np.stack([q for _, q in looks])
+    leg, reported = looks[0][0], np.stack([q for _, q in looks])
     commanded = np.stack([to_rad(each.set_points[-1]) for each, _ in looks])
-    T_reported = np.stack([cell.scanner_pose(q) for q in reported])
-    T_true, points, scans = scan_of(
-        T_reported, cell, disturbance, [seed, POSE, leg.stop], np.random.default_rng([seed, NOISE, leg.stop])
-    )
+    view = View(
+        leg.stop, leg.view, reported, cell.kinematics.forward(reported),
+        np.stack([cell.scanner_pose(q) for q in reported]), np.asarray(cell.scene.T_base_object),
+        np.argsort([each.pose for each, _ in looks]),
+    )  # fmt: skip
+    acquired = acquisition.take(view)
+    if acquired is None:
+        return None, {}
     still()
-    rays = len(scans[0].codes)
-    rows, columns = scans[0].grid_shape
-    codes = np.concatenate([seen.codes for seen in scans])
+    T = view.T_object(acquired.frame)
+    points = acquired.points if acquired.frame == "object" else acquired.points @ T[:3, :3].T + T[:3, 3]
     sweep = {} if len(looks) == 1 else {
-        "sweep_q_commanded": commanded[order],
-        "sweep_q_reported": reported[order],
-        "sweep_T_object_scanner": T_reported[order],
-        "sweep_T_object_scanner_true": T_true[order],
+        "sweep_q_commanded": commanded[view.order],
+        "sweep_q_reported": reported[view.order],
+        "sweep_T_object_scanner": view.T_object_scanner[view.order],
     }  # fmt: skip
     folder.write_scan(
         name,
         stop=np.array(leg.stop),
         view=np.array(leg.view),
-        q_commanded=commanded[middle],
-        q_reported=reported[middle],
-        T_object_scanner=T_reported[middle],
-        T_object_scanner_true=T_true[middle],
+        source=np.array(acquisition.source),
+        frame=np.array(acquired.frame),
+        q_commanded=commanded[view.middle],
+        q_reported=reported[view.middle],
+        T_object_scanner=view.T_object_scanner[view.middle],
         points=points,
-        face=np.concatenate([seen.face for seen in scans]),
-        pixel=np.concatenate([seen.pixel + np.int32(line * rays) for line, seen in enumerate(scans)]),
-        grid_shape=np.array([rows * len(scans), columns], dtype=np.int64),
-        codes=codes,
-        counts=np.bincount(codes, minlength=len(Rejection)),
+        **acquired.kept,
         **sweep,
     )
-    return len(points)
+    return len(points), acquired.told
 
 
 def _drive(driver: Driver, set_points: SetPoints, speed: float) -> RobotState:

@@ -3,6 +3,7 @@
 import html
 from collections.abc import Sequence
 
+from cell.acquisition import SIMULATED
 from cell.run.execution_json import ExecutionReport
 
 _COARSE = 0.02  # of the part's diagonal: a surface that reaches farther from its points is called interpolated
@@ -28,7 +29,11 @@ def markdown(summary: ExecutionReport) -> str:
     Args:
         summary: the execution's report.json.
     """
-    lines = [f"# Scan of {html.escape(summary.part.name)} ([look at it](view.html))", "", _opening(summary), ""]
+    where = html.escape(short(summary.source))
+    title = f"# Scan of {html.escape(summary.part.name)}, {where} ([look at it](view.html))"
+    lines = [title, "", _opening(summary), ""]
+    if summary.doubts:
+        lines += [f"**Doubtful.** {html.escape(doubt)}.  " for doubt in summary.doubts] + [""]
     if not summary.complete:
         lines += ["**Not complete.** " + _missing(summary), ""]
     if summary.n_views:
@@ -59,7 +64,7 @@ def table(summary: ExecutionReport) -> list[tuple[str, str]]:
     missing = "" if summary.complete else "  (not complete, see report.md)"
     rows = [
         ("views", f"{summary.n_views} of {summary.n_views_planned}{missing}"),
-        ("points", f"{summary.n_points:,}"),
+        ("points", f"{summary.n_points:,}, {short(summary.source)}"),
         (
             "visible coverage",
             f"{_percent(coverage.visible)} of the surface, predicted {_percent(coverage.predicted)}",
@@ -84,6 +89,11 @@ def table(summary: ExecutionReport) -> list[tuple[str, str]]:
     )
     took = "" if motion.executed_s is None else f", {motion.executed_s:.1f} s by the controller"
     return [*rows, ("surface", surface), ("motion", f"{motion.planned_s:.1f} s planned{took}")]
+
+
+def short(source: str) -> str:
+    """Where points come from, for a title: "simulated", or "points: files of ..."."""
+    return source if source == SIMULATED else f"points: {source}"
 
 
 def _opening(summary: ExecutionReport) -> str:
@@ -140,7 +150,7 @@ def _table(summary: ExecutionReport) -> list[str]:
         "|---|---|",
         f"| part | {html.escape(summary.part.name)}: {summary.part.faces:,} faces |",
         f"| views | {summary.n_views} of the plan's {summary.n_views_planned}{view} |",
-        f"| points | {summary.n_points:,} |",
+        f"| points | {summary.n_points:,}, {html.escape(summary.source)} |",
         f"| scanner | {settings.scanner}{grid}, {settings.rays_per_scan:,} rays a scan |",
         f"| driver | {settings.driver} |",
         f"| range noise (1 sigma) | {_off(settings.range_noise_mm, 'mm')}"
@@ -155,12 +165,13 @@ def _table(summary: ExecutionReport) -> list[str]:
 
 def _coverage(summary: ExecutionReport) -> list[str]:
     coverage = summary.coverage
+    model = "" if coverage.kind == "simulated" else " (computed by the model from the registered poses)"
     lines = [
         "## Coverage",
         "",
         "| | achieved | predicted |",
         "|---|---|---|",
-        f"| visible, of the surface | {_percent(coverage.visible)} | {_percent(coverage.predicted)} |",
+        f"| visible{model}, of the surface | {_percent(coverage.visible)} | {_percent(coverage.predicted)} |",
         f"| visible, of what reachable candidates can measure | {_percent(coverage.visible_of_coverable)} | |",
         f"| sampled, radius {coverage.sampled_radius_mm:.3g} mm | {_percent(coverage.sampled)} | |",
         "",
@@ -240,8 +251,8 @@ def _registration(summary: ExecutionReport) -> list[str]:
         "|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {view.stop} | {view.pose_error_mm:.3f} | {view.pose_error_after_mm:.3f} | "
-        f"{view.pose_error_deg:.4f} | {view.pose_error_after_deg:.4f} | {view.registration} |"
+        f"| {view.stop} | {_known(view.pose_error_mm, 3)} | {_known(view.pose_error_after_mm, 3)} | "
+        f"{_known(view.pose_error_deg, 4)} | {_known(view.pose_error_after_deg, 4)} | {view.registration} |"
         for view in summary.views
     ]
     return [*lines, ""]
@@ -250,19 +261,24 @@ def _registration(summary: ExecutionReport) -> list[str]:
 def _views(summary: ExecutionReport) -> list[str]:
     if not summary.views:
         return []
-    reasons = [name for name in _REASONS if any(view.rays[name] for view in summary.views)]
+    reasons = [name for name in _REASONS if any((view.rays or {}).get(name) for view in summary.views)]
     names = ["view", "candidate", "adds % of surface", "reported - commanded deg", "points"]
     names += [_REASONS[name] for name in reasons]
     lines = ["## Scans in driving order", "", f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
     for view in summary.views:
         cells = [str(view.stop), str(view.id), f"{100 * view.adds:.2f}"]
         cells += [f"{view.reported_minus_commanded_deg:.4f}", f"{view.points:,}"]
-        lines.append(f"| {' | '.join([*cells, *(format(view.rays[name], ',') for name in reasons)])} |")
-    lines += ["", "Points and the columns behind them add up to the rays of a scan."]
+        lines.append(f"| {' | '.join([*cells, *(format((view.rays or {}).get(name, 0), ',') for name in reasons)])} |")
+    if all(view.rays for view in summary.views):
+        lines += ["", "Points and the columns behind them add up to the rays of a scan."]
     empty = [str(view.stop) for view in summary.views if not view.points]
     if empty:
         lines += ["", f"View {', '.join(empty)} saw nothing of the part."]
     return [*lines, ""]
+
+
+def _known(value: float | None, digits: int) -> str:
+    return "not known" if value is None else f"{value:.{digits}f}"
 
 
 def _percent(share: float) -> str:

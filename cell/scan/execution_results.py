@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.acquisition import SIMULATED
 from cell.errors import FileError
 from cell.rays.prediction import held_out
-from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
+from cell.reconstruction.cloud import PointCloud, ScanCloud, merge, point_spacing
 from cell.reconstruction.registration import Registration, register
 from cell.run.cell import RunCell
 from cell.run.executions import RecordedExecution, RecordedScan
@@ -24,8 +25,12 @@ from planner.measurability import coverage
 from planner.ports import Rejection, Scanner
 from planner.surface.closest import NearestSurface
 from planner.surface.sample import SurfaceSamples
-from planner.values import Floats, readonly
+from planner.values import Bools, Floats, readonly
 
+_NOISE = 5.0  # robust sigma of the distances to the reference, beyond which a point is no noise
+_EXACT = 1e-6  # m; nearer than this to the reference, a point is on it
+_NEIGHBOURS = 8  # most of them have to be as far off ...
+_APART = 3.0  # ... and half of them within so many spacings
 _CLOUD_SAMPLES = 40_000  # points whose distance to the reference stands for that of all
 
 
@@ -39,10 +44,13 @@ class ExecutedScan:
         q_commanded: (6,) [rad].
         q_reported: (6,) [rad].
         T_reported: (4, 4) T_object_scanner by the controller's report [m].
-        T_true: (4, 4) from where the rays were traced [m].
-        T_true_poses: (K, 4, 4) all poses of a sweep [m], of which `T_true` is the middle one; at rest it alone.
+        T_reported_poses: (K, 4, 4) all poses of a sweep [m], of which `T_reported` is the middle one; at rest it alone.
+        T_true: (4, 4) from where the rays were traced [m]; None where the points are not simulated.
+        T_true_poses: (K, 4, 4) likewise [m].
         points: (P, 3) as the data tell them [m].
-        counts: rays by `Rejection`.
+        counts: rays by `Rejection`; None where the points are not simulated.
+        source: where the points come from.
+        frame: that they came in.
     """
 
     stop: int
@@ -50,17 +58,26 @@ class ExecutedScan:
     q_commanded: Floats
     q_reported: Floats
     T_reported: Floats
-    T_true: Floats
-    T_true_poses: Floats
+    T_reported_poses: Floats
+    T_true: Floats | None
+    T_true_poses: Floats | None
     points: Floats
-    counts: tuple[int, ...]
+    counts: tuple[int, ...] | None
+    source: str
+    frame: str
 
     def __post_init__(self) -> None:
         # A sentence names the array as the file does.
-        for name, stored in (("T_reported", "T_object_scanner"), ("T_true", "T_object_scanner_true")):
-            object.__setattr__(self, name, readonly(stored, getattr(self, name), (4, 4)))
-        poses = readonly("sweep_T_object_scanner_true", self.T_true_poses, (None, 4, 4))
-        object.__setattr__(self, "T_true_poses", poses)
+        for name, stored, shape in (
+            ("T_reported", "T_object_scanner", (4, 4)),
+            ("T_reported_poses", "sweep_T_object_scanner", (None, 4, 4)),
+            ("T_true", "T_object_scanner_true", (4, 4)),
+            ("T_true_poses", "sweep_T_object_scanner_true", (None, 4, 4)),
+        ):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, readonly(stored, getattr(self, name), shape))
+        if self.counts is None:
+            return
         if not 0 < len(self.counts) <= len(Rejection):  # reasons are appended: an older scan has fewer
             raise ValueError(f"it has {len(self.counts)} counts of rays; there must be 1 to {len(Rejection)}")
         object.__setattr__(self, "counts", (*self.counts, *[0] * (len(Rejection) - len(self.counts))))
@@ -96,11 +113,15 @@ def usable(
 def _executed(recorded: RecordedExecution, scan: RecordedScan) -> ExecutedScan:
     with understood(recorded.folder / "scans" / scan.name):
         stored = scan.stored
-        T_true = stored["T_object_scanner_true"]
+        source = str(stored.get("source", SIMULATED))  # earlier scans do not say it
+        T, is_simulated = stored["T_object_scanner"], source == SIMULATED
+        T_true = stored["T_object_scanner_true"] if is_simulated else None
+        poses = None if T_true is None else stored.get("sweep_T_object_scanner_true", T_true[None])
+        counts = tuple(int(count) for count in stored["counts"]) if is_simulated else None
         return ExecutedScan(
-            int(stored["stop"]), scan.view, scan.q_commanded, scan.q_reported, stored["T_object_scanner"], T_true,
-            stored.get("sweep_T_object_scanner_true", T_true[None]), scan.points,
-            tuple(int(count) for count in stored["counts"]),
+            int(stored["stop"]), scan.view, scan.q_commanded, scan.q_reported, T,
+            stored.get("sweep_T_object_scanner", T[None]), T_true, poses, scan.points, counts, source,
+            str(stored.get("frame", "object")),
         )  # fmt: skip
 
 
@@ -145,6 +166,7 @@ class Merged:
         registration: None where it was not asked for.
         rms_before: of the points' distances to the reference by the reported poses [m]; NaN without points.
         rms_after: the same after registration [m].
+        outliers: points off the reference that no neighbour bears out, left out; none of simulated ones.
     """
 
     cloud: PointCloud
@@ -153,6 +175,7 @@ class Merged:
     registration: Registration | None
     rms_before: float
     rms_after: float
+    outliers: int = 0
 
 
 def merged(scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered: bool) -> Merged:
@@ -173,9 +196,15 @@ def merged(scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered
         clouds = [cloud.moved(T) for cloud, T in zip(clouds, corrections, strict=True)]
         poses = [T @ pose for T, pose in zip(corrections, poses, strict=True)]
         after = _rms_to(nearest, clouds)
-    cloud = merge(clouds)
+    cloud, count = merge(clouds), sum(map(len, clouds))
+    if any(scan.source != SIMULATED for scan in scans) and count:
+        keep = ~_outliers(nearest, cloud)
+        if not keep.all():
+            parts = np.split(keep, np.cumsum([len(each) for each in clouds])[:-1])
+            clouds = [ScanCloud(each.points[own], each.sensor) for each, own in zip(clouds, parts, strict=True)]
+            cloud, after = merge(clouds), _rms_to(nearest, clouds)
     stop = np.array([scan.stop for scan in scans], dtype=np.int32)[cloud.scan]
-    return Merged(cloud, stop, tuple(poses), registration, before, after)
+    return Merged(cloud, stop, tuple(poses), registration, before, after, count - len(cloud))
 
 
 def sigma_of(merged: Merged, scans: Sequence[ExecutedScan], scanner: Scanner) -> Floats:
@@ -193,11 +222,28 @@ def sigma_of(merged: Merged, scans: Sequence[ExecutedScan], scanner: Scanner) ->
     law = getattr(scanner, "sigma", None)
     for number, (scan, T) in enumerate(zip(scans, merged.poses, strict=True)):
         own = merged.cloud.scan == number
-        if callable(law) and len(scan.T_true_poses) == 1 and own.any():
+        if callable(law) and len(scan.T_reported_poses) == 1 and own.any():
             R, t = T[:3, :3], T[:3, 3]
             sigma[own] = law((merged.cloud.points[own] - t) @ R, merged.cloud.normals[own] @ R)
     sigma[~np.isfinite(sigma)] = np.nan
     return sigma
+
+
+def _outliers(nearest: NearestSurface, cloud: PointCloud) -> Bools:
+    """(N,) points that are off the reference by more than noise takes them, and that no neighbour bears out.
+
+    A dent is borne out: the points beside it, not far away, are as far off. Simulated points meet the reference.
+    """
+    from scipy.spatial import cKDTree  # takes a tenth of a second, which simulated scans need not wait for
+
+    points = cloud.points
+    off = nearest.signed(points)
+    limit = max(_NOISE * 1.4826 * float(np.median(np.abs(off))), _EXACT)
+    count = min(_NEIGHBOURS + 1, len(points))
+    distance, index = (np.reshape(each, (len(points), count)) for each in cKDTree(points).query(points, count))
+    alone = distance[:, count // 2] > _APART * point_spacing(points, cloud.scan)
+    usual = np.median(off[index], axis=1)
+    return np.asarray((np.abs(off) > limit) & (alone | (np.abs(off - usual) > limit)))
 
 
 def _rms_to(nearest: NearestSurface, clouds: Sequence[ScanCloud]) -> float:
@@ -213,7 +259,7 @@ class Achieved:
     """Coverage of an execution, as fractions of the surface.
 
     Attributes:
-        visible: measured from at least one executed pose.
+        visible: measured from at least one executed pose: the true one of a simulation, else the registered one.
         predicted: the same from the planned poses of the views that were scanned.
         sampled: within `radius` of a scan point.
         radius: of sampled coverage [m].
@@ -234,7 +280,7 @@ class Achieved:
 def achieved(
     scans: Sequence[ExecutedScan],
     plan: PlanFile,
-    cloud: PointCloud,
+    merged: Merged,
     cell: RunCell,
     plan_seed: int,
 ) -> Achieved:
@@ -243,12 +289,12 @@ def achieved(
     Args:
         scans: of one execution.
         plan: its views, and what was predicted for all of them.
-        cloud: merged scans.
+        merged: the same scans.
         cell: part, surroundings and scanner.
         plan_seed: seed of the plan, from which its held-out samples were drawn.
     """
     samples = held_out(cell.reference, cell.planning, plan_seed)
-    surface = of_views(cell, samples, [scan.T_true_poses for scan in scans])
+    surface = of_views(cell, samples, executed_poses(scans, merged))
     measured = surface.seen
     predicted = plan.coverage.visible
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
@@ -259,12 +305,25 @@ def achieved(
     return Achieved(
         visible=_share(measured, samples),
         predicted=predicted,
-        sampled=coverage.sampled(cloud.points, samples, radius).fraction,
+        sampled=coverage.sampled(merged.cloud.points, samples, radius).fraction,
         radius=radius,
         adds=coverage.added(measured),
         largest_first=coverage.added(measured[:, order]),
         surface=surface,
     )
+
+
+def executed_poses(scans: Sequence[ExecutedScan], merged: Merged) -> list[Floats]:
+    """(K, 4, 4) poses of each scan [m]: the true ones of a simulation, else the registered ones."""
+    return [
+        T @ np.linalg.inv(scan.T_reported) @ scan.T_reported_poses if scan.T_true_poses is None else scan.T_true_poses
+        for scan, T in zip(scans, merged.poses, strict=True)
+    ]
+
+
+def source_of(scans: Sequence[ExecutedScan]) -> str:
+    """Where the points of scans come from, in words; "no points" without any."""
+    return "; ".join(dict.fromkeys(scan.source for scan in scans)) or "no points"
 
 
 def _share(measured: NDArray[np.bool_], samples: SurfaceSamples) -> float:

@@ -23,7 +23,7 @@ from cell.run.execution_json import (
     SurfaceDeviation,
 )
 from cell.run.plan_json import PlanFile
-from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason
+from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason, source_of
 from cell.scan.pose_error import difference
 
 
@@ -38,6 +38,7 @@ class Results:
         achieved: coverage.
         model: the surface.
         deviation: of the surface from the reference; None where there is none.
+        doubts: what the points contradict, a sentence each.
     """
 
     scans: Sequence[ExecutedScan]
@@ -46,6 +47,7 @@ class Results:
     achieved: Achieved
     model: Reconstruction
     deviation: Deviation | None
+    doubts: Sequence[str] = ()
 
 
 def execution_report(
@@ -78,11 +80,14 @@ def execution_report(
         n_views=len(scans),
         n_views_planned=len(plan.views),
         n_points=len(merged.cloud),
-        coverage=_coverage(plan, results.achieved),
+        source=source_of(scans),
+        doubts=tuple(results.doubts),
+        coverage=_coverage(plan, results.achieved, simulated=all(scan.T_true is not None for scan in scans)),
         views=tuple(_view(k, scan, results) for k, scan in enumerate(scans)),
         cloud=ExecutedCloud(
             rms_to_reference_mm=_known_mm(merged.rms_after),
             rms_to_reference_as_reported_mm=_known_mm(merged.rms_before),
+            outliers=merged.outliers,
         ),
         registration=None if merged.registration is None else _registration(merged.registration),
         model=_surface(cell, results.model),
@@ -112,9 +117,10 @@ def settings_of(cell: RunCell, options: Mapping[str, object], seed: int) -> Exec
     )
 
 
-def _coverage(plan: PlanFile, achieved: Achieved) -> ExecutedCoverage:
+def _coverage(plan: PlanFile, achieved: Achieved, *, simulated: bool) -> ExecutedCoverage:
     coverable = plan.coverage.coverable
     return ExecutedCoverage(
+        kind="simulated" if simulated else "model",
         visible=achieved.visible,
         predicted=achieved.predicted,
         predicted_all_views=plan.coverage.visible,
@@ -127,21 +133,21 @@ def _coverage(plan: PlanFile, achieved: Achieved) -> ExecutedCoverage:
 
 def _view(k: int, scan: ExecutedScan, results: Results) -> ExecutedView:
     """One scan of the report."""
-    off, turn = difference(scan.T_true, scan.T_reported)
-    off_after, turn_after = difference(scan.T_true, results.merged.poses[k])
+    off = None if scan.T_true is None else difference(scan.T_true, scan.T_reported)
+    after = None if scan.T_true is None else difference(scan.T_true, results.merged.poses[k])
     registration = results.merged.registration
     registered = None if registration is None else registration.scans[k]
     return ExecutedView(
         stop=scan.stop,
         id=scan.view,
         points=len(scan.points),
-        rays=counts_by_reason(scan.counts),
+        rays=None if scan.counts is None else counts_by_reason(scan.counts),
         adds=float(results.achieved.adds[k]),
         reported_minus_commanded_deg=float(np.degrees(np.abs(scan.q_reported - scan.q_commanded)).max().round(6)),
-        pose_error_mm=_mm(off),
-        pose_error_deg=_deg(turn),
-        pose_error_after_mm=_mm(off_after),
-        pose_error_after_deg=_deg(turn_after),
+        pose_error_mm=None if off is None else _mm(off[0]),
+        pose_error_deg=None if off is None else _deg(off[1]),
+        pose_error_after_mm=None if after is None else _mm(after[0]),
+        pose_error_after_deg=None if after is None else _deg(after[1]),
         registration=None if registered is None else registered.sentence,
         free_directions=0 if registered is None else len(registered.free),
     )

@@ -3,18 +3,20 @@
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, JsonValue, ValidationError, field_validator
+from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
+from cell.acquisition import SIMULATED
 from cell.proof.files_now import FilesNow
 from cell.run.digest import SHOWN
-from cell.scene.fields import NotNegative, Positive, Table
+from cell.scene.fields import NotNegative, Positive, Table, Units
 from cell.scene.option import Option
 from cell.scene.problems import sentences
 from planner.errors import PlannerError
 
 _ERRORS, STEEL, _CELL = "Errors of the execution", "Real controllers", "The cell as it is now"
+_POINTS = "Where points come from"
 _POSE_ERROR = Option(
     "Error of the executed pose, one sigma along and about each axis: the scanner stands off what the controller "
     "reports.",
@@ -55,12 +57,38 @@ class ScanOptions(Table):
     pose_error_deg: Annotated[NotNegative, _POSE_ERROR] = 0.0
     registration: Annotated[
         bool | None,
-        Option("Correct the reported poses by matching the scans. Default: with a pose error.", _ERRORS, "register"),
+        Option(
+            "Correct the reported poses by matching the scans. Default: with a pose error, and where points are not "
+            "simulated.",
+            _ERRORS,
+            "register",
+        ),
     ] = None
     seed: Annotated[int | None, Field(ge=0), Option("Seed of noise and pose error. Default: the plan's.", _ERRORS)] = (
         None
     )
     close_holes: Annotated[bool, Option("Close the holes of the surface; the faces are marked.")] = False
+    acquire: Annotated[
+        str,
+        Option(
+            "Where points come from: simulated; files:DIR, one PLY, XYZ or PCD a view, named by its number; "
+            "command:CMD, called with view, pose and the file to write; or another installed source.",
+            _POINTS,
+            metavar="SOURCE",
+        ),
+    ] = SIMULATED
+    points_frame: Annotated[
+        Literal["scanner", "flange", "base"] | None, Option("Frame of points that are not simulated.", _POINTS)
+    ] = None
+    points_units: Annotated[Units | None, Option("Unit of points that are not simulated. Never guessed.", _POINTS)] = (
+        None
+    )
+    acquire_wait_s: Annotated[
+        NotNegative, Option("How long the arm stands and waits for a view's file, with --acquire files.", _POINTS)
+    ] = 0.0
+    acquire_timeout_s: Annotated[
+        Positive, Option("How long a call may take, with --acquire command; it is called three times.", _POINTS)
+    ] = 60.0
     speed_percent: Annotated[
         float | None,
         Field(gt=0, le=100),
@@ -109,6 +137,13 @@ class ScanOptions(Table):
     def _one_by_one(cls, names: Sequence[str]) -> tuple[str, ...]:
         return tuple(name.strip() for text in names for name in text.split(","))
 
+    @model_validator(mode="after")
+    def _errors_are_simulated(self) -> Self:
+        errors = self.range_noise_mm or self.pose_error_mm or self.pose_error_deg or self.noise != "none"
+        if self.acquire != SIMULATED and errors:
+            raise ValueError(f".acquire is {self.acquire!r}; noise and pose errors are those of simulated points")
+        return self
+
     @field_validator("confirm_motion")
     @classmethod
     def _a_digest(cls, given: str | None) -> str | None:
@@ -124,7 +159,7 @@ class ScanOptions(Table):
     @property
     def registers(self) -> bool:
         """Whether poses are corrected by registration."""
-        moved = self.pose_error_mm > 0 or self.pose_error_deg > 0
+        moved = self.pose_error_mm > 0 or self.pose_error_deg > 0 or self.acquire != SIMULATED
         return moved if self.registration is None else self.registration
 
     def kept(self) -> dict[str, JsonValue]:

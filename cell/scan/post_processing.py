@@ -24,9 +24,19 @@ from cell.run.executions import RecordedExecution, read_execution
 from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, open_finished, understood
-from cell.scan import execution_page
+from cell.scan import causes, execution_page
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.execution_results import ExecutedScan, achieved, merged, scan_name, sigma_of, usable
+from cell.scan.execution_page import short
+from cell.scan.execution_results import (
+    ExecutedScan,
+    achieved,
+    executed_poses,
+    merged,
+    scan_name,
+    sigma_of,
+    source_of,
+    usable,
+)
 from cell.scan.execution_summary import Results, execution_report, settings_of
 from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
@@ -94,10 +104,12 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
         nearest = NearestSurface(cell.reference)
+        doubts = causes.doubts(scans, cell, nearest, options.points_units)
+        for doubt in doubts:
+            work.narrator.note(doubt)
         cloud = merged(scans, nearest, registered=options.registers)
-        folder.write_bytes(
-            "cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop, sigma_of(cloud, scans, cell.scanner))
-        )
+        source, sigma = source_of(scans), sigma_of(cloud, scans, cell.scanner)
+        folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop, sigma, source))
 
     with work.step("reconstruct"):
         model = reconstruct(cloud.cloud, close=options.close_holes)
@@ -105,20 +117,20 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
             work.narrator.note(doubt)
 
     with work.step("measure"):
-        reached = achieved(scans, plan, cloud.cloud, cell, run.seed)
+        reached = achieved(scans, plan, cloud, cell, run.seed)
         off = None
         if model.mesh is None:
             folder.remove("mesh.ply")
         else:
             off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
-            folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices))
+            folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
 
     with work.step("report"):
         legs = legs_of(motion, options.view)
         # Of a resumed execution only the time of the last part is known.
         timed = bool(manifest.simulated_time) and not manifest.resumed
         times = ExecutedMotion(planned_s=legs.planned_seconds, executed_s=manifest.moving_s if timed else None)
-        found = Results(scans, left_out, cloud, reached, model, off)
+        found = Results(scans, left_out, cloud, reached, model, off, doubts)
         stops = [leg.stop for leg in legs.legs if leg.stop]
         summary = execution_report(cell, plan, settings_of(cell, recorded.manifest.options, seed), found, stops, times)
         folder.write_json("report.json", summary.as_json())
@@ -143,7 +155,7 @@ def _draw(
     if found.model.mesh is None or found.deviation is None:
         folder.remove("deviation.png")
     else:
-        deviation_picture.draw(folder.path / "deviation.png", found.model.mesh, found.deviation)
+        deviation_picture.draw(folder.path / "deviation.png", found.model.mesh, found.deviation, short(summary.source))
         folder.adopt("deviation.png")
     scans, reached = found.scans, found.achieved
     canvas = canvas_of(cell.reference, reached.surface.samples)
@@ -157,8 +169,9 @@ def _draw(
     from cell.plan import pictures
 
     part_and_views(
-        folder.path / "views.png", canvas, reached.surface, np.stack([scan.T_true for scan in scans]),
-        cell.scanner_keys.opening_deg, [scan.stop for scan in scans],
+        folder.path / "views.png", canvas, reached.surface,
+        np.stack([poses[len(poses) // 2] for poses in executed_poses(scans, found.merged)]),
+        cell.scanner_keys.opening_deg, [scan.stop for scan in scans], short(summary.source),
     )  # fmt: skip
     pictures.cover_curve(
         folder.path / "cover.png", marginal_area=reached.largest_first, coverable=plan.coverage.coverable, total=1.0,

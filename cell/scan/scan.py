@@ -3,12 +3,16 @@
 What is made of the scans stands in `cell.scan.post_processing`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from pydantic import JsonValue
+
 from cell import signals
+from cell.acquisition import SIMULATED, sources
+from cell.acquisition.sources import Acquisition
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.plant import factory
@@ -24,7 +28,6 @@ from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.execution_results import usable
 from cell.scan.legs import Legs, legs_of
 from cell.scan.options import ScanOptions
-from cell.scan.pose_error import Disturbance
 from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
 from cell.scan.way import Released, of_legs, of_plan
@@ -66,8 +69,10 @@ def scan(
     cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
-    resources.require_room(cell, legs, run.folder)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
+    _acquisition(kept, cell, seed, run.folder, narrator)  # what cannot be asked of it leaves no execution behind
+    if options.acquire == SIMULATED:
+        resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
         connected.enter_context(signals.driving())
         with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
@@ -135,7 +140,8 @@ def _resumed(
     for sentence in left_out:
         narrator.note(sentence)
     driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
-    resources.require_room(cell, legs, run.folder)
+    if settled.acquire == SIMULATED:
+        resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
         connected.enter_context(signals.driving())
         with _drivers_errors_as_ours():
@@ -227,14 +233,23 @@ def _executed(
             **({} if scale == 1 else {"time_scale": scale}),
         )  # fmt: skip
         seed = folder.manifest.require_seed(folder.path)
-        seconds = execute.run(
-            legs, driver, cell, Disturbance.of(options), folder, seed=seed, speed=speed,
-            clock=clock, progress=progress,
-        )  # fmt: skip
+        source = _acquisition(folder.manifest.options, cell, seed, folder.path, work.narrator)
+        folder.note(source=source.source)
+        seconds = execute.run(legs, driver, cell, source, folder, speed=speed, clock=clock, progress=progress)
         folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
     summary = results(work, cell, motion, read_execution(work.run, folder.path.name))
+    if summary.missing_views:  # what was to come did not: the same as an execution that was stopped
+        return ScanOutcome(folder.finish(FileError.exit_code, "incomplete"), FileError.exit_code, summary)
     code = exit_code_of(summary, cell)
     return ScanOutcome(folder.finish(code), code, summary)
+
+
+def _acquisition(
+    kept: Mapping[str, JsonValue], cell: RunCell, seed: int, folder: Path, narrator: Narrator
+) -> Acquisition:
+    """Where the points come from, by the options that the execution was begun with."""
+    kind, argument = sources.load(str(kept.get("acquire", SIMULATED)))
+    return kind(argument, sources.Context(cell, kept, seed, folder, narrator.note))
 
 
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")

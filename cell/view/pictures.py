@@ -30,6 +30,7 @@ def part_and_views(
     T_object_scanner: Floats,
     opening_deg: tuple[float, float],
     numbers: Sequence[int] | None = None,
+    source: str = "",
 ) -> None:
     """The part coloured by how many views measure it, from the two sides that show most that none does; the views.
 
@@ -40,6 +41,7 @@ def part_and_views(
         T_object_scanner: (n, 4, 4) views in visiting order [m].
         opening_deg: of the field of view.
         numbers: (n,) of the views; None counts from 1.
+        source: where their points come from; "" of planned ones.
     """
     mesh, areas = canvas.mesh, surface.samples.areas
     count = np.minimum(surface.seen.sum(axis=1), len(SEEN))
@@ -61,7 +63,7 @@ def part_and_views(
     legend = [
         (colour, f"{name} ({100 * part:.1f} %)") for colour, name, part in zip(colours, names, share, strict=True)
     ]
-    titles = [*(_from(way) for way in ways), f"{len(at)} view{'s' * (len(at) != 1)}"]
+    titles = [*(_from(way) for way in ways), f"{len(at)} view{'s' * (len(at) != 1)}{', ' * bool(source)}{source}"]
     rays.save(_sheet([_scaled(panel) for panel in [*panels, (views, seen)]], titles, legend, columns=3), path)
 
 

@@ -20,6 +20,7 @@ from cell.robot.model import load
 from cell.scan import execute
 from cell.scan.legs import Leg, Legs
 from cell.scan.pose_error import Disturbance
+from cell.scan.simulated import Simulated
 from cell.world.travel import TravelBound
 from drivers.contract import Mode, RobotState
 from drivers.errors import DriverError
@@ -130,14 +131,16 @@ class Rig:
                 self.call("connect", driver.take)
                 self.phase = "standing"
                 folder: Any = SimpleNamespace(event=lambda *args, **details: None)
-                execute.run(LEGS, Phased(), CELL, Disturbance(), folder, seed=0, speed=1.0, clock=self.bench.clock)
+                execute.run(
+                    LEGS, Phased(), CELL, Simulated(CELL, Disturbance(), 0), folder, speed=1.0, clock=self.bench.clock
+                )
                 self.call("stop", driver.stop)
             finally:
                 self.call("stop", driver.close)
         except (DriverError, CellError) as error:
             self.outcome = str(error)
 
-    def scan(self, looks: Any, *_: Any, still: Callable[[], None], **__: Any) -> int:
+    def scan(self, looks: Any, *_: Any, still: Callable[[], None], **__: Any) -> tuple[int, dict[str, Any]]:
         """In place of `execute.scan_and_write`: half a second, and what is true at both ends of it."""
         begin, goal = self.truth(), looks[0][0].set_points[-1]
         self.phase = "scan"
@@ -148,7 +151,7 @@ class Rig:
             self.phase = "standing"
         end = self.truth()
         self.kept.append((begin.axes, end.axes, goal, begin.standing and end.standing))
-        return 1
+        return 1, {}
 
     def judge(self, must_fail: bool, words: str) -> None:
         for begin, end, goal, stood in self.kept:

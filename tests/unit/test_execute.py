@@ -28,6 +28,7 @@ from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import Leg, Legs, legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
+from cell.scan.simulated import Simulated
 from cell.scanners.laser_area import LaserArea
 from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
@@ -110,9 +111,8 @@ class Recorded:
 
 def _run(driver, motion, folder, stop=None, disturbance=None, seed=5):
     legs = legs_of(motion, stop)
-    execute.run(
-        legs, driver, _scene(), disturbance or Disturbance(), folder, seed=seed, speed=0.5, clock=SimulatedClock()
-    )  # fmt: skip
+    source = Simulated(_scene(), disturbance or Disturbance(), seed)
+    execute.run(legs, driver, _scene(), source, folder, speed=0.5, clock=SimulatedClock())
 
 
 def _events(folder) -> list[dict]:
@@ -240,9 +240,8 @@ def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFold
     motion = _tour((1,), seed=3)
     away = motion.via_q[:1] + np.array([1.5, 0, 0, 0, 0, 0])
     legs = Legs(motion.via_q[0], (Leg(away, 1, 70),), 1.0)
-    execute.run(
-        legs, Recorded(), _scene(), Disturbance(range_noise=1e-4), folder, seed=0, speed=0.5, clock=SimulatedClock()
-    )  # fmt: skip
+    source = Simulated(_scene(), Disturbance(range_noise=1e-4), 0)
+    execute.run(legs, Recorded(), _scene(), source, folder, speed=0.5, clock=SimulatedClock())
     scan = read_scan(folder.path / "scans" / "0001.npz")
     assert scan.points.shape == (0, 3)
     assert scan.stored["counts"][Rejection.NO_HIT] == 400
@@ -284,9 +283,8 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
     motion, clock = _tour(), SimulatedClock()
     with open_driver("sim://", Context(clock=clock, limits=kr16())) as driver:
         scene = _scene()
-        seconds = execute.run(
-            legs_of(motion), driver, scene, Disturbance(), folder, seed=0, speed=1.0, clock=clock
-        )  # fmt: skip
+        source = Simulated(scene, Disturbance(), 0)
+        seconds = execute.run(legs_of(motion), driver, scene, source, folder, speed=1.0, clock=clock)
     assert seconds == pytest.approx(motion.duration, abs=1e-6 * len(motion.via_q))
     assert _events(folder)[-1]["t_s"] == pytest.approx(motion.duration, abs=1e-4)
 

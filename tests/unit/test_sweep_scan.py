@@ -21,6 +21,7 @@ from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import legs_of
 from cell.scan.pose_error import Disturbance
+from cell.scan.simulated import Simulated
 from cell.scan.sweep_scan import line_poses, lines_between
 from cell.scanners.laser_line import LaserLine
 from cell.world.travel import TravelBound
@@ -138,7 +139,7 @@ def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
     """Poses in the column's order, points on the ball, forwards and backwards the same lines."""
     folder = _folder(tmp_path)
     execute.run(
-        legs_of(_motion(path)), _Driver(), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
+        legs_of(_motion(path)), _Driver(), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
         clock=SimulatedClock(),
     )  # fmt: skip
     first, second = (read_scan(folder.path / "scans" / f"{stop:04d}.npz") for stop in (1, 2))
@@ -158,7 +159,7 @@ def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell,
     folder = _folder(tmp_path)
     with pytest.raises(FaultError):
         execute.run(
-            legs_of(_motion(path)), _Driver(6), scene, Disturbance(0.0, 0.0, 0.0), folder, seed=5, speed=1.0,
+            legs_of(_motion(path)), _Driver(6), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
             clock=SimulatedClock(),
         )  # fmt: skip
     assert [file.name for file in (folder.path / "scans").iterdir()] == ["0001.npz"]

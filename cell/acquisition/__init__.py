@@ -1,0 +1,4 @@
+"""Where the points of an execution come from: simulated, files, a command, or a plug-in's source (`sources`)."""
+
+SIMULATED = "simulated"
+"""The source of the virtual scanner."""

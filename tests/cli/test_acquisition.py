@@ -1,0 +1,349 @@
+"""Points that are not simulated: files in every frame, a command, another distribution's source, and what is told."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.acquisition import point_files
+from cell.acquisition.files import Files
+from cell.acquisition.sources import Acquired, Context, View
+from cell.commands.terminal import Terminal
+from cell.errors import FileError, UsageError
+from cell.run import ply
+from cell.run import reader as run_reader
+from cell.run.executions import read_scan
+from cell.run.record import open_run
+from cell.scan import scan as scan_command
+from cell.scan.options import ScanOptions
+from cell.scan.work import ScanOutcome
+from planner.surface.closest import NearestSurface
+
+PACKAGE = Path(__file__).parents[1] / "third_party_points"
+
+
+@pytest.fixture
+def run(executed: Path, tmp_path: Path) -> Path:
+    """A copy of the executed run."""
+    return Path(shutil.copytree(executed, tmp_path / "run"))
+
+
+def scan(run: Path, **options: Any) -> ScanOutcome:
+    """A scan in this process."""
+    return scan_command.scan(
+        run, ScanOptions(**{"resolution_deg": 1.0, **options}), argv=[], narrator=Terminal(quiet_stdout=True)
+    )
+
+
+def frames(run: Path, stored: Any) -> dict[str, np.ndarray]:
+    """(4, 4) from the object frame to each other, at the reported pose of a scan."""
+    scene = run_reader.scene(open_run(run))
+    T_scanner_object = np.linalg.inv(stored["T_object_scanner"])
+    return {
+        "scanner": T_scanner_object,
+        "flange": np.array(scene.T_flange_scanner) @ T_scanner_object,
+        "base": np.array(scene.T_base_object),
+    }
+
+
+def export(
+    run: Path,
+    execution: str,
+    to: Path,
+    write: Callable[[Path, np.ndarray], None],
+    frame: str = "scanner",
+    change: Callable[[int, np.ndarray], np.ndarray] = lambda stop, points: points,
+) -> list[Path]:
+    """The scans of an execution as files in mm."""
+    to.mkdir()
+    files = []
+    for path in sorted((run / "executions" / execution / "scans").iterdir()):
+        scan = read_scan(path)
+        T = frames(run, scan.stored)[frame]
+        points = change(int(scan.stored["stop"]), 1000 * (scan.points @ T[:3, :3].T + T[:3, 3]))
+        write(to / path.stem, points)
+        files.append(to / path.stem)
+    return files
+
+
+def as_ply(form: str) -> Callable[[Path, np.ndarray], None]:
+    """Writes little-endian binary PLY of '<f8' or '<f4'."""
+    name = {"<f8": "double", "<f4": "float"}[form]
+
+    def write(path: Path, points: np.ndarray) -> None:
+        header = "".join(f"property {name} {axis}\n" for axis in "xyz")
+        text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{header}end_header\n"
+        path.with_suffix(".ply").write_bytes(text.encode() + points.astype(form).tobytes())
+
+    return write
+
+
+def as_xyz(path: Path, points: np.ndarray) -> None:
+    """Writes text with all digits."""
+    lines = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
+    path.with_suffix(".xyz").write_text("# x y z\n" + lines)
+
+
+def as_pcd(path: Path, points: np.ndarray) -> None:
+    """Writes binary PCD of floats, with a point that is none."""
+    rows = np.concatenate([points.astype("<f4"), np.full((1, 3), np.nan, "<f4")])
+    text = (
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {len(rows)}\nHEIGHT 1\nPOINTS {len(rows)}\nDATA binary\n"
+    )
+    path.with_suffix(".pcd").write_bytes(text.encode() + rows.tobytes())
+
+
+@pytest.mark.parametrize(
+    ("frame", "write", "off_mm"),
+    [("scanner", as_ply("<f8"), 1e-6), ("flange", as_xyz, 1e-6), ("base", as_ply("<f8"), 1e-6),
+     ("scanner", as_ply("<f4"), 1e-3), ("base", as_pcd, 1e-3)],
+)  # fmt: skip
+def test_an_execution_s_own_scans_read_back_give_the_same(
+    run: Path, tmp_path: Path, frame: str, write: Callable[[Path, np.ndarray], None], off_mm: float
+) -> None:
+    """Cloud, mesh and deviation; of the report only source, rejection counts and the kind of coverage differ."""
+    export(run, "0001", tmp_path / "files", write, frame)
+    outcome = scan(
+        run, acquire=f"files:{tmp_path / 'files'}", points_frame=frame, points_units="mm", registration=False
+    )
+    assert outcome.exit_code == 0
+    ours, theirs = outcome.folder, run / "executions" / "0001"
+    first, second = (ply.elements((folder / "cloud.ply").read_bytes())["vertex"] for folder in (theirs, ours))
+    for axis in "xyz":
+        np.testing.assert_allclose(second[axis], first[axis], atol=off_mm)
+    first, second = (trimesh.load(folder / "mesh.ply", process=False) for folder in (theirs, ours))
+    if off_mm < 1e-3:  # single precision may tip a cell of the grid
+        assert (first.faces == second.faces).all()
+        np.testing.assert_allclose(second.vertices, first.vertices, atol=off_mm)
+    before, after = (json.loads((folder / "report.json").read_text()) for folder in (theirs, ours))
+    assert after["deviation"]["rms_mm"] == pytest.approx(before["deviation"]["rms_mm"], abs=off_mm)
+    differ = set(_differing(before, after, 2 * off_mm))
+    views = {f"views.{k}.{name}" for k in range(len(before["views"])) for name in (
+        "rays", "pose_error_mm", "pose_error_deg", "pose_error_after_mm", "pose_error_after_deg")}  # fmt: skip
+    assert (
+        {"source", "coverage.kind"}
+        <= differ
+        <= {"source", "coverage.kind", *views}
+        | (set() if off_mm < 1e-3 else {"model.faces", "model.vertices", "model.holes", "deviation.largest_mm"})
+    )
+    assert after["views"][0]["rays"] is None
+    manifest = json.loads((ours / "manifest.json").read_text())
+    assert manifest["source"] == after["source"] != "simulated"
+    assert before["source"] == "simulated"
+    page = (ours / "report.md").read_text()
+    assert str(tmp_path / "files") in page.splitlines()[0]
+    assert "computed by the model" in page
+    for name in ("cloud.ply", "mesh.ply"):
+        assert b"comment points: files of" in (ours / name).read_bytes()[:400]
+        assert b"comment points: simulated" in (theirs / name).read_bytes()[:400]
+    assert ", simulated" in (theirs / "report.md").read_text().splitlines()[0]
+    stored = read_scan(ours / "scans" / "0001.npz").stored
+    assert {"face", "pixel", "codes", "counts", "T_object_scanner_true"}.isdisjoint(stored)
+
+
+def _differing(one: Any, other: Any, near: float, at: str = "") -> list[str]:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return [d for k in {*one, *other} for d in _differing(one.get(k), other.get(k), near, f"{at}.{k}".strip("."))]
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        return [d for k, pair in enumerate(zip(one, other, strict=True)) for d in _differing(*pair, near, f"{at}.{k}")]
+    if isinstance(one, float) and isinstance(other, float):
+        return [] if abs(one - other) <= near else [at]
+    return [] if one == other else [at]
+
+
+def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
+    """Registered as the simulated ones are; the view is named and resumable; hardly an outlier is in the cloud."""
+    errors = {"range_noise_mm": 0.03, "pose_error_mm": 0.5, "pose_error_deg": 0.1}
+    simulated = scan(run, **errors)
+    stray: list[np.ndarray] = []
+
+    def dirty(stop: int, points: np.ndarray) -> np.ndarray:
+        rng = np.random.default_rng(stop)
+        count = len(points) // 9  # a tenth of all
+        low, high = points.min(axis=0) - 30, points.max(axis=0) + 30
+        stray.append(rng.uniform(low, high, (count, 3)))
+        return np.concatenate([points, stray[-1]])
+
+    files = export(run, simulated.folder.name, tmp_path / "files", as_ply("<f8"), change=dirty)
+    kept = files[1].with_suffix(".ply").read_bytes()
+    files[1].with_suffix(".ply").unlink()
+    named = {"acquire": f"files:{tmp_path / 'files'}", "points_frame": "scanner", "points_units": "mm"}
+    outcome = scan(run, **named)
+    assert outcome.exit_code == 6
+    assert outcome.summary.missing_views == (2,)
+    files[1].with_suffix(".ply").write_bytes(kept)
+    outcome = scan_command.resume(run, outcome.folder.name, None, argv=[], narrator=Terminal(quiet_stdout=True))
+    assert outcome.summary.missing_views == ()
+    ours, theirs = outcome.summary, simulated.summary
+    assert ours.doubts == ()
+    assert ours.registration.left_as_reported == theirs.registration.left_as_reported == 0
+    assert ours.registration.rms_after_mm == pytest.approx(theirs.registration.rms_after_mm, rel=0.25)
+    points = ply.places(ply.elements((outcome.folder / "cloud.ply").read_bytes())["vertex"])
+    clean = ply.places(ply.elements((simulated.folder / "cloud.ply").read_bytes())["vertex"])
+    reference = run_reader.mesh(open_run(run), "reference.ply")
+    off = NearestSurface(reference).closest(points).distance
+    assert (off > 0.3e-3).mean() < 1e-3
+    assert len(points) > 0.97 * len(clean)
+    assert ours.cloud.outliers > 0.9 * sum(len(each) for each in stray)
+
+
+CAUSES: dict[str, tuple[str, Callable[[int, np.ndarray], np.ndarray], str]] = {
+    "metres": ("scanner", lambda stop, points: points / 1000, "their unit is m, not mm"),
+    "inches": ("flange", lambda stop, points: points / 25.4, "their unit is in, not mm"),
+    "mirrored": ("scanner", lambda stop, points: points * [1, -1, 1], "mirrored in y"),
+    "left-handed base": ("base", lambda stop, points: points * [1, 1, -1], "mirrored in z"),
+}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: str) -> None:
+    """Units and mirrored frames, by what is left off the part when they are taken as if it were so."""
+    frame, change, words = CAUSES[name]
+    export(run, "0001", tmp_path / "files", as_ply("<f8"), frame, change)
+    outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", points_frame=frame, points_units="mm")
+    assert len(outcome.summary.doubts) == 1
+    assert words in outcome.summary.doubts[0]
+
+
+def test_swapped_views_and_another_frame_are_told(run: Path, tmp_path: Path) -> None:
+    """Two files with each other's names; points of the flange frame that are called the scanner's."""
+    files = export(run, "0001", tmp_path / "files", as_ply("<f8"))
+    one, two = (path.with_suffix(".ply") for path in files[:2])
+    first, second = one.read_bytes(), two.read_bytes()
+    one.write_bytes(second)
+    two.write_bytes(first)
+    named = {"points_frame": "scanner", "points_units": "mm"}
+    outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", **named)
+    assert "given as view 1 is of view 2, 2 is of view 1" in outcome.summary.doubts[0]
+    export(run, "0001", tmp_path / "flange", as_ply("<f8"), "flange")
+    outcome = scan(run, acquire=f"files:{tmp_path / 'flange'}", **named)
+    assert "they are in the flange frame, not in the scanner frame" in outcome.summary.doubts[0]
+
+
+def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) -> None:
+    """It fails once, is called again, and never again gives view 2: that is missing and told."""
+    program = tmp_path / "scanner.py"
+    program.write_text(
+        "import json, pathlib, sys\n"
+        "view, pose, out = sys.argv[1:]\n"
+        "said = json.loads(pathlib.Path(pose).read_text())\n"
+        "assert said['view'] == int(view) and len(said['T_base_scanner'][0]) == 4\n"
+        "mark = pathlib.Path(out).with_suffix('.tried')\n"
+        "if view == '2' or not mark.exists():\n"
+        "    mark.touch(); print('warming up'); sys.exit(3)\n"
+        "rows = '0 0 250\\n1 0 250\\n0 1 250\\n'\n"
+        "header = 'ply\\nformat ascii 1.0\\nelement vertex 3\\n'\n"
+        "names = ''.join(f'property float {axis}\\n' for axis in 'xyz')\n"
+        "pathlib.Path(out).write_text(header + names + 'end_header\\n' + rows)\n"
+    )
+    outcome = scan(
+        run, acquire=f"command:{sys.executable} {program}", points_frame="scanner", points_units="mm",
+        registration=False,
+    )  # fmt: skip
+    assert outcome.summary.missing_views == (2,)
+    events = [json.loads(line) for line in (outcome.folder / "events.jsonl").read_text().splitlines()]
+    taken = [event for event in events if event["event"] == "scan"]
+    assert {event["calls"] for event in taken} == {2}
+    assert [event["stop"] for event in events if event["event"] == "missing"] == [2]
+    stored = read_scan(outcome.folder / "scans" / "0001.npz")
+    T = stored.stored["T_object_scanner"]
+    np.testing.assert_allclose(stored.points[0], T[:3, 3] + 0.25 * T[:3, 2], atol=1e-12)
+
+
+def test_a_slow_command_is_ended(run: Path) -> None:
+    """The time-out of a call counts, and the view stays missing."""
+    outcome = scan(
+        run, acquire=f"command:{sys.executable} -c 'import time; time.sleep(60)'", points_frame="base",
+        points_units="mm", view=1, acquire_timeout_s=0.2,
+    )  # fmt: skip
+    assert outcome.summary.missing_views == (1,)
+
+
+def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, tmp_path: Path) -> None:
+    """It appears, grows, and is read once it keeps its size."""
+    folder, told = tmp_path / "files", []
+    folder.mkdir()
+    path, time_ = folder / "view_7.xyz", [0.0]
+
+    def sleep(seconds: float) -> None:
+        time_[0] += seconds
+        if time_[0] < 1:
+            with path.open("a") as file:
+                file.write("1 2 3\n")
+
+    options = {"points_frame": "base", "points_units": "cm", "acquire_wait_s": 5.0}
+    context = Context(None, options, 0, tmp_path, told.append)  # type: ignore[arg-type]
+    files = Files(str(folder), context, now=lambda: time_[0], sleep=sleep)
+    eye = np.eye(4)[None]
+    view = View(7, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))
+    taken = files.take(view)
+    assert isinstance(taken, Acquired)
+    np.testing.assert_allclose(taken.points, [[0.01, 0.02, 0.03]] * 4)
+    assert taken.told["points_of"] == str(path)
+    assert "view 7" in told[0]
+    assert files.take(View(8, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))) is None
+    assert "view 8 is missing" in told[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.stl", b"solid", "'.stl'"),
+        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n", "no whole PLY"),
+        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n12", "ends"),
+        ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA binary_compressed\n", "binary_compressed"),
+        ("a.xyz", b"1 2\n", "fewer than three"),
+        ("a.xyz", b"one two three\n", "could not convert"),
+    ],
+)
+def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    """Broken, cut short, compressed, of another kind."""
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FileError, match=re.escape(words)):
+        point_files.read(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"acquire": "files:/nowhere"}, "is no folder"),
+        ({"acquire": "laser"}, "installed are: command, files, simulated"),
+        ({"acquire": "command:"}, "names no command"),
+        ({"acquire": "command:true"}, "never guessed"),
+        ({"acquire": "simulated:fast"}, "takes nothing behind it"),
+    ],
+)
+def test_what_cannot_be_asked_leaves_no_execution(run: Path, options: dict[str, Any], words: str) -> None:
+    """One sentence, before anything moves."""
+    with pytest.raises(UsageError, match=re.escape(words)):
+        scan(run, **options)
+    assert [path.name for path in (run / "executions").iterdir()] == ["0001"]
+
+
+def test_a_source_of_another_distribution(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten lines, installed by pip, found by their entry point."""
+    target, source = tmp_path / "site", tmp_path / "source"
+    shutil.copytree(PACKAGE, source)
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation"]
+    done = subprocess.run(
+        [*pip, "--disable-pip-version-check", "--target", str(target), str(source)],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    monkeypatch.syspath_prepend(str(target))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(target), os.environ.get("PYTHONPATH", "")]).strip(":;"))
+    outcome = scan(run, acquire="wall:300", registration=False)
+    assert outcome.summary.source == "a wall at 300 mm"
+    stored = read_scan(outcome.folder / "scans" / "0001.npz")
+    T = stored.stored["T_object_scanner"]
+    np.testing.assert_allclose((stored.points - T[:3, 3]) @ T[:3, 2], 0.3, atol=1e-12)
