@@ -40,12 +40,13 @@ def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, 
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
 
 
-def test_a_scene_is_drawn_beside_what_check_says(run_cell: Run, tmp_path: Path) -> None:
+def test_a_scene_is_drawn_beside_what_check_says(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
     """The built-in scene; one whose part stands in the pedestal says so in the page; a failed run shows its cell."""
     done = run_cell("view", "--no-open", "--out", "a.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "contacts at home" in (tmp_path / "a.html").read_text()
-    (tmp_path / "mine.toml").write_text("[placement]\nposition_mm = [0, 0, 0]\n")
+    part = f'[part]\npath = "{part_file}"\nunits = "mm"\n'
+    (tmp_path / "mine.toml").write_text(f"{part}[placement]\nposition_mm = [0, 0, 0]\n")
     assert run_cell("view", "mine.toml", "--no-open", "--out", "b.html", cwd=tmp_path).returncode == 0
     assert re.search(r'"problems":\["[^"]+', (tmp_path / "b.html").read_text())
     done = run_cell("view", "--watch", "--no-open", cwd=tmp_path)
