@@ -371,9 +371,10 @@ element("button", "part", byId("of-look")).onclick = () => lookAt(data.look.part
 function resize() {
   renderer?.setPixelRatio(Math.min(devicePixelRatio, 2));
   renderer?.setSize(innerWidth, innerHeight, false);
-  const free = innerWidth > 760 ? 330 : 0;
+  const [right, below] = innerWidth > 760 ? [330, 0] : [0, 0.42 * innerHeight + 70];  // of panel and player
+  camera.fov = 2 * Math.atan(0.315 * innerHeight / Math.min(innerWidth - right, innerHeight - below)) * 180 / Math.PI;
   camera.aspect = innerWidth / innerHeight;
-  camera.setViewOffset(innerWidth, innerHeight, free / 2, 0, innerWidth, innerHeight);
+  camera.setViewOffset(innerWidth, innerHeight, right / 2, below / 2, innerWidth, innerHeight);
   redraw();
 }
 function draw() {

@@ -24,13 +24,14 @@ import numpy as np
 from cell.errors import CellError
 from cell.view import palette
 from cell.view.packed import Layer, packed, packed_mesh, packed_motion, packed_points
-from cell.view.pieces import Cell, Piece
+from cell.view.pieces import Cell, Piece, placed
 from cell.view.surface import FACES
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 _OWN_START = "var camera,controls,scene,renderer,tracklight;"  # where trimesh's own viewer begins, behind three.js
+_AWAY = 1.5  # times its diagonal: from where all of arm and part is in the picture
 _GLYPH = 0.16  # of a frustum's length: a view's small pyramid
 
 
@@ -183,6 +184,9 @@ def _stage(stage: Stage) -> Mapping[str, object]:
         mesh = stage.surfaces[0].mesh
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         middle, near = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3], 2.6 * mesh.diagonal
+    arm = [p.vertices for p in placed(cell.pieces, cell.arm.links(cell.arm.home)) if p.name in ("robot", "scanner")]
+    whole = np.concatenate([*arm, [middle - near / 4, middle + near / 4]])
+    low, high = whole.min(axis=0), whole.max(axis=0)
     eye = np.array([np.cos(a := np.arctan2(middle[1], middle[0]) - 0.9), np.sin(a), np.tan(0.35)])
     if stage.toward is not None:
         eye = cell.T_base_object[:3, :3] @ stage.toward
@@ -190,8 +194,8 @@ def _stage(stage: Stage) -> Mapping[str, object]:
         **{name: value for name, value in _fields(stage).items() if name != "cell"},
         **_fields(cell),
         "look": {
-            "target": 0.6 * middle + 0.4 * np.array([0.0, 0.0, 0.6]),
-            "distance": 2.6 * max(float(np.hypot(*middle[:2])), 0.8) + 0.6,
+            "target": (low + high) / 2,
+            "distance": _AWAY * float(np.linalg.norm(high - low)),
             "azimuth": float(np.arctan2(eye[1], eye[0])),
             "elevation": float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))),
             "close": stage.toward is not None,

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import Scene, load_scene
+from cell.view.palette import MEASURED, REASONS
 from cell.why import explain as why
 from cell.why import files as why_files
 from cell.world.collision import MujocoCollisionChecker
@@ -196,14 +198,22 @@ _FIELDS = ("T_object_scanner", "face", "standoff", "roll")
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_the_files_repeat_and_the_plan_stays_as_it_is(run_folder: Path, run: RunRecord) -> None:
-    """Asked twice: the same bytes in why/; every artefact of the plan still has the manifest's sha256."""
+def test_the_files_repeat_and_the_plan_stays_as_it_is(
+    run_folder: Path, run: RunRecord, data_of: Callable[[str], dict[str, Any]]
+) -> None:
+    """Asked twice: the same bytes in why/, the page's first colours with the shares of why.json; the plan untouched."""
     contents = []
     for _ in range(2):
-        folder = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500).folder
-        contents.append({path.name: path.read_bytes() for path in sorted(folder.iterdir())})
+        outcome = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500)
+        contents.append({path.name: path.read_bytes() for path in sorted(outcome.folder.iterdir())})
     assert contents[0] == contents[1]
     assert set(contents[0]) == {"view.html", "why.json", "why.ply", "why.png"}
+    layer = data_of(contents[0]["view.html"].decode())["surfaces"][0]["layers"][0]
+    groups, seen = outcome.summary.groups, 1 - outcome.summary.open
+    told = [("measured", seen), *((group.title, group.share) for group in groups)]
+    assert 1 < len(told) <= len(REASONS)
+    assert [name for name, _ in layer["named"]] == [f"{name} ({100 * share:.2f}\u00a0%)" for name, share in told]
+    assert [colour for _, colour in layer["named"]] == [MEASURED, *REASONS[: len(groups)]]
     for name in run.manifest.artefacts:
         artefact(run, name)
 
