@@ -30,7 +30,6 @@ from cell.run.report_json import Report
 from cell.scene import devices, doubts
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
-from planner.measurability import coverage
 from planner.surface.mesh import TriangleMesh
 
 log = logging.getLogger(__name__)
@@ -122,7 +121,7 @@ def finish(
     draw_motion(run.drawing, run.folder, motion)
     further = _further(run, problem, chosen)
     with run.step("report"):
-        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(chosen.seen), further)
+        report = plan_report(job, planning, problem, chosen, clearance, motion, further)
         report = report.model_copy(update=dict(told))
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)

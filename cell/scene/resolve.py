@@ -19,7 +19,7 @@ from planner.viewpoints.viewpoints import enclosing_radius
 # Planning faces of the built-in parts: the paper's (Tables 1 and 2), changed only with a line in CHANGELOG.md.
 _FACES_OF = {"mseke": 930, "mug": 748, "robinet": 814, "petanque": 338, "humerus": 276, "st-jean": 746}
 _FACES = 1000
-_LINE_KEYS = ("fan_deg", "sweep_mm", "sweep_deg", "sweep_steps", "line_points")
+_LINE_KEYS = ("fan_deg", "sweep_mm", "sweep_deg", "sweep_steps", "line_points", "profile_rate_hz")
 _LEAST_CLEARANCE_MM = 1.0  # steps between collision checks are as long as the clearance: below, a motion takes millions
 
 
@@ -62,6 +62,10 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
         )
     scene = devices.by_part(scene, part)
     radius_mm = 1000 * enclosing_radius(part.reference, part.centre)
+    if scene.scanner.max_spacing_mm is not None and scene.plan.fill == "rays":
+        raise SceneError(
+            "scanner.max_spacing_mm is of a scan's rays, and plan.fill = 'rays' has its own; choose plan.fill = 'aimed'"
+        )
     assert scene.scanner.range_mm is not None
     near, far = scene.scanner.range_mm
     standoffs_mm = tuple(dict.fromkeys(scene.plan.standoffs_mm or ((near + far) / 2,)))
@@ -80,7 +84,7 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
         "sensor_grazing_max_deg": scene.scanner.sensor_grazing_max_deg,
         "sigma_angle_mdeg": scene.scanner.sigma_angle_mdeg,
     }
-    for name in ("sensor_fov_deg", "sensor_tilt_deg", "depth_of_field_mm"):  # given only where they limit
+    for name in ("sensor_fov_deg", "sensor_tilt_deg", "depth_of_field_mm", "max_spacing_mm"):  # only where they limit
         if getattr(scene.scanner, name) is not None:
             scanner[name] = getattr(scene.scanner, name)
     scanner = _of_the_plug_in(scene, scanner)

@@ -113,6 +113,11 @@ class Scanner(Table):
     sweep_deg: Fov | None = None
     sweep_steps: Annotated[int, Field(ge=1)] = 8
     line_points: Annotated[int, Field(ge=1)] = 640
+    profile_rate_hz: Positive | None = None
+    max_spacing_mm: Annotated[
+        Positive | None,
+        Option("Count a point as measured only if its neighbours in the scan lie at most so far away.", _HARDWARE),
+    ] = None
 
     @model_validator(mode="wrap")
     @classmethod

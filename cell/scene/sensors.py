@@ -24,6 +24,9 @@ _AREA = {"range_mm": "range", "baseline_mm": "baseline"}
 REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}
 """By type of scanner: the keys that describe a sensor, without which it is not the sensor of that name."""
 
+OF_DENSITY = {"line_points": "points of a line", "profile_rate_hz": "lines a second"}
+"""Of a line sensor: the keys without which nothing can be said of its density, so that a limit on it asks for them."""
+
 _TEXTS = ("maker", "model", "type")
 _NUMBERS = (
     *("clearance_mm", "reference_mm", "depth_mm", "width_near_mm", "width_far_mm", "baseline_mm", "bracket_mm"),
@@ -69,9 +72,8 @@ class Sensor:
             keys["fan_deg"] = math.degrees(2 * math.atan(half))
             keys["range_mm"] = [near, near + known["depth_mm"]]
         keys |= {key: known[key] for key in ("range_mm", "baseline_mm") if key in known}
-        if "points_per_line" in known:
-            keys["line_points"] = known["points_per_line"]
-        return keys
+        of_lines = {"line_points": "points_per_line", "profile_rate_hz": "profile_rate_hz"}
+        return keys | {key: known[figure] for key, figure in of_lines.items() if figure in known}
 
     @property
     def follows_standoff(self) -> bool:
