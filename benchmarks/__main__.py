@@ -52,6 +52,7 @@ REGISTRY = {
     "plan": "the main job as a whole process: stages, memory, prediction error on every part",
     "plant": "the dynamic arm: tracking error beside simulation speed; time steps, integrators and gains that diverge",
     "scan": "the execution as a whole process: seconds, memory, coverage achieved beside predicted, registration",
+    "density": "dense beside visible coverage, the spacing that plans tell beside that of their scans",
     "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",
     "sigma": "the model of a point's standard deviation beside observed scatter; what its layer costs",
     "soak": "2,000 moves over each wire with 1 % of every fault: what the controller's journal says of them",

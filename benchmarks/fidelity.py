@@ -116,8 +116,8 @@ def _parts(folder: Path) -> Iterator[tuple[str, Workpiece, Scene]]:
     files = [("bucket", (str(bucket), "--units", "mm")), *meshes(folder)]
     for name, (path, _, units) in files:
         table = {"path": path, "units": units}
-        plan = {"standoffs_mm": [100.0]} if name == "bucket" else {}
-        scene = load_scene(None, {"part": table, "post": {"enabled": False}, "plan": plan})
+        near: dict[str, dict[str, object]] = {"plan": {"standoffs_mm": [100.0]}, "scanner": {"sensor": "paper"}}
+        scene = load_scene(None, {"part": table, "post": {"enabled": False}, **(near if name == "bucket" else {})})
         yield name.removesuffix(" (file)"), workpiece.load(path, units), scene
 
 

@@ -22,7 +22,8 @@ class Rejection(Worded):
     """Why a ray of a scan, or an aimed sample, gives no point; the first condition that fails is kept.
 
     They are asked in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH, GRAZING_SOURCE,
-    GRAZING_SENSOR, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values stand in files: new ones are appended.
+    GRAZING_SENSOR, TOO_SPARSE, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values stand in files: new ones are
+    appended.
     """
 
     MEASURED = 0, "measured"
@@ -36,6 +37,7 @@ class Rejection(Worded):
     OUT_OF_DEPTH = 8, "before or behind the depth of field"
     OUT_OF_SENSOR_FOV = 9, "outside the sensor's field of view"
     TOO_UNCERTAIN = 10, "the expected standard deviation of the point is above the limit"
+    TOO_SPARSE = 11, "the scan's points lie farther apart there than the limit"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +114,22 @@ class Scanner(Protocol):
 
         Returns:
             (N,) `Rejection` values; MEASURED where every condition holds.
+        """
+        ...
+
+
+class SpacingScanner(Scanner, Protocol):
+    """A scanner that also knows how far apart its points lie."""
+
+    def spacing(self, points: Floats, normals: Floats) -> Floats:
+        """Distance of neighbouring points of a scan on the surface, the larger one of the grid's two directions.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame.
+
+        Returns:
+            (N,) [m]; inf where the source does not face the surface.
         """
         ...
 

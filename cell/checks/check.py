@@ -11,6 +11,7 @@ from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.robot.model import AXES, dimensions
 from cell.scanners import ScannerPlugin
+from cell.scene import devices
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
@@ -62,6 +63,8 @@ class CheckResult:
         housing_mm: its middle in the flange frame.
         bracket_length_mm: from flange to housing; 0: none.
         baseline_mm: from source to sensor.
+        sensor: name of the device that the scanner is, None for a law of its own.
+        range_mm: of a point's distance; None: the scanner has none.
         obstacles: names of everything that arm and tool keep clear of.
         clearance_mm: by how much.
         collision: what stands for the part: hull or exact.
@@ -85,6 +88,8 @@ class CheckResult:
     housing_mm: Triple
     bracket_length_mm: float
     baseline_mm: float
+    sensor: str | None
+    range_mm: tuple[float, float] | None
     obstacles: tuple[str, ...]
     clearance_mm: float
     collision: str
@@ -107,6 +112,7 @@ class CheckResult:
         limits = ", ".join(f"{axis} {low:g}..{high:g}" for axis, (low, high) in self.joint_limits_deg.items())
         reach = self.envelope
         bracket = f", bracket {self.bracket_length_mm:g} mm" if self.bracket_length_mm else ", no bracket"
+        span = f", range {self.range_mm[0]:g} to {self.range_mm[1]:g} mm" if self.range_mm is not None else ""
         return [
             ("part", f"{self.part}, {_by(self.part_size_mm)} mm"),
             ("part's centre", f"{_list(self.placement_mm)} mm in base"),
@@ -119,6 +125,7 @@ class CheckResult:
                 f"wrist to {reach.wrist_reach_mm:.1f} mm from the A1 axis, z {reach.wrist_lowest_mm:.1f} to "
                 f"{reach.wrist_highest_mm:.1f} mm; the source {reach.wrist_to_source_mm:.1f} mm from the wrist",
             ),
+            ("scanner", f"{self.sensor or 'of its own'}{span}"),
             ("laser source", f"{_list(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
             ("housing", f"{_by(self.housing_size_mm)} mm, middle at {_list(self.housing_mm)} mm in flange{bracket}"),
             ("keeps clear of", f"{', '.join(self.obstacles)} by {self.clearance_mm:g} mm"),
@@ -159,6 +166,7 @@ def compiled(scene: Scene) -> Compiled:
         SceneError: if there is nothing to compile.
     """
     part = workpiece.load(scene.part.source, scene.part.units)
+    scene = devices.by_part(scene, part)
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
     baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
@@ -198,10 +206,12 @@ def checked(cell: Compiled) -> CheckResult:
         joint_limits_deg={axis: (float(lower[i]), float(upper[i])) for i, axis in enumerate(AXES)},
         envelope=envelope,
         mount_mm=_triple(world.T_flange_scanner[:3, 3]),
-        housing_size_mm=scene.housing.size_mm,
+        housing_size_mm=scene.housing.sides_mm,
         housing_mm=_triple(world.T_flange_housing[:3, 3]),
         bracket_length_mm=_mm(2 * world.model.geom("bracket").size[1]) if "bracket" in world.entities else 0.0,
         baseline_mm=baseline_mm,
+        sensor=scene.scanner.sensor,
+        range_mm=settings.scanner.get("range_mm"),
         obstacles=tuple(name for name in dict.fromkeys(world.entities) if name in standing),
         clearance_mm=scene.clearance_mm,
         collision=world.collision,

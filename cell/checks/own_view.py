@@ -45,7 +45,7 @@ def hidden_share(world: World, move: Floats | None = None) -> float:
     """
     T_housing_scanner = np.asarray(np.linalg.inv(_housing(world)), dtype=np.float64)
     shift = np.zeros(3) if move is None else T_housing_scanner[:3, :3] @ move
-    box = np.array(world.scene.housing.size_mm) / 2000 - _SKIN
+    box = np.array(world.scene.housing.sides_mm) / 2000 - _SKIN
     starts, ends = _sight(world)
     hidden = np.zeros(len(ends), dtype=bool)
     for start in starts:
@@ -68,7 +68,7 @@ def _sight(world: World) -> tuple[Floats, Floats]:
 
 def _way_out(world: World) -> Floats:
     """(3,) the shortest way along an axis of the scanner frame on which the housing hides nothing any more [m]."""
-    half = np.array(world.scene.housing.size_mm) / 2000
+    half = np.array(world.scene.housing.sides_mm) / 2000
     T = _housing(world)
     ahead = float(T[2, 3] + np.abs(T[2, :3]) @ half)  # its foremost corner: so far back, all of it is behind
     best, way = ahead, np.array([0.0, 0.0, -1.0])

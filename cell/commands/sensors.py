@@ -5,13 +5,18 @@ import sys
 
 from cell.commands.options import AsJson
 
-EPILOG = "Examples:\n\ncell sensors\n\ncell plan --sensor gocator-2340 --baseline 100"
+EPILOG = (
+    "Examples:\n\n"
+    "cell sensors\n\n"
+    "cell plan --sensor generic-area-medium\n\n"
+    "cell plan --sensor gocator-2340 --baseline 100"
+)
 
 
 def sensors(
     as_json: AsJson = False,
 ) -> None:
-    """List the real sensors that a scene may name, what is known of each, and what you have to give."""
+    """List the scanners that a scene may name, what is known of each, and what you have to give."""
     from cell.run.folder import SCHEMA
     from cell.scene import sensors as library
 
@@ -25,8 +30,8 @@ def sensors(
         heading, *rows = library.table_rows()
         terminal.grid(heading, rows)
         terminal.say(
-            "distance: from the housing; line: its length at the near and the far end; range: depth from the laser "
-            "source (the fan's apex); you give: keys of scanner that no source states. cell sensors --json has the "
-            "sources."
+            "mm, deg. distance: from the housing; line: its length at the near and the far end; range: from the laser "
+            "source, of a line as depth from its fan's apex; x: times the standoff; you give: keys of scanner that no "
+            "source states. cell sensors --json has all figures with their sources."
         )
-        terminal.then(("cell", "plan", "--sensor", library.names()[0], "--baseline", 100))
+        terminal.then(("cell", "plan", "--sensor", library.names()[0]))

@@ -107,9 +107,9 @@ def write_cell(
         scanner=ScannerKeys(**scanner_parameters),
         planning_resolution_deg=scene.scanner.planning_resolution_deg,
         housing=ResolvedHousing(
-            size_mm=scene.housing.size_mm,
+            size_mm=scene.housing.sides_mm,
             T_flange_housing=world.T_flange_housing,
-            bracket_diameter_mm=scene.housing.bracket_diameter_mm,
+            bracket_diameter_mm=scene.housing.bracket_mm,
         ),
         fixtures=standing_fixtures(scene, world),
         home_deg=scene.robot.home_deg,

@@ -68,7 +68,7 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
         seen: (S, n) which held-out samples each view measures.
     """
     canvas, (scene, cell, scanner) = _part(path.parent), _cell(path.parent)
-    surface = surface_of(canvas.samples, T_object_poses, scanner, (), scene.scanner.pair("resolution_deg"), seen)
+    surface = surface_of(canvas.samples, T_object_poses, scanner, (), seen)
     pictures.part_and_views(path, canvas, surface, T_object_scanner, scene.scanner.opening_deg)
     stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface)])
     (path.parent / HALF_PAGE).write_text(first_half(stage), encoding="utf-8")

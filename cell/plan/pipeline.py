@@ -27,10 +27,9 @@ from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.folder import RunFolder
 from cell.run.report_json import Report
-from cell.scene import doubts
+from cell.scene import devices, doubts
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
-from planner.measurability import coverage
 from planner.surface.mesh import TriangleMesh
 
 log = logging.getLogger(__name__)
@@ -68,8 +67,10 @@ def plan(
     with picture_process.beside() as drawing:
         with narrator.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
-        for sentence in (*(finding.sentence for finding in part.findings), *doubts.of_scene(scene)):
+        doubtful = (*doubts.of_scene(scene), *devices.notes(scene, part))
+        for sentence in (*(finding.sentence for finding in part.findings), *doubtful):
             narrator.note(sentence)
+        scene = devices.by_part(scene, part)
         settings = resolve(scene, part)
         inputs = plan_files.input_hashes(scene, part)
         folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC))
@@ -120,7 +121,7 @@ def finish(
     draw_motion(run.drawing, run.folder, motion)
     further = _further(run, problem, chosen)
     with run.step("report"):
-        report = plan_report(job, planning, problem, chosen, clearance, motion, coverage.added(chosen.seen), further)
+        report = plan_report(job, planning, problem, chosen, clearance, motion, further)
         report = report.model_copy(update=dict(told))
         plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
         plan_files.write_report(run.folder, report)

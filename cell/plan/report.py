@@ -78,6 +78,7 @@ def table(report: Report) -> list[tuple[str, str]]:
             "reachable candidates can measure",
         ),
         *_lost(report),
+        *spacing_row(report),
         *request_report.rows(report),
         ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.verdicts)),
     ]
@@ -100,6 +101,20 @@ def _lost(report: Report) -> list[tuple[str, str]]:
     return [("of what it can", sentence(report.coverage.visible, report.coverage.coverable, report.attainable))]
 
 
+def spacing_row(report: Report) -> list[tuple[str, str]]:
+    """How far apart the points of a scan lie on what the views measure."""
+    if (found := report.spacing) is None:
+        return []
+    limit = "" if found.limit_mm is None else f", limit {found.limit_mm:g} mm"
+    return [
+        (
+            "spacing of points",
+            f"99 % of what is measured has points at most {found.quantile_99_mm:.3g} mm apart, half of it at most "
+            f"{found.median_mm:.3g} mm{limit}",
+        )
+    ]
+
+
 def _facts(report: Report) -> list[str]:
     """The table at the top of the page."""
     part, settings, motion = report.part, report.settings, report.motion
@@ -119,7 +134,7 @@ def _facts(report: Report) -> list[str]:
         f"| motion | {motion.duration_s:.2f} s home to home, {motion.via_points} points, speed "
         f"{_percent(motion.speed_fraction)} |",
         f"| the same stops without a limit of jerk (time-optimal bound) | {_bound(motion)} |",
-        *(f"| {name} | {sentence} |" for name, sentence in request_report.rows(report)),
+        *(f"| {name} | {sentence} |" for name, sentence in (*spacing_row(report), *request_report.rows(report))),
         *_arm_and_sigma(report),
         f"| seed | {settings.seed} |",
     ]

@@ -146,7 +146,7 @@ def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
-        for sentence in doubts.of_scanner(job.scene, job.scanner):
+        for sentence in doubts.of_scanner(job.scanner):
             run.narrator.note(sentence)
         return Cell(world, MujocoCollisionChecker(world), Kr16Kinematics.from_model(world.model))
 

@@ -12,12 +12,22 @@ from cell.plan.steps import Job
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.described import degrees
 from cell.run.plan_json import Coverage, Dropped, Promise, Verdicts
-from cell.run.report_json import Attainable, Curve, Report, ReportMotion, ReportPart, ReportSettings, ReportView, Sigma
+from cell.run.report_json import (
+    Attainable,
+    Curve,
+    Report,
+    ReportMotion,
+    ReportPart,
+    ReportSettings,
+    ReportView,
+    Sigma,
+    Spacing,
+)
 from cell.world.clearance import MotionClearance
-from planner.measurability.quality import best_sigma
+from planner.measurability import coverage
+from planner.measurability.quality import best_sigma, best_spacing
 from planner.surface.mesh import TriangleMesh, face_areas
 from planner.timing.motion import Motion, jerk_free_duration
-from planner.values import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +52,6 @@ def plan_report(
     chosen: ConnectedPlan,
     clearance: MotionClearance,
     motion: Motion,
-    adds: Floats,
     further: Further,
 ) -> Report:
     """Everything that the report says.
@@ -54,7 +63,6 @@ def plan_report(
         chosen: views in visiting order.
         clearance: of the motion.
         motion: timed.
-        adds: (n,) share of the surface that each view adds to those before it.
         further: what was worked out beyond the plan.
     """
     cover, plan = chosen.cover, job.scene.plan
@@ -66,6 +74,7 @@ def plan_report(
         coverage=_coverage(problem, chosen),
         attainable=further.lost,
         sigma=None if plan.max_sigma_mm is None else _sigma(problem, chosen, plan.max_sigma_mm),
+        spacing=_spacing(job, problem, chosen),
         solver=cover.solver,
         status=_sentence(chosen) + _at_target(chosen.target, plan.coverage),
         lower_bound=cover.lower_bound,
@@ -73,7 +82,7 @@ def plan_report(
         verdicts=Verdicts(**{verdict.name.lower(): count for verdict, count in problem.reached.counts().items()}),
         blockers=problem.reached.blockers(),
         dropped=[Dropped(id=lost.candidate, reason=lost.reason) for lost in chosen.dropped],
-        views=_views(problem, chosen, adds),
+        views=_views(problem, chosen),
         motion=_motion(chosen, motion, job.scene.robot.speed_scaling),
         most_coverage=answers.most_coverage_of(chosen.selected, cover.total_area),
         overlap=answers.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
@@ -134,8 +143,8 @@ def _coverage(problem: Problem, chosen: ConnectedPlan) -> Coverage:
     )
 
 
-def _views(problem: Problem, chosen: ConnectedPlan, adds: Floats) -> list[ReportView]:
-    tour = chosen.tour
+def _views(problem: Problem, chosen: ConnectedPlan) -> list[ReportView]:
+    tour, adds = chosen.tour, coverage.added(chosen.seen)
     return [
         ReportView(
             id=candidate,
@@ -170,6 +179,17 @@ def _sigma(problem: Problem, chosen: ConnectedPlan, limit_mm: float) -> Sigma:
     best = 1000 * best_sigma(problem.M, chosen.cover.views)
     median, most = np.quantile(best[np.isfinite(best)], [0.5, 0.95]).round(6)
     return Sigma(median_mm=median, quantile_95_mm=most, limit_mm=limit_mm)
+
+
+def _spacing(job: Job, problem: Problem, chosen: ConnectedPlan) -> Spacing | None:
+    """How far apart the plan's points lie; None of a scanner that does not know it, or where nothing is measured."""
+    scanner, samples = problem.prediction.scanner, problem.prediction.samples
+    best = best_spacing(chosen.T_object_poses, samples, chosen.seen, scanner)
+    if best is None or not chosen.seen.any():
+        return None
+    median, most, nearly_all = (1000 * np.nanquantile(best, [0.5, 0.95, 0.99])).round(6).tolist()
+    limit_mm = job.scene.scanner.max_spacing_mm
+    return Spacing(median_mm=median, quantile_95_mm=most, quantile_99_mm=nearly_all, limit_mm=limit_mm)
 
 
 def _sentence(chosen: ConnectedPlan) -> str:

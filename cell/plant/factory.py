@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from cell.plant.mujoco_plant import Observer
     from cell.plant.servo import Settings
 
-_BASELINE_MM = 75.0  # of the built-in part; it says where over the flange the housing's middle is
-
 
 def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, PlantFactory]:
     """The plants of an execution: the arm carries the tool that the plan was checked with.
@@ -49,11 +47,13 @@ def built_in(settings: Settings | None = None, observer: Observer | None = None)
         from cell.plant import tool
         from cell.plant.mujoco_plant import MujocoPlant
         from cell.robot import model as robot
+        from cell.scene import devices
         from cell.scene.scene import load_scene
         from cell.world import shapes
 
-        scene, spec = load_scene(None), robot.spec()
-        shapes.add_tool(spec, scene, scene.mount.T @ scene.housing.T_scanner_housing(_BASELINE_MM))
+        scene, spec = devices.settled(load_scene(None), "mseke", 0.0), robot.spec()
+        baseline_mm = scene.scanner.baseline_mm or 0.0
+        shapes.add_tool(spec, scene, scene.mount.T @ scene.housing.T_scanner_housing(baseline_mm))
         return MujocoPlant(start, tool.of_model(spec.compile()), settings, observer)
 
     return {"mujoco": mujoco}

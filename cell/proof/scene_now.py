@@ -22,6 +22,7 @@ from cell.proof.proof import Proven
 from cell.run import reader
 from cell.run.cell import scene_of_run
 from cell.run.record import artefact
+from cell.scene import devices
 from cell.scene.scene import Fixture, MeshFixture, Scene, load_scene
 from cell.world.shapes import fixture_mesh
 from planner.surface.mesh import TriangleMesh
@@ -131,12 +132,12 @@ def _scene(proven: Proven, now: Scene, changed: Collection[str] | None) -> Itera
             stands in the plan and not in the file.
     """
     then, due = proven.scene, scene_of_run(proven.run)
-    baseline = then.scanner.number("baseline_mm") or 0.0
+    now = _scanner_as_planned(now, due)
     values: Mapping[str, tuple[object, object]] = {
         "placement": (now.placement.T, due.placement.T),
         "mount": (now.mount.T, due.mount.T),
         "housing": (
-            [now.mount.T @ now.housing.T_scanner_housing(now.scanner.baseline_mm or baseline), *_housing(now)],
+            [now.mount.T @ now.housing.T_scanner_housing(now.scanner.baseline_mm or 0.0), *_housing(now)],
             [then.housing.T_flange_housing, *_housing(due)],
         ),
         "post": (
@@ -159,8 +160,22 @@ def _scene(proven: Proven, now: Scene, changed: Collection[str] | None) -> Itera
             yield f"fixture:{name}", f"the fixture '{name}' is another, or elsewhere"
 
 
+def _scanner_as_planned(now: Scene, due: Scene) -> Scene:
+    """The scene with what it leaves open of its scanner as in the plan, or as of the other scanner that it names."""
+    if now.scanner.sensor in (None, due.scanner.sensor):
+        left = {"scanner": ("baseline_mm",), "housing": ("size_mm", "bracket_diameter_mm")}
+        update = {}
+        for table, keys in left.items():
+            own, planned = getattr(now, table), getattr(due, table)
+            update[table] = own.model_copy(
+                update={key: getattr(planned, key) for key in keys if getattr(own, key) is None}
+            )
+        return now.model_copy(update=update)
+    return devices.settled(now.model_copy(update={"plan": due.plan}), due.part.name, 0.0)
+
+
 def _housing(scene: Scene) -> list[float]:
-    return [*scene.housing.size_mm, scene.housing.bracket_diameter_mm]
+    return [*scene.housing.sides_mm, scene.housing.bracket_mm]
 
 
 def _pedestal(scene: Scene) -> list[float]:

@@ -85,13 +85,13 @@ def part_matrix(
         progress: called with (poses done, poses in all).
     """
     method, reference, planning, features = scene.plan.fill, surface.reference, surface.planning, surface.features
-    scanner = scanners.make(scene.scanner.type, settings.planning_scanner)
+    scanner = scanners.make(scene.scanner.type, settings.planning_scanner if method == "rays" else settings.scanner)
     parameters = scanners.identity(scene.scanner.type, scanner)
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
     row_of_face = None
     if method == "rays":
         row_of_face = closest_face(face_centres(reference), face_normals(reference), planning)
-    else:
+    elif "max_spacing_mm" not in parameters:
         parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid
     key = measurability_cache.row_key(reference, features, parameters, method, row_of_face)
     path = cache_folder() / f"{key[:32]}.npz"

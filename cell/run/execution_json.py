@@ -45,6 +45,11 @@ class ExecutedCoverage(JsonTable):
     coverable: float = Field(description="what all reachable candidates together measure")
     visible_of_coverable: float = Field(description="`visible` as a fraction of `coverable`")
     sampled: float = Field(description="share of the samples within the radius of a scan point")
+    dense: float | None = Field(
+        default=None,
+        description="share of the samples that a view measures and that have a scan point within 1.5 x the spacing "
+        "planned there; null: a sensor that sweeps, a scanner that does not know its spacing, an older run",
+    )
     sampled_radius_mm: float = Field(description="1 % of the diagonal of the part's bounding box")
 
 

@@ -88,6 +88,15 @@ class Sigma(JsonTable):
     limit_mm: float = Field(description="that was asked for")
 
 
+class Spacing(JsonTable):
+    """Distance of neighbouring points on the surface that the views measure, from the densest view there."""
+
+    median_mm: float = Field(description="half of what is measured has points at most so far apart")
+    quantile_95_mm: float = Field(description="95 % of it")
+    quantile_99_mm: float = Field(description="99 % of it")
+    limit_mm: float | None = Field(description="that was asked for; null: none")
+
+
 class ReportView(JsonTable):
     """A view for a person's table."""
 
@@ -139,6 +148,7 @@ class Report(JsonTable):
     coverage: Coverage
     attainable: Attainable | None = optional("none in older runs")
     sigma: Sigma | None = optional()
+    spacing: Spacing | None = optional()
     solver: str = Field(description="that chose the views")
     status: str = Field(description="what is proven of the selection, in words")
     lower_bound: int = Field(description="no plan of these candidates and samples needs fewer views")

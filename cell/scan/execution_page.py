@@ -4,7 +4,7 @@ import html
 from collections.abc import Sequence
 
 from cell.acquisition import SIMULATED
-from cell.run.execution_json import ExecutionReport
+from cell.run.execution_json import ExecutedCoverage, ExecutionReport
 
 _COARSE = 0.02  # of the part's diagonal: a surface that reaches farther from its points is called interpolated
 
@@ -73,6 +73,7 @@ def table(summary: ExecutionReport) -> list[tuple[str, str]]:
             "sampled coverage",
             f"{_percent(coverage.sampled)} within {coverage.sampled_radius_mm:.3g} mm of a point",
         ),
+        *_dense(coverage),
     ]
     if registration is not None and cloud.rms_to_reference_mm is not None:
         residuals = (
@@ -163,6 +164,15 @@ def _table(summary: ExecutionReport) -> list[str]:
     ]
 
 
+def _dense(coverage: ExecutedCoverage) -> list[tuple[str, str]]:
+    """Dense coverage, where it is known."""
+    if coverage.dense is None:
+        return []
+    return [
+        ("dense coverage", f"{_percent(coverage.dense)} measured and with a point within 1.5 x the planned spacing")
+    ]
+
+
 def _coverage(summary: ExecutionReport) -> list[str]:
     coverage = summary.coverage
     model = "" if coverage.kind == "simulated" else " (computed by the model from the registered poses)"
@@ -174,6 +184,11 @@ def _coverage(summary: ExecutionReport) -> list[str]:
         f"| visible{model}, of the surface | {_percent(coverage.visible)} | {_percent(coverage.predicted)} |",
         f"| visible, of what reachable candidates can measure | {_percent(coverage.visible_of_coverable)} | |",
         f"| sampled, radius {coverage.sampled_radius_mm:.3g} mm | {_percent(coverage.sampled)} | |",
+        *(
+            [f"| dense: a point within 1.5 x the planned spacing | {_percent(coverage.dense)} | |"]
+            if coverage.dense is not None
+            else []
+        ),
         "",
     ]
     if coverage.predicted != coverage.predicted_all_views:

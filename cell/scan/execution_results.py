@@ -15,13 +15,14 @@ from cell.errors import FileError
 from cell.rays.prediction import held_out
 from cell.reconstruction.cloud import PointCloud, ScanCloud, merge, point_spacing
 from cell.reconstruction.registration import Registration, register
-from cell.run.cell import RunCell
+from cell.run.cell import RunCell, scanner_of
 from cell.run.executions import RecordedExecution, RecordedScan
 from cell.run.plan_json import PlanFile, PlanView
 from cell.run.record import file_bytes, understood
 from cell.view.contents import of_views
 from cell.view.surface import Surface
 from planner.measurability import coverage
+from planner.measurability.quality import best_spacing
 from planner.ports import Rejection, Scanner
 from planner.surface.closest import NearestSurface
 from planner.surface.sample import SurfaceSamples
@@ -262,6 +263,8 @@ class Achieved:
         visible: measured from at least one executed pose: the true one of a simulation, else the registered one.
         predicted: the same from the planned poses of the views that were scanned.
         sampled: within `radius` of a scan point.
+        dense: measured, and within 1.5 x the spacing planned there of a scan point; None: not known, or
+            a sensor that sweeps, whose lines `cell.scan.sweep_scan` takes farther apart than it does.
         radius: of sampled coverage [m].
         adds: (n,) what each scan adds to visible coverage, in driving order.
         largest_first: (n,) what each adds when the one that adds most comes first.
@@ -271,6 +274,7 @@ class Achieved:
     visible: float
     predicted: float
     sampled: float
+    dense: float | None
     radius: float
     adds: Floats
     largest_first: Floats
@@ -297,15 +301,21 @@ def achieved(
     surface = of_views(cell, samples, executed_poses(scans, merged))
     measured = surface.seen
     predicted = plan.coverage.visible
+    poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
-        poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
         predicted = _share(of_views(cell, samples, poses).seen, samples)
     radius = coverage.sampling_radius(cell.reference)
     order = _largest_first(measured)
+    spacing = None
+    if poses and len(poses[0]) == 1:
+        # The plan's scanner: its grid counts, whatever the resolution of the scan.
+        planned = scanner_of(cell.scene, cell.scene.scanner)
+        spacing = best_spacing(np.stack(poses), samples, measured, planned)
     return Achieved(
         visible=_share(measured, samples),
         predicted=predicted,
         sampled=coverage.sampled(merged.cloud.points, samples, radius).fraction,
+        dense=None if spacing is None else coverage.dense(merged.cloud.points, samples, spacing).fraction,
         radius=radius,
         adds=coverage.added(measured),
         largest_first=coverage.added(measured[:, order]),

@@ -127,6 +127,7 @@ def _coverage(plan: PlanFile, achieved: Achieved, *, simulated: bool) -> Execute
         coverable=coverable,
         visible_of_coverable=achieved.visible / coverable if coverable > 0 else 0.0,
         sampled=achieved.sampled,
+        dense=achieved.dense,
         sampled_radius_mm=_mm(achieved.radius),
     )
 

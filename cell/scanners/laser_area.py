@@ -3,10 +3,11 @@
 The source stands at the origin of the scanner frame and looks along +z; the sensor stands a baseline away along +x. A
 point is inside the frustum (the paper's spherical cone) where its two planar angles are, |atan2(x, z)| <= FOV_h / 2 and
 |atan2(y, z)| <= FOV_v / 2, and where its distance from the source is within the range. The grazing angle is the one
-between the outward normal and the direction to the source (or to the sensor). Two conditions are off unless they are
-given: the sensor's own field of view, two planar angles about its axis in the same way, and the depth of field, limits
-of the depth z. The sensor's axis lies in the plane of the baseline (x, z) and is tilted towards the source; by default
-it meets the source's axis in the middle of the working range.
+between the outward normal and the direction to the source (or to the sensor). Three conditions are off unless they are
+given: the sensor's own field of view, two planar angles about its axis in the same way, the depth of field, limits of
+the depth z, and the largest spacing of neighbouring points on the surface (`cell.scanners.area_law`). The sensor's axis
+lies in the plane of the baseline (x, z) and is tilted towards the source; by default it meets the source's axis in the
+middle of the working range.
 
 `sigma` is the expected standard deviation of a point along its ray: docs/sigma_model.md.
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-9
 
+_WAYS = 33  # directions along each half of the field of view among which the densest is looked for
+
 SIGMA_ANGLE_MDEG = 1.5
 """A twentieth of a pixel where 2048 pixels see 60 degrees; what a real sensor does has to come from its data sheet."""
 
@@ -51,6 +54,8 @@ class LaserArea:
         depth_of_field_mm: (smallest, largest) depth z of a point [mm]; None: not limited.
         sigma_angle_mdeg: standard deviation of the direction in which the sensor sees the spot [1e-3 deg], on a surface
             that faces source and sensor.
+        max_spacing_mm: largest distance of neighbouring points on the surface, in both directions of the grid [mm];
+            None: not limited.
     """
 
     type_name: ClassVar[str] = "laser-area"
@@ -65,6 +70,7 @@ class LaserArea:
     sensor_tilt_deg: float | None = None
     depth_of_field_mm: tuple[float, float] | None = None
     sigma_angle_mdeg: float = SIGMA_ANGLE_MDEG
+    max_spacing_mm: float | None = None
     _shape: tuple[int, int] = field(init=False, repr=False)
     _limits: tuple[float, ...] = field(init=False, repr=False)
 
@@ -74,6 +80,10 @@ class LaserArea:
                 object.__setattr__(self, name, _pair(name, getattr(self, name)))
         for name in ("baseline_mm", "grazing_max_deg", "sensor_grazing_max_deg", "sigma_angle_mdeg"):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
+        if self.max_spacing_mm is not None:
+            object.__setattr__(self, "max_spacing_mm", _number("max_spacing_mm", self.max_spacing_mm))
+            if self.max_spacing_mm <= 0:
+                raise SceneError(f"scanner.max_spacing_mm is {self.max_spacing_mm:g}; it must be above 0")
         if self.sensor_tilt_deg is not None:
             object.__setattr__(self, "sensor_tilt_deg", _number("sensor_tilt_deg", self.sensor_tilt_deg))
             if not -90 < self.sensor_tilt_deg < 90:
@@ -104,6 +114,8 @@ class LaserArea:
             )
         object.__setattr__(self, "_shape", (n_v, n_h))
         object.__setattr__(self, "_limits", self._constants())
+        if self.max_spacing_mm is not None:
+            require_attainable(self.max_spacing_mm, self._least_spacing_mm())
 
     @property
     def source(self) -> Floats:
@@ -135,6 +147,8 @@ class LaserArea:
             limits |= {"sensor_fov_deg": list(self.sensor_fov_deg), "sensor_tilt_deg": math.degrees(self.sensor_tilt)}
         if self.depth_of_field_mm is not None:
             limits["depth_of_field_mm"] = list(self.depth_of_field_mm)
+        if self.max_spacing_mm is not None:
+            limits["max_spacing_mm"] = self.max_spacing_mm
         return limits | {"sigma_angle_mdeg": self.sigma_angle_mdeg}
 
     @property
@@ -184,7 +198,39 @@ class LaserArea:
             *(math.cos(math.radians(a)) - TOLERANCE for a in (self.grazing_max_deg, self.sensor_grazing_max_deg)),
             math.cos(self.sensor_tilt),
             math.sin(self.sensor_tilt),
+            *self._steps,
+            math.inf if self.max_spacing_mm is None else self.max_spacing_mm / 1000 * (1 + TOLERANCE),
         )
+
+    @property
+    def _steps(self) -> tuple[float, float]:
+        """Angles between neighbouring rays, horizontal and vertical [rad]."""
+        n_v, n_h = self._shape
+        return math.radians(self.fov_deg[0]) / n_h, math.radians(self.fov_deg[1]) / n_v
+
+    def _least_spacing_mm(self) -> float:
+        """Smallest spacing that any surface can have [mm]: facing the source at the near end of the range."""
+        x, y = np.meshgrid(*(np.linspace(0, math.tan(math.radians(fov / 2)), _WAYS) for fov in self.fov_deg))
+        ways = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        return 1000 * float(self.spacing(self.range_mm[0] / 1000 * ways, -ways).min())
+
+    def spacing(self, points: Floats, normals: Floats) -> Floats:
+        """Distance of neighbouring points on the surface, the larger one of the grid's two directions.
+
+        Args:
+            points: (N, 3) surface points [m], scanner frame.
+            normals: (N, 3) outward unit normals, scanner frame.
+
+        Returns:
+            (N,) [m]; inf where the source does not face the surface. On the axis, before a wall that is turned by t
+            about the vertical, it is z times the angle between rays over cos t.
+        """
+        from cell.scanners.area_law import spacings  # numba is kept out of the start-up
+
+        x_y_z, n_x_y_z = (np.array(vectors.T, dtype=np.float64, order="C") for vectors in (points, normals))
+        found: Floats = spacings(x_y_z, n_x_y_z, *self._steps)
+        return found
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
         """Expected standard deviation of a measured point along the ray from the source.
@@ -215,6 +261,23 @@ class LaserArea:
             spread = math.radians(self.sigma_angle_mdeg / 1000) / (cos_source * np.sqrt(np.maximum(cos_sensor, 0)))
             sigma: Floats = np.where(possible, spread * sensor_distance / sine, np.inf)
         return sigma
+
+
+def require_attainable(limit_mm: float, least_mm: float) -> None:
+    """Refuse a limit on spacing that no surface can keep.
+
+    Args:
+        limit_mm: scanner.max_spacing_mm.
+        least_mm: the smallest spacing in the scanner's range.
+
+    Raises:
+        SceneError: if the limit is below it.
+    """
+    if limit_mm < least_mm * (1 - 1e-3):
+        raise SceneError(
+            f"scanner.max_spacing_mm is {limit_mm:g}, and at the near end of its range this scanner's points lie "
+            f"{least_mm:.3g} mm apart; allow that, or take a finer grid or a nearer scanner"
+        )
 
 
 def _number(name: str, value: object) -> float:

@@ -13,9 +13,14 @@ condition holds there, at the point's own place:
 
 The step is the sweep divided by the number of poses (`sweep_mm` / `sweep_steps`, or `sweep_deg` / `sweep_steps`), so
 that the poses tile the sweep. Every limit is inclusive, with the tolerances of `laser-area`.
+
+Points lie apart along the line by the angle between them, and across it by the way between two lines: the full speed of
+a sweep (`planner.path.sweeps.line`) over `profile_rate_hz`; a slower sweep is denser. With `max_spacing_mm` both are
+limited, on the surface at that depth and incidence.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
@@ -23,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
-from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea
+from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea, require_attainable
+from planner.path.sweeps.line import DEFAULT_SPEED
 from planner.ports import Rejection
 from planner.values import Floats, readonly
 from planner.viewpoints.sweeps import straight_poses, turned_poses
@@ -51,6 +57,9 @@ class LaserLine:
         sweep_steps: poses of a sweep.
         line_points: points of one line, of equal angle.
         sigma_angle_mdeg: noise of the direction in which the sensor sees the line [1e-3 deg], as for `laser-area`.
+        profile_rate_hz: lines a second; None: not known, and with it the spacing across the lines.
+        max_spacing_mm: largest distance of neighbouring points on the surface, along and across the lines [mm]; None:
+            not limited.
     """
 
     type_name: ClassVar[str] = "laser-line"
@@ -65,6 +74,8 @@ class LaserLine:
     sweep_steps: int = 8
     line_points: int = 640
     sigma_angle_mdeg: float = SIGMA_ANGLE_MDEG
+    profile_rate_hz: float | None = None
+    max_spacing_mm: float | None = None
     _law: LaserArea = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -86,6 +97,9 @@ class LaserLine:
         if self.sweep_mm is None and self.sweep_deg is None:
             width = math.tan(math.radians(self.fan_deg / 2)) * sum(self.range_mm)
             object.__setattr__(self, "sweep_mm", width)
+        if self.max_spacing_mm is not None:
+            facing = np.array([[0.0, 0.0, self.range_mm[0] / 1000]]), np.array([[0.0, 0.0, -1.0]])
+            require_attainable(self.max_spacing_mm, 1000 * float(self._spacing(*facing)[0]))
 
     def _check(self) -> None:
         """What the law does not check, or would name after its own keys."""
@@ -98,6 +112,15 @@ class LaserLine:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < below:
                 limit = "" if below == math.inf else f" and below {below:g}"
                 raise SceneError(f"scanner.{name} is {value!r}; it must be a finite number above 0{limit}")
+        for name in ("profile_rate_hz", "max_spacing_mm"):
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not 0 < value < math.inf):
+                raise SceneError(f"scanner.{name} is {value!r}; it must be a finite number above 0")
+        if self.max_spacing_mm is not None and self.profile_rate_hz is None:
+            raise SceneError(
+                "scanner.max_spacing_mm limits the distance between lines too, and how many the sensor takes a second "
+                "is not known; set scanner.profile_rate_hz"
+            )
         for name in ("sweep_steps", "line_points"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
@@ -146,6 +169,8 @@ class LaserLine:
             "sweep_steps": self.sweep_steps,
             "line_points": self.line_points,
             "sigma_angle_mdeg": self.sigma_angle_mdeg,
+            **({} if self.profile_rate_hz is None else {"profile_rate_hz": self.profile_rate_hz}),
+            **({} if self.max_spacing_mm is None else {"max_spacing_mm": self.max_spacing_mm}),
         }
 
     def ray_directions(self) -> Floats:
@@ -155,7 +180,7 @@ class LaserLine:
         return readonly("ray directions", rays, (None, 3))
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
-        """The first condition that needs no ray and fails: sheet and fan, range, grazing at source and sensor.
+        """The first condition that needs no ray and fails: sheet and fan, range, grazing at source and sensor, spacing.
 
         Args:
             points: (N, 3) surface points [m], scanner frame.
@@ -174,7 +199,34 @@ class LaserLine:
         else:
             codes = self._law.reject(points, normals)
         codes[codes == Rejection.OUT_OF_DEPTH] = Rejection.OUT_OF_RANGE  # the depth is this sensor's range
+        if self.max_spacing_mm is not None:
+            passed = np.flatnonzero(codes == Rejection.MEASURED)
+            limit = self.max_spacing_mm / 1000 * (1 + TOLERANCE)
+            codes[passed[~(self._spacing(points[passed], normals[passed]) <= limit)]] = Rejection.TOO_SPARSE
         return codes
+
+    @property
+    def spacing(self) -> Callable[[Floats, Floats], Floats] | None:
+        """`planner.ports.SpacingScanner.spacing`; None where the lines' rate is not known."""
+        return None if self.profile_rate_hz is None else self._spacing
+
+    def _spacing(self, points: Floats, normals: Floats) -> Floats:
+        """(N,) the larger distance of neighbouring points, along the line and to the next one [m].
+
+        With p the point in the sheet (its x left out), r its distance from the source and n its normal: along the line
+        r^2 |(n_y, n_z)| / |n . p| for each rad; across it sqrt(1 + (r n_x / n . p)^2) for each m that the sheet moves,
+        which is z for each rad that it turns.
+        """
+        assert self.profile_rate_hz is not None
+        _, y, z = points.T
+        n_x, n_y, n_z = normals.T
+        r, towards = np.hypot(y, z), -(n_y * y + n_z * z)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = math.radians(self.fan_deg) / self.line_points * r * r * np.hypot(n_y, n_z) / towards
+            across = np.sqrt(1 + (r * n_x / towards) ** 2) / self.profile_rate_hz
+            across *= DEFAULT_SPEED.linear if self.sweep_deg is None else DEFAULT_SPEED.angular * z
+            found: Floats = np.where(towards > 0, np.maximum(along, across), np.inf)
+        return found
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
         """Expected standard deviation of a measured point along the ray from the source, as for `laser-area`.

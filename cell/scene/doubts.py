@@ -5,7 +5,6 @@ The numbers are the borders of the maps of docs/stability.md, which read them fr
 
 import numpy as np
 
-from cell.scene import sensors
 from cell.scene.scene import Scene
 from planner.ports import Scanner
 from planner.surface.mesh import TriangleMesh, face_centres, face_normals
@@ -30,28 +29,15 @@ def of_scene(scene: Scene) -> list[str]:
     return [found] if found else []
 
 
-def of_scanner(scene: Scene, scanner: Scanner) -> list[str]:
-    """What a person has to know about a scanner that sweeps, or that is named as a real sensor.
-
-    Args:
-        scene: a checked scene.
-        scanner: made of it.
-    """
-    found = []
+def of_scanner(scanner: Scanner) -> list[str]:
+    """What a person has to know about a scanner that sweeps."""
     T_view_scanner = getattr(scanner, "T_view_scanner", None)
-    if T_view_scanner is not None:
-        found.append(
-            f"each view is a sweep of {len(T_view_scanner)} poses, driven as a line; the arm's own shadow along it is "
-            "not judged"
-        )
-    if scene.scanner.sensor is not None and "size_mm" not in scene.housing.model_fields_set:
-        body = sensors.load(scene.scanner.sensor).figures.get("body_mm")
-        stated = "its body is not stated" if body is None else f"its body is {' x '.join(f'{s:g}' for s in body)} mm"
-        found.append(
-            f"the housing that collides is the scene's, {' x '.join(f'{s:g}' for s in scene.housing.size_mm)} mm; "
-            f"{scene.scanner.sensor}: {stated}; set housing.size_mm and housing.position_mm to the real one"
-        )
-    return found
+    if T_view_scanner is None:
+        return []
+    return [
+        f"each view is a sweep of {len(T_view_scanner)} poses, driven as a line; the arm's own shadow along it is not "
+        "judged"
+    ]
 
 
 def grazing(limit_deg: float) -> str:

@@ -48,7 +48,7 @@ class PlanKeys(Table):
     ] = (15.0, 15.0)
     standoffs_mm: Annotated[
         Annotated[tuple[Positive, ...], Field(strict=False, min_length=1)] | None,
-        Option("Distances from surface to laser source. Default: the part's.", _VIEWS, name="standoff"),
+        Option("Distances from surface to laser source. Default: the middle of the range.", _VIEWS, name="standoff"),
     ] = None
     rolls_deg: Annotated[
         tuple[float, ...],

@@ -9,6 +9,8 @@ moves) no preset gives up.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from cell.scene import sensors
+
 DEFAULT = "balanced"
 
 
@@ -18,7 +20,7 @@ class Preset:
 
     Attributes:
         plan: keys of the scene's `[plan]`.
-        scanner: keys of `[scanner]`, for a scanner with a ray grid that is no sensor of the library.
+        scanner: keys of `[scanner]`, for a scanner with a ray grid.
         faces_factor: of the part's default number of planning faces.
         price: measured, against `balanced` in the same run; a clause for people.
     """
@@ -63,9 +65,17 @@ def beneath(content: Mapping[str, object]) -> dict[str, object]:
     filled = dict(content)
     if preset.plan:
         filled["plan"] = {**preset.plan, **plan}
-    if preset.scanner and scanner.get("sensor") is None and scanner.get("type", RAY_GRID) == RAY_GRID:
+    if preset.scanner and _has_a_ray_grid(scanner):
         filled["scanner"] = {**preset.scanner, **scanner}
     return filled
+
+
+def _has_a_ray_grid(scanner: Mapping[str, object]) -> bool:
+    """Whether the scanner of a table that is not yet checked is of the type that the presets know."""
+    name = scanner.get("sensor")
+    if isinstance(name, str) and name in sensors.names():
+        return sensors.load(name).type == RAY_GRID
+    return name is None and scanner.get("type", RAY_GRID) == RAY_GRID
 
 
 def line() -> str:

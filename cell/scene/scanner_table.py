@@ -78,9 +78,12 @@ def _put_sensor_in(content: dict[str, object]) -> list[InitErrorDetails]:
         ]
     for key, value in {"type": sensor.type, **sensor.keys}.items():
         content.setdefault(key, value)
+    needed = dict(sensor.not_stated)
+    if sensor.type == "laser-line" and {"max_spacing_mm", "profile_rate_hz"} & set(content):
+        needed |= sensors.OF_DENSITY
     return [
         _problem("sensor", name, f"{name} does not state its {word}; set scanner.{key}")
-        for key, word in sensor.not_stated.items()
+        for key, word in needed.items()
         if key not in content
     ]
 

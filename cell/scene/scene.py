@@ -1,8 +1,9 @@
 """The scene file: what stands in the cell, what the scanner is and how to plan; TOML in, one frozen `Scene` out.
 
 Every key carries its unit (`_mm`, `_deg`); poses are x, y, z and KUKA's A, B, C. A key whose value is None takes the
-part's default (standoff, baseline, planning faces) or follows from another key (range from the standoff, the housing's
-place from the baseline). `models/scene.toml` is the built-in scene with every key explained; `Scene()` equals it.
+scanner's default (range, baseline, housing: `cell.scene.devices`), the part's (planning faces) or follows from another
+key (the standoff from the range, the housing's place from the baseline). `models/scene.toml` is the built-in scene with
+every key explained; `Scene()` equals it.
 """
 
 from collections.abc import Mapping
@@ -92,14 +93,14 @@ class Scanner(Table):
 
     type: str = "laser-area"
     sensor: Annotated[
-        str | None, Option("A real sensor by name, see cell sensors; in place of scanner.type.", _HARDWARE)
+        str | None, Option("A scanner by name, see cell sensors. Default: the part's device.", _HARDWARE)
     ] = None
     fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] = (60.0, 60.0)
     resolution_deg: Annotated[tuple[Positive, Positive], Field(strict=False)] = (0.25, 0.25)
     planning_resolution_deg: Positive = 1.0
     range_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
     baseline_mm: Annotated[
-        NotNegative | None, Option("From laser source to sensor. Default: the part's.", _HARDWARE)
+        NotNegative | None, Option("From laser source to sensor. Default: the scanner's.", _HARDWARE)
     ] = None
     grazing_max_deg: Grazing = 75.0
     sensor_grazing_max_deg: Grazing = 75.0
@@ -112,6 +113,11 @@ class Scanner(Table):
     sweep_deg: Fov | None = None
     sweep_steps: Annotated[int, Field(ge=1)] = 8
     line_points: Annotated[int, Field(ge=1)] = 640
+    profile_rate_hz: Positive | None = None
+    max_spacing_mm: Annotated[
+        Positive | None,
+        Option("Count a point as measured only if its neighbours in the scan lie at most so far away.", _HARDWARE),
+    ] = None
 
     @model_validator(mode="wrap")
     @classmethod
@@ -160,14 +166,26 @@ class Housing(Table):
     in the plane of the source, so that no ray starts inside it.
     """
 
-    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] = (160.0, 80.0, 60.0)
+    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] | None = None
     position_mm: Triple | None = None
     abc_deg: Triple = (0.0, 0.0, 0.0)
-    bracket_diameter_mm: NotNegative = 78.0
+    bracket_diameter_mm: NotNegative | None = None
+
+    @property
+    def sides_mm(self) -> Triple:
+        """Its size in a settled scene (`cell.scene.devices`)."""
+        assert self.size_mm is not None, "the scene is not settled"
+        return self.size_mm
+
+    @property
+    def bracket_mm(self) -> float:
+        """The bracket's diameter in a settled scene."""
+        assert self.bracket_diameter_mm is not None, "the scene is not settled"
+        return self.bracket_diameter_mm
 
     def T_scanner_housing(self, baseline_mm: float) -> "NDArray[np.float64]":
         """(4, 4) the middle of the box in the scanner frame [m]."""
-        return pose(self.position_mm or (baseline_mm / 2, 0.0, -self.size_mm[2] / 2), self.abc_deg)
+        return pose(self.position_mm or (baseline_mm / 2, 0.0, -self.sides_mm[2] / 2), self.abc_deg)
 
 
 class Part(Table):

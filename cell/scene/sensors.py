@@ -1,7 +1,8 @@
-"""Real sensors by name: models/sensors/*.toml, what is known of each and where that is from.
+"""Scanners by name: models/sensors/*.toml, what is known of each and where that is from.
 
-A file holds the data sheet's figures; the keys of the scene's `[scanner]` follow from them. The laser line of a sensor
-grows with the distance, so its fan has an apex, the source of the scanner frame:
+A file holds figures of a data sheet, or definitions of this project's own devices; the keys of the scene's `[scanner]`
+follow from them. A device of `laser-area` states range and baseline; those of `paper` are shares of the standoff. The
+laser line of a `laser-line` grows with the distance, so its fan has an apex, the source of the scanner frame:
 
     fan  = 2 atan((width_far - width_near) / (2 depth))
     near = width_near / (2 tan(fan / 2)), far = near + depth     range, from the apex
@@ -19,23 +20,37 @@ from typing import Any
 
 from cell.errors import FileError, SceneError
 
-REQUIRED = {"laser-line": {"fan_deg": "fan", "range_mm": "range", "baseline_mm": "baseline"}}
+_AREA = {"range_mm": "range", "baseline_mm": "baseline"}
+REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}
 """By type of scanner: the keys that describe a sensor, without which it is not the sensor of that name."""
 
+OF_DENSITY = {"line_points": "points of a line", "profile_rate_hz": "lines a second"}
+"""Of a line sensor: the keys without which nothing can be said of its density, so that a limit on it asks for them."""
+
 _TEXTS = ("maker", "model", "type")
-_FIGURES = ("clearance_mm", "reference_mm", "depth_mm", "width_near_mm", "width_far_mm", "baseline_mm", "body_mm")
+_NUMBERS = (
+    *("clearance_mm", "reference_mm", "depth_mm", "width_near_mm", "width_far_mm", "baseline_mm", "bracket_mm"),
+    *("baseline_share", "points_per_line", "profile_rate_hz", "repeatability_mm"),
+)
+_LISTS = {"body_mm": 3, "housing_mm": 3, "range_mm": 2, "range_shares": 2, "resolution_across_mm": 2}
+_RISING = ("range_mm", "range_shares", "resolution_across_mm")
+_FIGURES = (*_NUMBERS, *_LISTS)
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """One sensor of the library.
+    """One scanner of the library.
 
     Attributes:
         name: how a scene and the command line call it.
         maker: who makes it.
         model: what its maker calls it.
         type: the scanner plug-in that models it.
-        figures: what its source states [mm].
+        figures: what its source states: lengths [mm] and
+            body_mm: sides of the body in the source's order; housing_mm: along x, y, z of the scanner frame;
+            range_shares, baseline_share: of the standoff, in place of range_mm and baseline_mm;
+            resolution_across_mm: between neighbouring points of a line, near and far;
+            points_per_line; profile_rate_hz: lines a second [1/s]; repeatability_mm: of a point's distance.
         source: of each figure.
     """
 
@@ -56,9 +71,14 @@ class Sensor:
             near = known["width_near_mm"] / half / 2
             keys["fan_deg"] = math.degrees(2 * math.atan(half))
             keys["range_mm"] = [near, near + known["depth_mm"]]
-        if "baseline_mm" in known:
-            keys["baseline_mm"] = known["baseline_mm"]
-        return keys
+        keys |= {key: known[key] for key in ("range_mm", "baseline_mm") if key in known}
+        of_lines = {"line_points": "points_per_line", "profile_rate_hz": "profile_rate_hz"}
+        return keys | {key: known[figure] for key, figure in of_lines.items() if figure in known}
+
+    @property
+    def follows_standoff(self) -> bool:
+        """Whether range and baseline are shares of the standoff, as of no device."""
+        return "range_shares" in self.figures
 
     @property
     def apex_behind_window_mm(self) -> float | None:
@@ -73,6 +93,8 @@ class Sensor:
     @property
     def not_stated(self) -> dict[str, str]:
         """Scene keys that the scene itself must give, with what each is called."""
+        if self.follows_standoff:
+            return {}
         return {key: word for key, word in REQUIRED.get(self.type, {}).items() if key not in self.keys}
 
     def summary(self) -> dict[str, object]:
@@ -91,12 +113,12 @@ class Sensor:
 
 
 def names() -> tuple[str, ...]:
-    """Names of the library's sensors, sorted."""
+    """Names of the library's scanners, sorted."""
     return tuple(sorted(path.stem for path in _folder().glob("*.toml")))
 
 
 def load(name: str) -> Sensor:
-    """One sensor.
+    """One scanner.
 
     Args:
         name: such as "gocator-2350".
@@ -134,9 +156,8 @@ def read(path: Path) -> Sensor:
     if unknown:
         raise FileError(f"the sensor file {path} has the unknown key '{min(unknown)}'; figures: {', '.join(_FIGURES)}")
     for name, value in figures.items():
-        lengths = value if name == "body_mm" and isinstance(value, list) and len(value) == 3 else [value]
-        if not all(type(length) in (int, float) and 0 < length < math.inf for length in lengths):
-            raise FileError(f"the sensor file {path} has {name} = {value!r}; it must be a length above 0")
+        if problem := _problem(name, value):
+            raise FileError(f"the sensor file {path} has {name} = {value!r}; {problem}")
     if set(figures) != set(source):
         lone = min(set(figures) ^ set(source))
         raise FileError(f"the sensor file {path} must have a source for each figure and no other; see '{lone}'")
@@ -145,19 +166,36 @@ def read(path: Path) -> Sensor:
     return Sensor(path.stem, texts["maker"], texts["model"], texts["type"], figures, source)
 
 
+def _problem(name: str, value: Any) -> str:
+    """What is wrong with a figure; "" for nothing."""
+    count = _LISTS.get(name)
+    numbers = value if count is not None and isinstance(value, list) else [value]
+    if count is not None and (not isinstance(value, list) or len(value) != count):
+        return f"it must be {count} numbers above 0"
+    if not all(type(number) in (int, float) and 0 < number < math.inf for number in numbers):
+        return "it must be a length above 0" if name.endswith("_mm") else "it must be a number above 0"
+    if name == "points_per_line" and not isinstance(value, int):
+        return "it must be a whole number"
+    return "it must be [near, far] with near < far" if name in _RISING and not numbers[0] < numbers[1] else ""
+
+
 def table_rows() -> list[tuple[str, ...]]:
-    """Heading and one row per sensor, for the terminal; "-" where nothing is stated."""
-    heading = ("sensor", "distance mm", "line mm", "fan deg", "range mm", "you give")
+    """Heading and one row per scanner, for the terminal; "-" where nothing is stated."""
+    heading = ("scanner", "distance", "line", "fan", "range", "baseline", "you give")
     rows: list[tuple[str, ...]] = [heading]
     for sensor in map(load, names()):
         known, keys = sensor.figures, sensor.keys
+        span = known.get("range_shares") or keys.get("range_mm")
+        baseline = known.get("baseline_share") or keys.get("baseline_mm")
+        unit = " x" if sensor.follows_standoff else ""
         rows.append(
             (
                 sensor.name,
                 _distance(known),
                 f"{known['width_near_mm']:g}..{known['width_far_mm']:g}" if "width_near_mm" in known else "-",
                 f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
-                "{:.1f}..{:.1f}".format(*keys["range_mm"]) if "range_mm" in keys else "-",
+                f"{span[0]:.4g}..{span[1]:.4g}{unit}" if span is not None else "-",
+                f"{baseline:g}{unit}" if baseline is not None else "-",
                 ", ".join(sensor.not_stated),
             )
         )

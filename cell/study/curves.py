@@ -1,5 +1,6 @@
 """`cell study standoff` and `cell study scanner`: views and coverage over one number of the scanner, the best marked.
 
+The study of the standoff has the scanner `paper`, whose range and baseline follow it, unless the scene names a scanner.
 The paper's "optimum scanning zone" and "optimum scanner configuration". Best is the value whose plan measures most of
 the surface (within half a point of the most, which nobody would pay for) with the fewest views.
 """
@@ -11,6 +12,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from cell.scene import sensors
 from cell.scene.scene import Scene
 from cell.study.again import options
 from cell.study.scenes import scene_settings
@@ -21,6 +23,12 @@ from cell.view.palette import BLACK, BLUE, GREEN, GREY, VERMILION
 
 WITHIN_POINTS = 0.5
 """Coverages that differ by less than this count as equal when the best value is chosen [points]."""
+
+_FOLLOWING = "paper"
+_FOLLOWING_TOLD = (
+    "The scanner is `paper`, which no device is: its range (0.5 to 1.5 times) and its baseline (a quarter) follow the "
+    "standoff. Name a scanner in the scene to see what its own range allows."
+)
 
 SceneWith = Callable[[Mapping[str, Mapping[str, object]]], Scene]
 """Makes the scene with some keys changed; raises SceneError, in one sentence, where a scene cannot have them."""
@@ -69,7 +77,13 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, r
         SceneError: if the scene cannot have one of the values.
     """
     title, tables = KNOBS[knob].title, KNOBS[knob].tables
-    keys = {f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value: tables(value) for value in values}
+    own = scene_with({}).scanner
+    follows = knob == "standoff" and own.sensor is None and own.type == sensors.load(_FOLLOWING).type
+    scanner = {"scanner": {"sensor": _FOLLOWING}} if follows else {}
+    keys = {
+        f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value: {**scanner, **tables(value)}
+        for value in values
+    }
     asked = [
         (value, Trial.of(views, {**scene_settings(scene_with(of_value)), "robot": robot}))
         for value, of_value in keys.items()
@@ -81,7 +95,8 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, r
 
     return Study(
         knob, f"Views and coverage over {title}", [trial for _, trial in asked], rows,
-        lambda rows: pictures(knob, title, rows), lambda rows: sentences(title, rows),
+        lambda rows: pictures(knob, title, rows),
+        lambda rows: [*sentences(title, rows), *([_FOLLOWING_TOLD] if follows else [])],
         options=lambda row: options(keys[row[title]]), best=best_of,
     )  # fmt: skip
 

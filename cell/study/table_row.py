@@ -1,6 +1,7 @@
 """One row of the paper's tables: its method (`rays`, Meta-RaPS) and ours (`aimed`, `auto`) on the same viewpoints.
 
-Both plans are judged on the same samples that neither has seen, and scanned on the same fine grid.
+The scanner is `paper`, whose range and baseline follow the standoff. Both plans are judged on the same samples that
+neither has seen, and scanned on the same fine grid.
 """
 
 import json
@@ -17,7 +18,7 @@ from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
 FINE_RESOLUTION_DEG = 0.25
 """Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
 
-PAPER_SCANNER = {"grazing_max_deg": 75.0, "sensor_grazing_max_deg": 90.0}
+PAPER_SCANNER = {"sensor": "paper", "grazing_max_deg": 75.0, "sensor_grazing_max_deg": 90.0}
 """The paper limits the incidence of the laser alone, whatever the defaults are."""
 
 

@@ -133,9 +133,10 @@ def sentences(rows: Sequence[Row]) -> list[str]:
     more = [row["visible ours at views rays %"] - row["visible rays %"] for row in rows]
     lost = not_beaten(rows)
     said = [
+        "The scanner is `paper`: its range (0.5 to 1.5 times) and its baseline (a quarter) follow the standoff.",
         f"At the visible coverage of the paper's method (rays, Meta-RaPS) ours needs {np.mean(fewer):.2f} times "
         f"as many views on average ({min(fewer):.2f} to {max(fewer):.2f}); with its number of views ours measures "
-        f"{np.mean(more):+.2f} points on average ({min(more):+.2f} to {max(more):+.2f})."
+        f"{np.mean(more):+.2f} points on average ({min(more):+.2f} to {max(more):+.2f}).",
     ]
     said.append(
         f"In all {len(rows)} rows ours needs no more views for their coverage and measures no less with their views "

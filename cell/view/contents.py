@@ -139,8 +139,7 @@ def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Ca
 def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) -> Surface:
     """What some views measure of samples; arguments as in `measured`."""
     stacked = np.stack(poses) if len(poses) else np.zeros((0, 1, 4, 4))
-    casters, grid = (cell.part_caster, cell.occluder_caster), cell.scanner_keys.pair("resolution_deg")
-    return surface_of(samples, stacked, cell.scanner, casters, grid)
+    return surface_of(samples, stacked, cell.scanner, (cell.part_caster, cell.occluder_caster))
 
 
 def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Shown:
@@ -227,6 +226,7 @@ def execution_play(run: RunRecord, recorded: RecordedExecution, done: ExecutedRu
         ("points", f"{report.n_points:,}"),
         ("visible coverage", f"{_percent(report.coverage.visible)}, predicted {_percent(report.coverage.predicted)}"),
         ("sampled coverage", _percent(report.coverage.sampled)),
+        *([("dense coverage", _percent(dense))] if (dense := report.coverage.dense) is not None else []),
     ]
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]

@@ -17,12 +17,12 @@ from scipy.spatial import cKDTree
 from cell.rays.embree import EmbreeRayCaster
 from cell.view.rays import direction
 from planner.measurability.matrix import measured
+from planner.measurability.quality import best_of_views
 from planner.ports import RayCaster, Scanner
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh, face_centres, face_normals
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Value
-from planner.viewpoints.lines_of_sight import Targets, in_view
 
 _WALL = 0.02  # of the diagonal: two samples that look apart by a right angle count as 1.4 times this far apart
 _SIDES = ((-60.0, 22.0), (120.0, 22.0), (30.0, -30.0), (-150.0, -30.0))  # looked from where nothing asks for more
@@ -90,8 +90,8 @@ class Surface(Value):
         samples: S of them.
         seen: (S, n) whether a view measures a sample.
         layers: (S,) values by name [mm], the best of the views that measure the sample, NaN where none does: `sigma`,
-            the expected standard deviation, of scanners that know it; `spacing`, the larger distance between
-            neighbouring points, of scanners with a grid of rays.
+            the expected standard deviation, and `spacing`, the larger distance between neighbouring points, of scanners
+            that know them.
     """
 
     samples: SurfaceSamples
@@ -104,7 +104,6 @@ def surface_of(
     T_object_scanner: Floats,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-    resolution_deg: tuple[float, float] | None,
     seen: Bools | None = None,
 ) -> Surface:
     """Ask the views about the samples.
@@ -114,32 +113,14 @@ def surface_of(
         T_object_scanner: (n, K, 4, 4) poses of the views [m].
         scanner: the sensor's law.
         casters: the part's and the occluders'.
-        resolution_deg: angles between neighbouring rays; None for a scanner without such a grid.
         seen: (S, n) which samples each view measures, where that is known; None asks.
     """
     poses = np.asarray(T_object_scanner)
     if seen is None:
         seen = measured(poses, samples, scanner, casters, each=True)
-    sigma_of = getattr(scanner, "sigma", None)
-    best = {"spacing": resolution_deg is not None, "sigma": sigma_of is not None}
-    layers = {name: np.full(len(samples), np.inf) for name, known in best.items() if known}
-    targets = Targets.of(samples.points, samples.normals)
-    for view, column in enumerate(poses):
-        rows = np.flatnonzero(seen[:, view])
-        for T in column:
-            here = rows if len(column) == 1 else rows[np.isin(rows, in_view(targets, T, scanner, rows))]
-            points, normals = (samples.points[here] - T[:3, 3]) @ T[:3, :3], samples.normals[here] @ T[:3, :3]
-            if sigma_of is not None:
-                layers["sigma"][here] = np.minimum(layers["sigma"][here], 1000 * sigma_of(points, normals))
-            if resolution_deg is not None:
-                # Rays a small angle apart meet a plane at distance r under the angle t to its normal r * angle / cos t
-                # apart, in the direction in which it is inclined.
-                r2 = np.einsum("ij,ij->i", points, points)
-                facing = np.abs(np.einsum("ij,ij->i", points, normals))
-                gap = 1000 * np.radians(max(resolution_deg)) * r2 / np.maximum(facing, 1e-9)
-                layers["spacing"][here] = np.minimum(layers["spacing"][here], gap)
-    for values in layers.values():
-        values[~np.isfinite(values)] = np.nan
+    known = {name: law for name in ("spacing", "sigma") if callable(law := getattr(scanner, name, None))}
+    best = best_of_views(list(known.values()), poses, samples, seen, scanner)
+    layers = {name: 1000 * values for name, values in zip(known, best, strict=True)}
     return Surface(samples, seen, layers)
 
 

@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from cell import scanners
 from cell.plan.candidates import GROWN
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run.cell import RunCell
+from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
-from planner.measurability.quality import Limited
-from planner.ports import RayCaster, Scanner
+from planner.ports import RayCaster
 from planner.reach import reach
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets
@@ -33,12 +32,6 @@ _ROLLS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 _STANDOFFS = (0.9, 1.1, 0.8, 1.2, 0.7, 1.3, 0.6, 1.4, 0.5, 1.5)  # of the present one, inside the range
 _TILTS_DEG = (0.0, 20.0, 40.0, 60.0)  # of new views from the normal, below the grazing limit
 _AZIMUTHS = 8
-_FARTHER = (1.1, 1.25, 1.5, 2.0)
-_NEARER = (0.9, 0.75, 0.5, 0.25)
-_FOV_DEG = (10.0, 20.0, 30.0, 40.0, 60.0, 90.0)  # added to both axes
-_BASELINES = (0.75, 0.5, 0.25)
-_SIGMAS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0)
-_LAST_GRAZING_DEG = 89
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,11 +57,6 @@ class Changes:
         """The part's and everything else's, as they were."""
         return self.cell.part_caster, self.cell.occluder_caster
 
-    @property
-    def max_sigma_mm(self) -> float | None:
-        """The plan's limit on sigma [mm]; None where it has none."""
-        return self.cell.scene.plan.max_sigma_mm
-
     def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
         """Every change except further views, in ladders.
 
@@ -83,7 +71,7 @@ class Changes:
         for fixture in self.cell.scene.fixtures:
             if not fixture.built_in or fixture.name == "post":
                 yield [self._without(fixture.name)]
-        yield from self._of_the_scanner()
+        yield from ScannerChanges(self.cell, self.candidates.T_object_scanner[self.usable]).ladders()
 
     def views(self, targets: Targets, rows: Ints) -> list[WhatIf]:
         """One candidate more, and the few that measure nearly all of the rows that candidates can measure."""
@@ -126,7 +114,7 @@ class Changes:
                 f"--standoff {listed},{other:g}" if few else f"--standoff {other:g}",
                 what_if.backed_off(base, other / 1000),
             )
-            for factor in _STANDOFFS if near < (other := _round_mm(factor * now)) < far and other not in standoffs
+            for factor in _STANDOFFS if near < (other := round_mm(factor * now)) < far and other not in standoffs
         ]  # fmt: skip
 
         limit = self.cell.scanner_keys.number("grazing_max_deg")
@@ -171,79 +159,6 @@ class Changes:
             (self.cell.part_caster, caster_of(occluder_triangles(world))),
         )  # fmt: skip
 
-    def _of_the_scanner(self) -> Iterator[list[WhatIf]]:
-        keys = self.cell.scanner_keys
-        for name, last, of in (
-            ("grazing_max_deg", _LAST_GRAZING_DEG, "grazing limit"),
-            ("sensor_grazing_max_deg", 90, "sensor's grazing limit"),
-        ):
-            if (now := keys.number(name)) is not None:
-                yield [
-                    self._law(Kind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", name, float(value))
-                    for value in range(int(np.floor(now)) + 1, last + 1)
-                ]
-        for name in ("range_mm", "depth_of_field_mm"):
-            if (limits := keys.pair(name)) is not None:
-                of = name.removesuffix("_mm").replace("_", " ")
-                yield self._range_to(name, of, *limits)
-                yield self._range_from(name, of, *limits)
-        for name, of in (("fov_deg", "field of view"), ("sensor_fov_deg", "sensor's field of view")):
-            if (fov := keys.pair(name)) is not None:
-                h, v = fov
-                yield [
-                    self._law(
-                        Kind.FOV, more, f"{of} {h + more:g} x {v + more:g} deg, not {h:g} x {v:g}",
-                        name, (h + more, v + more),
-                    )
-                    for more in _FOV_DEG if max(fov) + more < 180
-                ]  # fmt: skip
-        if (now := keys.number("fan_deg")) is not None:
-            yield [
-                self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", "fan_deg", now + more)
-                for more in _FOV_DEG if now + more < 180
-            ]  # fmt: skip
-        if self.max_sigma_mm is not None:
-            yield [self._sigma(factor, self.max_sigma_mm) for factor in _SIGMAS]
-        if now := keys.number("baseline_mm"):
-            yield [
-                self._law(
-                    Kind.BASELINE, 1 - share, f"baseline {share * now:.3g} instead of {now:g} mm",
-                    "baseline_mm", share * now,
-                )
-                for share in _BASELINES
-            ]  # fmt: skip
-
-    def _range_to(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
-        return [
-            self._law(Kind.RANGE, _apart(to, far), f"{of} to {to:g} instead of {far:g} mm", name, (near, to))
-            for to in (_round_mm(far * factor) for factor in _FARTHER) if to != far
-        ]  # fmt: skip
-
-    def _range_from(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
-        return [
-            self._law(Kind.RANGE, _apart(at, near), f"{of} from {at:g} instead of {near:g} mm", name, (at, far))
-            for at in (_round_mm(near * factor) for factor in _NEARER) if at != near
-        ]  # fmt: skip
-
-    def _law(self, kind: Kind, change: float, sentence: str, key: str, value: float | tuple[float, float]) -> WhatIf:
-        """Another value of one of the scanner's keys, the same reachable candidates."""
-        keys = self.cell.scanner_keys
-        scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
-        if self.max_sigma_mm is not None:
-            scanner = Limited(scanner, self.max_sigma_mm / 1000)  # type: ignore[arg-type]  # it had a limit before
-        numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
-        poses = self.candidates.T_object_scanner[self.usable]
-        return WhatIf(kind, change, sentence, f"scanner.{key} = {numbers}", poses, scanner, self.casters)
-
-    def _sigma(self, factor: float, now: float) -> WhatIf:
-        """Another limit on sigma, so many times the present one [mm]."""
-        assert isinstance(self.cell.scanner, Limited)
-        scanner = Limited(self.cell.scanner.scanner, factor * (now / 1000))
-        poses = self.candidates.T_object_scanner[self.usable]
-        sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
-        setting = f"--max-sigma {factor * now:.3g}"
-        return WhatIf(Kind.SIGMA, factor, sentence, setting, poses, scanner, self.casters)
-
     def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:
         """Other candidates, of which those that the arm takes up count."""
         reached = _reach(made, self.world)
@@ -258,7 +173,7 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Ints) -> list
     """
     if not ladder:
         return []
-    nested = ladder[0].kind in (Kind.GRAZING, Kind.RANGE, Kind.SIGMA, Kind.FOV)
+    nested = ladder[0].kind in (Kind.GRAZING, Kind.RANGE, Kind.SPACING, Kind.SIGMA, Kind.RESOLUTION, Kind.FOV)
     if not nested:
         return [step.measures(targets, rows) for step in ladder]
     final = ladder[-1].measures(targets, rows)
@@ -287,15 +202,3 @@ def _pick(views: Viewpoints, which: Ints) -> Viewpoints:
 def _distinct(values: Floats) -> Floats:
     found: Floats = np.unique(values.round(6))
     return found
-
-
-def _round_mm(length: float) -> float:
-    """A length that a person would name: two digits, or whole tens above 100 mm."""
-    if length >= 100:
-        return float(round(length, -1))
-    return float(f"{length:.2g}")
-
-
-def _apart(value: float, now: float) -> float:
-    """How far a limit is opened, alike for large and small ones."""
-    return float(abs(np.log(max(value, 1e-3) / max(now, 1e-3))))

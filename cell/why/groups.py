@@ -90,4 +90,11 @@ def detail(reason: Reason, diagnosis: Diagnosis, inside: NDArray[np.bool_], keys
         low, high = 1000 * np.quantile(diagnosis.distance[inside], (0.1, 0.9))
         given = f", range {ends[0]:g} to {ends[1]:g}" if (ends := keys.pair("range_mm")) is not None else ""
         return f"{low:.0f} to {high:.0f} mm away{given}"
+    if reason is Reason.TOO_SPARSE:
+        far, steep = diagnosis.distance[inside], diagnosis.grazing_source[inside]
+        limit_mm = keys.number("max_spacing_mm")
+        return (
+            f"{1000 * np.median(far):.0f} mm away at {np.degrees(np.median(steep)):.0f} deg from the normal (medians), "
+            f"limit {limit_mm:g} mm between points"
+        )
     return ""

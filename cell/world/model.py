@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from cell.errors import SceneError
 from cell.robot import joint_limits
 from cell.robot import model as robot
+from cell.scene import devices
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
 from cell.world.solid_hull import solid_hull
@@ -180,15 +181,17 @@ def compile_world(
         scene: what stands in the cell.
         part_vertices: (N, 3) vertices of the part, or of its convex hull [m], object frame.
         part_faces: (F, 3) its triangles, for `plan.collision = "exact"`; None makes the part its hull.
-        baseline_mm: the scanner's baseline where the scene leaves it to the part; the housing is centred over it.
+        baseline_mm: the scanner's baseline where the scene leaves it open; the housing is centred over it.
 
     Raises:
         SceneError: if the part or a fixture has no solid, or the baseline is not known.
     """
-    baseline = scene.scanner.baseline_mm if scene.scanner.baseline_mm is not None else baseline_mm
+    vertices = np.asarray(part_vertices, dtype=np.float64)
+    given_mm = scene.scanner.baseline_mm
+    scene = devices.settled(scene, scene.part.name, 1000 * float(np.ptp(vertices, axis=0).max()))
+    baseline = next((each for each in (given_mm, baseline_mm, scene.scanner.baseline_mm) if each is not None), None)
     if baseline is None:
         raise SceneError("the scanner's baseline is not known here; set scanner.baseline_mm")
-    vertices = np.asarray(part_vertices, dtype=np.float64)
     hull = solid_hull(vertices)
     collision = scene.plan.collision if part_faces is not None else "hull"
     part = {} if part_faces is None else {"part": TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))}

@@ -83,7 +83,7 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
 
     flange = robot.load().site(robot.FLANGE)
     last = spec.body("link_6")
-    half = np.array(scene.housing.size_mm) / 2000.0
+    half = np.array(scene.housing.sides_mm) / 2000.0
     last.add_body(name="housing", pos=flange.pos, quat=flange.quat).add_geom(
         name="housing",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -98,10 +98,10 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
     in_housing = np.linalg.inv(T_flange_housing)[:3, 3]
     end = T_flange_housing[:3, :3] @ np.clip(in_housing, -half, half) + T_flange_housing[:3, 3]
     length = float(np.linalg.norm(end))
-    if scene.housing.bracket_diameter_mm > 0 and length > 1e-6:
+    if scene.housing.bracket_mm > 0 and length > 1e-6:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = _turn_z_to(end / length), end / 2
-        radius = scene.housing.bracket_diameter_mm / 2000.0
+        radius = scene.housing.bracket_mm / 2000.0
         body = last.add_body(name="bracket", pos=flange.pos, quat=flange.quat)
         bracket = add_cylinder(body, "bracket", radius, length, T)
         bracket.contype, bracket.conaffinity = _TOOL, _CELL | _GROUND

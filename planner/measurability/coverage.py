@@ -3,6 +3,7 @@
 visible     share of the area of samples that at least one view measures: both legs free, in FOV, in range, grazing
             limits kept. The samples are area-weighted samples of the reference that the optimiser did not see.
 sampled     share of the same samples that have a scan point within 1 % of the diagonal of the part's bounding box.
+dense       share of them that a view measures *and* that have a scan point within 1.5 times the spacing planned there.
 coverable   share that at least one *reachable* candidate measures.
 
 Coverage is never calculated from a reconstructed mesh. Object frame, metres.
@@ -23,6 +24,9 @@ from planner.values import Bools, Floats, Value
 
 SAMPLES = 100_000
 """How many samples coverage is defined with."""
+
+DENSE = 1.5
+"""Dense coverage asks for a scan point within so many spacings."""
 
 RADIUS_SHARE = 0.01
 """Radius of sampled coverage as a share of the bounding box's diagonal."""
@@ -96,6 +100,23 @@ def sampled(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Cove
         samples: of the reference, the same as for visible coverage.
         radius: [m], from `sampling_radius`.
     """
+    return _coverage(_distance(scan_points, samples, radius) <= radius, samples)
+
+
+def dense(scan_points: Floats, samples: SurfaceSamples, spacing: Floats) -> Coverage:
+    """Dense coverage: samples that a view measures, with a scan point within `DENSE` spacings of theirs (inclusive).
+
+    Args:
+        scan_points: (P, 3) points of all scans [m], object frame.
+        samples: of the reference, the same as for visible coverage.
+        spacing: (S,) planned at each of them [m]; NaN where no view measures it.
+    """
+    radius = DENSE * np.where(np.isfinite(spacing), spacing, -1.0)
+    return _coverage(_distance(scan_points, samples, float(radius.max(initial=1e-9))) <= radius, samples)
+
+
+def _distance(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Floats:
+    """(S,) distance of the nearest scan point [m]; inf beyond the radius."""
     from scipy.spatial import cKDTree  # kept out of the start-up of commands that scan nothing
 
     points = np.asarray(scan_points, dtype=np.float64)
@@ -104,11 +125,11 @@ def sampled(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Cove
     if not radius > 0:
         raise PlannerError(f"the radius of sampled coverage is {radius:g} m; it must be above 0")
     if not len(points):
-        return _coverage(np.zeros(len(samples), dtype=np.bool_), samples)
+        return np.full(len(samples), np.inf)
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)  # three times faster to build, as fast to ask
     # The tree's own bound excludes the radius itself; its next number includes it.
     distance, _ = tree.query(samples.points, distance_upper_bound=np.nextafter(radius, np.inf), workers=-1)
-    return _coverage(np.asarray(distance <= radius), samples)
+    return np.asarray(distance)
 
 
 def added(seen: Bools) -> Floats:

@@ -1,11 +1,11 @@
-"""How precise a measured point will be: a layer of expected standard deviations over the measurability matrix.
+"""How good a measured point will be: a layer of expected standard deviations over the measurability matrix.
 
 The layer has one value for every entry of M, in the same sparse order; a limit turns it into a binary matrix again. The
 scanner knows the law (`SigmaScanner.sigma`); docs/sigma_model.md derives that of the built-in scanners. `Limited` is a
 scanner that keeps the limit itself, for predictions, which ask for conditions, not for a matrix. Object frame, metres.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
-from planner.ports import RayCaster, Rejection, SigmaScanner
-from planner.values import Floats
+from planner.ports import RayCaster, Rejection, Scanner, SigmaScanner
+from planner.surface.sample import SurfaceSamples
+from planner.values import Bools, Floats
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -158,6 +159,46 @@ def within(measurability: Measurability, max_sigma: float) -> Measurability:
         measurability.n_viewpoints,
         measurability.sigma[kept],
     )
+
+
+def best_of_views(
+    laws: Sequence[Callable[[Floats, Floats], Floats]],
+    T_object_scanner: Floats,
+    samples: SurfaceSamples,
+    seen: Bools,
+    scanner: Scanner,
+) -> list[Floats]:
+    """What views give samples of the surface, by laws of the scanner such as its sigma and its spacing.
+
+    Args:
+        laws: each gives (N,) values of (N, 3) points [m] and normals, scanner frame; the smaller is the better.
+        T_object_scanner: (n, K, 4, 4) poses of the views [m].
+        samples: S of them.
+        seen: (S, n) which of them each view measures.
+        scanner: says which poses of a sweep measure a sample.
+
+    Returns:
+        (S,) for each law, from the best of the views that measure the sample; NaN where none does.
+    """
+    best = [np.full(len(samples), np.inf) for _ in laws]
+    targets = Targets.of(samples.points, samples.normals)
+    for view, column in enumerate(np.asarray(T_object_scanner)):
+        rows = np.flatnonzero(seen[:, view])
+        for T in column:
+            here = rows if len(column) == 1 else rows[np.isin(rows, in_view(targets, T, scanner, rows))]
+            points, normals = (samples.points[here] - T[:3, 3]) @ T[:3, :3], samples.normals[here] @ T[:3, :3]
+            for values, law in zip(best, laws, strict=True):
+                values[here] = np.minimum(values[here], law(points, normals))
+    return [np.where(np.isfinite(values), values, np.nan) for values in best]
+
+
+def best_spacing(T_object_scanner: Floats, samples: SurfaceSamples, seen: Bools, scanner: Scanner) -> Floats | None:
+    """(S,) distance of neighbouring points that views give samples [m], arguments as in `best_of_views`.
+
+    NaN where no view measures a sample; None of a scanner that does not know its spacing.
+    """
+    law = getattr(scanner, "spacing", None)
+    return best_of_views([law], T_object_scanner, samples, seen, scanner)[0] if callable(law) else None
 
 
 def best_sigma(measurability: Measurability, views: NDArray[np.integer]) -> Floats:

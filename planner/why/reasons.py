@@ -14,6 +14,7 @@ class Reason(Worded):
     OUT_OF_DEPTH = 16, "before or behind the depth of field"
     GRAZING_SOURCE = 20, "laser too grazing"
     GRAZING_SENSOR = 22, "sensor looks too grazing"
+    TOO_SPARSE = 23, "points too far apart"
     TOO_UNCERTAIN = 24, "expected sigma above the limit"
     SOURCE_SHADED_BY_PART = 30, "laser shaded"
     SENSOR_SHADED_BY_PART = 31, "sensor shaded"

@@ -36,9 +36,11 @@ class Kind(IntEnum):
     FIXTURE = 5
     GRAZING = 6
     RANGE = 7
-    SIGMA = 8
-    FOV = 9
-    BASELINE = 10
+    SPACING = 8
+    SIGMA = 9
+    RESOLUTION = 10
+    FOV = 11
+    BASELINE = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)

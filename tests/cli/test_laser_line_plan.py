@@ -134,10 +134,10 @@ def test_cell_sensors_lists_what_is_known(run_cell: Run, tmp_path: Path) -> None
     assert done.returncode == 0
     assert "gocator-2350" in done.stdout
     listed = json.loads(run_cell("sensors", "--json", cwd=tmp_path).stdout)["sensors"]
-    assert {sensor["name"] for sensor in listed} >= {"gocator-2330", "keyence-lj-v7200"}
+    assert {sensor["name"] for sensor in listed} >= {"gocator-2330", "keyence-lj-v7200", "generic-area-small", "paper"}
     for sensor in listed:
         assert set(sensor["source"]) == set(sensor["figures"])
-        assert "baseline_mm" in sensor["to_be_given"]
+        assert ("baseline_mm" in sensor["to_be_given"]) == (sensor["type"] == "laser-line")
 
 
 def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: Run) -> None:

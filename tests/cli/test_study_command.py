@@ -36,7 +36,10 @@ def test_a_table_leaves_tidy_rows_and_pictures(table: Path, run_cell: Run) -> No
     """Paper, its method and ours in one row; the page, which cell view shows, has what plans each."""
     done = run_cell("view", table, "--no-open", cwd=table)
     assert (done.returncode, done.stdout) == (0, f"{table / 'view.html'}\n"), done.stderr
-    assert "cell plan mug --roll=0 --faces=37 --samples=80 --standoff=300" in (table / "view.html").read_text()
+    assert (
+        "cell plan mug --sensor=paper --roll=0 --faces=37 --samples=80 --standoff=300"
+        in (table / "view.html").read_text()
+    )
     rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
     assert [row["parameter"] for row in rows] == ["50", "100", "300", "500"]
     assert [row["views paper"] for row in rows] == ["13", "12", "58", "107"]
@@ -86,6 +89,7 @@ def test_a_changed_parameter_computes_only_what_depends_on_it(part_file: Path, t
     assert answer["computed"] == 1
     assert [row["standoff mm"] for row in answer["rows"]] == [200, 250, 300]
     assert "Best standoff distance" in answer["sentences"][0]
+    assert answer["sentences"][-1].startswith("The scanner is `paper`")
 
 
 def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(

@@ -52,7 +52,7 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
     assert summary["settings"]["scanner"] == "cone"
     assert summary["coverage"]["visible"] > 0.5
     resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())
-    assert resolved["scanner"] == {"type": "cone", "half_angle_deg": 20.0, "range_mm": [125.0, 375.0]}
+    assert resolved["scanner"] == {"type": "cone", "half_angle_deg": 20.0, "range_mm": [150.0, 450.0]}
     # Every entry of the matrix is inside the cone that was asked for, and the cone matters.
     views = np.load(tmp_path / "run" / "viewpoints.npz")["T_object_scanner"][:, 0]
     M = np.load(tmp_path / "run" / "measurability.npz")

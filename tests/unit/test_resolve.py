@@ -42,13 +42,10 @@ def test_built_in_parts_have_the_documented_defaults(name: str) -> None:
     assert settings.scanner["range_mm"] == (0.5 * standoff, 1.5 * standoff)
 
 
-def test_a_users_part_gets_a_standoff_that_suits_its_size() -> None:
-    """300 mm, or 1.5 radii of the bounding sphere where that is more; the baseline is a quarter of it."""
-    assert resolve(own(), ball(100)).standoffs == (0.3,)
-    large = resolve(own(), ball(400))
-    assert large.standoffs[0] == pytest.approx(0.6)
-    assert large.scanner["baseline_mm"] == pytest.approx(150)
-    assert resolve(own(scanner={"range_mm": [100, 450]}), ball(400)).standoffs == (0.45,)
+def test_a_standoff_is_the_middle_of_the_range() -> None:
+    """Whether the range is the device's or the scene's own."""
+    assert resolve(own(), ball(400)).standoffs == (0.3,)
+    assert resolve(own(scanner={"range_mm": [100, 450]}), ball(400)).standoffs == (0.275,)
 
 
 def test_a_standoff_outside_the_range_is_refused() -> None:
@@ -59,7 +56,7 @@ def test_a_standoff_outside_the_range_is_refused() -> None:
 
 def test_equal_rolls_and_standoffs_count_once() -> None:
     """0 and 360 degrees are the same viewpoint."""
-    settings = resolve(own(plan={"rolls_deg": [0, 90, 360, 0], "standoffs_mm": [300, 300, 250]}), ball(50))
+    settings = resolve(own(plan={"rolls_deg": [0, 90, 360, 0], "standoffs_mm": [300, 300, 250]}), ball(60))
     np.testing.assert_allclose(settings.rolls, np.radians([0, 90]))
     assert settings.standoffs == (0.3, 0.25)
 

@@ -21,6 +21,7 @@ from cell.run.cell import read_cell, taken_as_triangles, world_of
 from cell.run.folder import RunFolder
 from cell.run.record import RunRecord, open_run
 from cell.scanners.laser_area import LaserArea
+from cell.scene.devices import by_part
 from cell.scene.resolve import resolve
 from cell.scene.scene import load_scene
 from cell.world.model import World, compile_world
@@ -73,6 +74,7 @@ def written(
     (home / "scene.toml").write_text(SCENE)
     scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": "mm"}})
     part = workpiece.load(part_file, "mm")
+    scene = by_part(scene, part)
     settings = resolve(scene, part)
     world = compile_world(scene, part.reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
     folder = RunFolder.create(home / "run", [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC))

@@ -10,6 +10,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from cell.errors import SceneError
 from cell.robot.model import model_file
+from cell.scene.devices import settled
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene, load_scene, pose
 
@@ -220,5 +221,5 @@ def test_a_pose_is_millimetres_and_kuka_abc() -> None:
 
 def test_the_housing_follows_the_baseline() -> None:
     """By default the box is centred over the baseline and its front face lies in the source's plane."""
-    T = Scene().housing.T_scanner_housing(75.0)
+    T = settled(Scene(), "mseke", 220.0).housing.T_scanner_housing(75.0)
     np.testing.assert_allclose(T[:3, 3], [0.0375, 0.0, -0.03], atol=1e-15)

@@ -19,24 +19,45 @@ def _problems(**scanner) -> list[str]:
     return [line.strip() for line in str(caught.value).splitlines()[1:]]
 
 
-def test_the_library_holds_the_five_sensors() -> None:
+REAL = ("gocator-2330", "gocator-2340", "gocator-2350", "keyence-lj-v7200", "keyence-lj-x8400")
+GENERIC = ("generic-area-large", "generic-area-medium", "generic-area-small")
+
+
+def test_the_library_holds_real_sensors_generic_devices_and_the_papers_scanner() -> None:
     """Names are the files' names."""
-    assert sensors.names() == (
-        *("gocator-2330", "gocator-2340", "gocator-2350", "keyence-lj-v7200", "keyence-lj-x8400"),
-    )
+    assert set(sensors.names()) == {*REAL, *GENERIC, "paper"}
 
 
 @pytest.mark.parametrize("name", sensors.names())
-def test_every_figure_has_its_source_and_nothing_is_taken_from_elsewhere(name: str) -> None:
-    """The file's figures are the sources' keys; what is not stated is asked for; no baseline is invented."""
+def test_every_figure_has_its_source(name: str) -> None:
+    """Each figure, and nothing else; the keys that follow are the type's."""
     sensor = sensors.load(name)
     assert set(sensor.source) == set(sensor.figures)
     assert all(sensor.source.values())
-    assert set(sensor.keys) | set(sensor.not_stated) == {"fan_deg", "range_mm", "baseline_mm"}
+    assert set(sensor.keys) <= set(keys_of(sensor.type) or ())
+
+
+@pytest.mark.parametrize(
+    ("name", "near", "far"), [("small", 15.0, 45.0), ("medium", 50.0, 150.0), ("large", 150.0, 450.0)]
+)
+def test_the_generic_devices_are_one_device_to_scale(name: str, near: float, far: float) -> None:
+    """Baseline and body are to the range as those of the large one, to the tenth of a millimetre; all is stated."""
+    device, large = sensors.load(f"generic-area-{name}"), sensors.load("generic-area-large")
+    assert device.figures["range_mm"] == [near, far]
+    assert device.figures["baseline_mm"] == (near + far) / 8
+    for key in ("housing_mm", "bracket_mm"):
+        to_scale = np.array(large.figures[key]) * far / 450
+        np.testing.assert_allclose(device.figures[key], to_scale, atol=0.05)
+    assert not device.not_stated
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_of_a_real_sensor_nothing_is_invented(name: str) -> None:
+    """What is not stated is asked for, the baseline of each among it."""
+    sensor = sensors.load(name)
+    assert set(sensor.keys) | set(sensor.not_stated) >= {"fan_deg", "range_mm", "baseline_mm"}
     assert not set(sensor.keys) & set(sensor.not_stated)
     assert "baseline_mm" in sensor.not_stated
-    assert keys_of(sensor.type) is not None
-    assert set(sensor.keys) <= set(keys_of(sensor.type) or ())
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell
 from cell.run.record import RunRecord, open_run
+from cell.scanners.laser_area import LaserArea
 from cell.view import contents
 from cell.view.page import Layer, Play, Shown, Stage, View, html_of
 from cell.view.pieces import Piece, cell_of_run
@@ -147,6 +148,8 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
         def reject(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
             return np.zeros(len(points), dtype=np.uint8)
 
+        spacing = staticmethod(LaserArea(resolution_deg=(0.25, 0.25)).spacing)
+
     class Free:
         """Nothing is in the way."""
 
@@ -162,7 +165,7 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
     samples = sample(mesh, mesh, 50, np.random.default_rng(0))
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = distance
-    surface = surface_of(samples, T[None, None], Law(), (Free(),), (0.25, 0.1))  # type: ignore[arg-type] # toys
+    surface = surface_of(samples, T[None, None], Law(), (Free(),))  # type: ignore[arg-type] # toys
     ray = np.array([np.sin(angle), 0.0, -np.cos(angle)])
     meets = T[:3, 3] - ray * (T[:3, 3] @ normal) / (ray @ normal)
     assert np.median(surface.layers["spacing"]) == pytest.approx(1000 * np.linalg.norm(meets), rel=0.02)

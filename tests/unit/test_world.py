@@ -137,7 +137,7 @@ def test_a_tilted_mount_turns_housing_and_bracket() -> None:
     bracket = world.model.geom("bracket")
     end = 2 * np.asarray(bracket.pos)
     in_housing = np.linalg.inv(world.T_flange_housing) @ np.append(end, 1.0)
-    half = np.array(scene.housing.size_mm) / 2000
+    half = np.array(world.scene.housing.sides_mm) / 2000
     assert np.abs(in_housing[:3] / half).max() == pytest.approx(1.0, abs=1e-9)
     samples = np.random.default_rng(0).uniform(-half, half, (5000, 3))
     placed = samples @ world.T_flange_housing[:3, :3].T + world.T_flange_housing[:3, 3]
@@ -279,9 +279,16 @@ def test_a_link_of_another_shape_than_box_and_cylinder_is_named() -> None:
         prepare_robot(spec)
 
 
-def test_the_baseline_must_be_known() -> None:
-    """The scene's baseline goes before the part's; without either the housing has no place."""
+def test_the_scene_s_baseline_goes_before_all_others() -> None:
+    """Then comes the one that is given, then the device's; the housing is centred over it."""
+    world = compile_world(_scene(scanner={"baseline_mm": 50}), PART, baseline_mm=70.0)
+    assert world.T_flange_housing[0, 3] == pytest.approx(0.025)
+    assert compile_world(Scene(), PART, baseline_mm=70.0).T_flange_housing[0, 3] == pytest.approx(0.035)
+    assert compile_world(Scene(), PART).T_flange_housing[0, 3] == pytest.approx(0.0375)
+
+
+def test_a_scanner_without_a_baseline_must_be_given_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the housing has no place."""
+    monkeypatch.setattr("cell.scanners.keys", lambda name: ("fov_deg", "range_mm"))
     with pytest.raises(SceneError, match=r"scanner\.baseline_mm"):
         compile_world(Scene(), PART)
-    world = compile_world(_scene(scanner={"baseline_mm": 50}), PART, baseline_mm=75.0)
-    assert world.T_flange_housing[0, 3] == pytest.approx(0.025)

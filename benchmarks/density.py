@@ -1,0 +1,109 @@
+"""How dense scans are beside what plans say of it: dense against visible coverage, quantiles of the spacing, the limit.
+
+Two rows per part of benchmarks/parts.py, planned at its defaults and with `--max-spacing` of `LIMIT_MM`, each scanned
+at the plan's own 0.25 degree: views with their bound, visible coverage predicted and achieved, dense coverage achieved,
+and the spacing that half, and 99 %, of what is measured has at most: as the plan says, and from the scans alone.
+
+There the spacing at a point is the larger of its distances to its neighbours in the two directions of the ray grid: in
+each the mean of those on the same stretch of surface, not beyond a step (less than 30 degrees off the face). A sample
+that a view measures has that of the nearest scan point within one spacing, of the scan in which it is smallest.
+"""
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from benchmarks.cell_process import run_cell
+from benchmarks.parts import parts, place
+from cell.errors import CellError
+from cell.run import reader as run_reader
+from cell.run.cell import read_cell
+from cell.run.record import open_run
+from planner.measurability import coverage
+from planner.surface.mesh import face_normals
+from planner.surface.sample import sample
+from planner.values import Floats, Ints32
+
+LIMIT_MM = 1.5
+_SAMPLES = 20_000
+
+
+def run() -> list[dict[str, Any]]:
+    """Two rows per part."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        return [
+            _row(folder, name, arguments, limit)
+            for name, arguments in parts(folder)
+            for limit in ((), ("--max-spacing", f"{LIMIT_MM:g}"))
+        ]
+
+
+def _row(folder: Path, name: str, arguments: tuple[str, ...], limit: tuple[str, ...]) -> dict[str, Any]:
+    out = folder / f"{name}{'-limited' if limit else ''}"
+    row: dict[str, Any] = {"part": name, "limit mm": limit[-1] if limit else ""}
+    try:
+        planned, _ = run_cell(
+            folder, "plan", *arguments, *limit, "--place", place(), "--out", str(out), cache=folder / "cache"
+        )
+        scanned, _ = run_cell(folder, "scan", str(out), cache=folder / "cache")
+    except CellError as error:
+        return row | {"refused": str(error)}
+    told, found = planned["spacing"], 1000 * spacing_of_scans(out)
+    half, most = np.nanquantile(found, [0.5, 0.99])
+    return row | {
+        "views": planned["n_views"],
+        "bound": planned["lower_bound"],
+        "of coverable %": round(100 * planned["coverage"]["visible_of_coverable"], 2),
+        **{
+            f"{key} %": round(100 * scanned["coverage"][key], 2) for key in ("predicted", "visible", "dense", "sampled")
+        },
+        "half told mm": round(told["median_mm"], 3),
+        "half scanned mm": round(float(half), 3),
+        "99 % told mm": round(told["quantile_99_mm"], 3),
+        "99 % scanned mm": round(float(most), 3),
+    }
+
+
+def spacing_of_scans(folder: Path) -> Floats:
+    """(S,) spacing of the scans of a run's first execution at samples of its part [m]; NaN where it is not known.
+
+    Args:
+        folder: the run.
+    """
+    run = open_run(folder)
+    cell = read_cell(run)
+    samples = sample(cell.reference, cell.planning, _SAMPLES, np.random.default_rng(11))
+    poses = np.stack([view.T_object_poses for view in run_reader.plan(run).views])
+    visible = coverage.visible(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster)).covered
+    best = np.full(_SAMPLES, np.inf)
+    for path in sorted((folder / "executions" / "0001" / "scans").glob("*.npz")):
+        with np.load(path) as scan:
+            points, across = scan["points"], face_normals(cell.reference)[scan["face"]]
+            gap = _gaps(points, across, scan["pixel"], tuple(scan["grid_shape"]))
+        known = np.isfinite(gap)
+        if known.any():
+            distance, nearest = cKDTree(points[known]).query(samples.points)
+            here = gap[known][nearest]
+            best = np.minimum(best, np.where(distance <= here, here, np.inf))
+    return np.where(np.isfinite(best) & visible, best, np.nan)
+
+
+def _gaps(points: Floats, normals: Floats, pixel: Ints32, shape: tuple[int, ...]) -> Floats:
+    """(P,) larger distance of each point to its neighbours in the two directions of the grid [m]; NaN without them."""
+    grid = np.full((2, *shape, 3), np.nan)
+    grid[0].reshape(-1, 3)[pixel], grid[1].reshape(-1, 3)[pixel] = points, normals
+    found = []
+    for axis in (0, 1):
+        way = np.diff(grid[0], axis=axis)
+        around = []
+        for end in (0, way.shape[axis]):
+            to = np.insert(way, end, np.nan, axis=axis)
+            length = np.linalg.norm(to, axis=2)
+            off = np.abs(np.einsum("ijk,ijk->ij", to, grid[1]))
+            around.append(np.where(off <= 0.5 * length, length, np.nan))
+        found.append(np.where(np.isnan(around).any(axis=0), np.fmin(*around), np.mean(around, axis=0)))
+    return np.asarray(np.maximum(*found).reshape(-1)[pixel])

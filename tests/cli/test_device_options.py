@@ -1,0 +1,51 @@
+"""The scanner as a device, as a user meets it."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def test_which_scanner_a_part_of_yours_has_is_printed_with_the_rule(
+    part_file: Path, tmp_path: Path, run_cell: Run
+) -> None:
+    """By its longest side; in metres the same part is larger, in tenths of a millimetre smaller."""
+    for units, device in (("mm", "generic-area-large"), ("um", "generic-area-small")):
+        done = run_cell("plan", part_file, "--units", units, "--faces", "40", "--place", "9000,0,0", cwd=tmp_path)
+        assert done.returncode == 4
+        assert f"the scanner is {device}, by the part's longest side of " in done.stderr
+        assert "--sensor names another" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (
+            ("--sensor", "generic-area-medium", "--standoff", "300"),
+            "300 mm is outside the scanner's range of 50 to 150 mm",
+        ),
+        (("--sensor", "generic-area"), "valid are: generic-area-large, generic-area-medium, generic-area-small"),
+    ],
+)
+def test_what_no_device_has_is_refused(options: tuple[str, ...], words: str, tmp_path: Path, run_cell: Run) -> None:
+    """A standoff outside the range, a name that is none."""
+    done = run_cell("plan", "mug", *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert not list(tmp_path.glob("**/manifest.json"))
+
+
+def test_the_cell_has_the_device_s_body(tmp_path: Path, run_cell: Run) -> None:
+    """`cell check` says the scanner and its housing; keys of the scene go before the device's."""
+    (tmp_path / "cell.toml").write_text(
+        '[part]\nname = "mug"\n[scanner]\nsensor = "generic-area-small"\n[housing]\nbracket_diameter_mm = 20.0\n'
+    )
+    done = run_cell("check", "cell.toml", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert (said["sensor"], said["range_mm"], said["baseline_mm"]) == ("generic-area-small", [15.0, 45.0], 7.5)
+    assert said["housing_size_mm"] == [16.0, 8.0, 6.0]

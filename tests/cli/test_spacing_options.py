@@ -1,0 +1,90 @@
+"""`--max-spacing`, and what plans and scans say of density, as a user meets them."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.scanners.laser_area import LaserArea
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+LIMIT_MM = 1.3  # at 250 mm and 0.25 deg points are 1.09 mm apart where the scanner faces the surface
+
+
+@pytest.fixture(scope="module")
+def limited(
+    tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: Run
+) -> dict[str, Any]:
+    """The small plan with a limit on the distance of points."""
+    folder = tmp_path_factory.mktemp("spacing")
+    options = (*small_plan, "--max-spacing", str(LIMIT_MM), "--json", "--out", "run")
+    done = run_cell("plan", str(part_file), "--units", "mm", *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return {"folder": folder / "run", "summary": json.loads(done.stdout)}
+
+
+def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, Any], planned: Path) -> None:
+    """No entry above it, every entry of the unlimited matrix that keeps it, quantiles below it, less coverable."""
+    with np.load(planned / "viewpoints.npz") as views:
+        T = views["T_object_scanner"][:, 0]
+    spacing, entries = {}, {}
+    scanner = LaserArea(range_mm=(150, 450))
+    for name, run in (("limited", limited["folder"]), ("planned", planned)):
+        with np.load(run / "measurability.npz") as M:
+            row, at = np.repeat(np.arange(len(M["points"])), np.diff(M["indptr"])), T[M["indices"]]
+            points = np.einsum("nji,nj->ni", at[:, :3, :3], M["points"][row] - at[:, :3, 3])
+            spacing[name] = 1000 * scanner.spacing(points, np.einsum("nji,nj->ni", at[:, :3, :3], M["normals"][row]))
+            entries[name] = set(zip(row.tolist(), M["indices"].tolist(), strict=True))
+    assert spacing["limited"].max() <= LIMIT_MM * (1 + 1e-9) < spacing["planned"].max()
+    assert len(entries["limited"]) == (spacing["planned"] <= LIMIT_MM).sum()
+    assert entries["limited"] < entries["planned"]
+    told, without = limited["summary"]["spacing"], json.loads((planned / "report.json").read_text())
+    assert 1.0 < told["median_mm"] <= told["quantile_95_mm"] <= told["quantile_99_mm"] <= told["limit_mm"] == LIMIT_MM
+    assert without["spacing"]["limit_mm"] is None
+    assert without["spacing"]["quantile_99_mm"] > LIMIT_MM
+    assert 0 < limited["summary"]["coverage"]["coverable"] < without["coverage"]["coverable"]
+
+
+def test_what_was_planned_dense_is_scanned_dense(limited: dict[str, Any], run_cell: Run) -> None:
+    """Achieved is predicted, and next to all of it has a scan point within 1.5 planned spacings; never more."""
+    done = run_cell("scan", "run", "--json", cwd=limited["folder"].parent)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    coverage = report["coverage"]
+    assert coverage["visible"] == pytest.approx(limited["summary"]["coverage"]["visible"], abs=1e-4)
+    assert coverage["visible"] - 0.01 <= coverage["dense"] <= coverage["visible"]
+    assert coverage["dense"] <= coverage["sampled"]
+    assert sum(view["rays"]["too_sparse"] for view in report["views"]) > 0
+
+
+def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], run_cell: Run) -> None:
+    """Both measure some of what stays open, the greater spacing with the option that asks for it."""
+    done = run_cell("why", "run", "--samples", "3000", "--json", cwd=limited["folder"].parent)
+    assert done.returncode == 0, done.stderr
+    tried = json.loads((limited["folder"] / "why" / "why.json").read_text())["tried"]
+    for kind in ("spacing", "resolution"):
+        assert max(change["gains_estimated"] for change in tried if change["kind"] == kind) > 0
+    assert all(change["setting"].startswith("--max-spacing ") for change in tried if change["kind"] == "spacing")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--max-spacing", "0.2"), "at the near end of its range this scanner's points lie 0.6"),
+        (("--max-spacing", "2", "--fill", "rays"), "choose plan.fill = 'aimed'"),
+        (("--max-spacing", "2", "--sensor", "gocator-2340", "--baseline", "90"), "set scanner.profile_rate_hz"),
+        (("--max-spacing", "2", "--sensor", "gocator-2340", "--baseline", "90"), "set scanner.line_points"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(
+    options: tuple[str, ...], words: str, part_file: Path, run_cell: Run, tmp_path: Path
+) -> None:
+    """With what would be valid."""
+    done = run_cell("plan", str(part_file), "--units", "mm", "--faces", "40", *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr

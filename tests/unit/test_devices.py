@@ -1,0 +1,109 @@
+"""Which device a scene's scanner is: by name, by the built-in part, by the size of a part of the user's."""
+
+from typing import Any
+
+import pytest
+import trimesh
+
+from cell.errors import SceneError
+from cell.part.workpiece import Workpiece, from_mesh
+from cell.scene import devices
+from cell.scene.resolve import resolve
+from cell.scene.scene import Scene
+
+SMALL, MEDIUM, LARGE = (f"generic-area-{size}" for size in ("small", "medium", "large"))
+HARDWARE = {
+    SMALL: ((15.0, 45.0), 7.5, (16.0, 8.0, 6.0)),
+    MEDIUM: ((50.0, 150.0), 25.0, (53.3, 26.7, 20.0)),
+    LARGE: ((150.0, 450.0), 75.0, (160.0, 80.0, 60.0)),
+}
+
+
+def _box(longest_mm: float, name: str = "box") -> Workpiece:
+    body = trimesh.creation.box((longest_mm, longest_mm / 2, longest_mm / 3))
+    return from_mesh(name, body.vertices, body.faces, "mm", "0")
+
+
+def _scene(*, mine: bool = True, **tables: dict[str, Any]) -> Scene:
+    """A scene of a user's file, without the file; or of the built-in part that the tables name."""
+    scene = Scene.model_validate(tables)
+    return scene.model_copy(update={"part": scene.part.model_copy(update={"path": "box.stl"})}) if mine else scene
+
+
+def _hardware(scene: Scene) -> tuple[object, ...]:
+    return scene.scanner.range_mm, scene.scanner.baseline_mm, scene.housing.size_mm
+
+
+@pytest.mark.parametrize(
+    ("longest_mm", "device"),
+    [(5.0, SMALL), (30.0, SMALL), (30.1, MEDIUM), (100.0, MEDIUM), (100.1, LARGE), (5000.0, LARGE)],
+)
+def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, device: str) -> None:
+    """To 30 and to 100 mm, both included; the note says the device, the side and the rule."""
+    part = _box(longest_mm)
+    scene = devices.by_part(_scene(), part)
+    assert scene.scanner.sensor == device
+    assert _hardware(scene) == HARDWARE[device]
+    (note,) = devices.notes(_scene(), part)
+    assert note.startswith(f"the scanner is {device}, by the part's longest side of {longest_mm:.4g} mm: to 30 mm")
+
+
+@pytest.mark.parametrize(
+    ("name", "device"),
+    [*((name, LARGE) for name in ("mseke", "petanque", "st-jean")), ("mug", MEDIUM), ("robinet", MEDIUM),
+     ("humerus", SMALL)],
+)  # fmt: skip
+def test_a_built_in_part_has_its_own_device(name: str, device: str) -> None:
+    """Whatever its size; nothing need be said."""
+    scene = devices.by_part(_scene(mine=False, part={"name": name}), _box(1.0, name))
+    assert scene.scanner.sensor == device
+    assert not devices.notes(_scene(mine=False, part={"name": name}), _box(1.0, name))
+
+
+def test_a_mesh_in_memory_is_a_users_part() -> None:
+    """The scene names a built-in part then, and the part has another name."""
+    assert devices.by_part(_scene(mine=False), _box(20.0)).scanner.sensor == SMALL
+    assert devices.notes(_scene(mine=False), _box(20.0))
+
+
+def test_a_name_decides_and_keys_of_the_scene_go_before_the_devices() -> None:
+    """Each key by itself; what is named needs no rule told."""
+    named = _scene(scanner={"sensor": MEDIUM, "baseline_mm": 30.0}, housing={"bracket_diameter_mm": 0.0})
+    scene = devices.by_part(named, _box(500.0))
+    assert _hardware(scene) == (HARDWARE[MEDIUM][0], 30.0, HARDWARE[MEDIUM][2])
+    assert scene.housing.bracket_diameter_mm == 0.0
+    assert not devices.notes(named, _box(500.0))
+
+
+@pytest.mark.parametrize("scanner", [{}, {"sensor": "paper"}, {"sensor": "gocator-2340", "baseline_mm": 100.0}])
+def test_a_settled_scene_is_settled_already(scanner: dict[str, Any]) -> None:
+    """Settling it again changes nothing, for another part neither."""
+    scene = devices.by_part(_scene(scanner=scanner), _box(60.0))
+    assert devices.settled(scene, "another", 5.0) == scene
+
+
+def test_a_standoff_changes_no_device() -> None:
+    """One outside the device's range is refused; in `paper` range and baseline follow."""
+    part = _box(200.0)
+    near = resolve(_scene(plan={"standoffs_mm": [200.0]}), part)
+    assert (near.scanner["range_mm"], near.scanner["baseline_mm"]) == HARDWARE[LARGE][:2]
+    with pytest.raises(SceneError, match=r"500 mm is outside the scanner's range of 150 to 450 mm.*paper"):
+        resolve(_scene(plan={"standoffs_mm": [500.0]}), part)
+    paper = resolve(_scene(plan={"standoffs_mm": [500.0, 200.0]}, scanner={"sensor": "paper"}), part)
+    assert (paper.scanner["range_mm"], paper.scanner["baseline_mm"]) == ((100.0, 750.0), 125.0)
+
+
+def test_without_a_standoff_the_papers_scanner_stands_where_the_device_would() -> None:
+    """So the tables that do not vary it are those of the devices."""
+    paper = resolve(_scene(mine=False, part={"name": "mug"}, scanner={"sensor": "paper"}), _box(60.0, "mug"))
+    assert paper.standoffs == (0.1,)
+    assert (paper.scanner["range_mm"], paper.scanner["baseline_mm"]) == HARDWARE[MEDIUM][:2]
+
+
+def test_a_real_sensor_without_a_stated_body_says_whose_collides() -> None:
+    """The large device's; with a housing of the scene's own nothing is said."""
+    scanner = {"sensor": "gocator-2340", "baseline_mm": 100.0}
+    assert _hardware(devices.by_part(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
+    (note,) = devices.notes(_scene(scanner=scanner), _box(60.0))
+    assert "its body is not stated" in note
+    assert not devices.notes(_scene(scanner=scanner, housing={"size_mm": [49, 75, 197]}), _box(60.0))
