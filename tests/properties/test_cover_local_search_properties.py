@@ -36,8 +36,8 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
     sets, columns = case
     search = Search(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(seed))
     state, numbers = search._state, search._state.numbers
-    state.weights[:] = np.random.default_rng(seed).integers(1, 100, sets.n_rows)
-    search_kernels.rescore(state)
+    state.rows[search_kernels.GROWTH] = np.random.default_rng(seed).integers(1, 100, sets.n_rows)
+    search._begin(np.zeros(0, dtype=np.int64))
     chosen: set[int] = set()
     for column in columns.tolist():
         search_kernels.move(state, column, -1 if column in chosen else 1)
@@ -48,12 +48,13 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
     deficit = np.maximum(sets.demand - total, 0)
     for j in range(sets.n_columns):
         other = np.maximum(sets.demand - total + (loads[:, j] if inside[j] else -loads[:, j]), 0)
-        assert state.score[j] == (state.weights * np.abs(other - deficit)).sum()
-    np.testing.assert_array_equal(state.load, total)
-    assert set(state.members[: numbers[search_kernels.MEMBERS]].tolist()) == chosen
-    open_rows = state.open_rows[: numbers[search_kernels.OPEN]]
+        weights = state.rows[search_kernels.WEIGHT]
+        assert state.columns[search_kernels.SCORE, j] == (weights * np.abs(other - deficit)).sum()
+    np.testing.assert_array_equal(state.rows[search_kernels.LOAD], total)
+    assert set(state.columns[search_kernels.MEMBER, : numbers[search_kernels.MEMBERS]].tolist()) == chosen
+    open_rows = state.rows[search_kernels.OPEN_ROW, : numbers[search_kernels.OPEN]]
     assert sorted(open_rows.tolist()) == np.flatnonzero(deficit).tolist()
-    assert numbers[search_kernels.COST] == sets.cost(sorted(chosen))
+    assert numbers[search_kernels.SPENT] == sets.cost(sorted(chosen))
     assert numbers[search_kernels.MISSING] == int(sets.units[deficit > 0].sum())
 
 
