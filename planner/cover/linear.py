@@ -29,12 +29,15 @@ FILLED = 20
 PIVOTS = 300
 """Iterations of the linear programme between two looks at the basis."""
 
-INTEGER_PIVOT_WORK, ROOT_WORK, ROOT_WORK_PER_ENTRY, NODE_WORK, NODE_WORK_PER_ENTRY = 27_500, 5_000_000, 450, 450_000, 30
-"""Charge of an iteration of the integer programme, fitted to processor time; and of what lies between two of its calls
-back, at the root and in the tree, by which it is ended: HiGHS tells no iterations while it runs."""
+INTEGER_PIVOT_WORK = 27_500
+"""Charge of an iteration of the integer programme, fitted to processor time."""
 
-INTEGER_LEAST = 150_000_000
-"""Work that must be left for the integer programme to begin."""
+ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 5_000_000, 450_000, (450, 30), 360
+"""Charge of what lies between two calls back of the integer programme at its root and in its tree, and of each entry;
+below so many rows and columns in proportion. By these it is ended: HiGHS tells no iterations while it runs."""
+
+ROOT_CALLS = 20
+"""The integer programme begins where the budget pays for so many of them."""
 
 FIRST_ROWS, MORE_ROWS, LEAST_ROWS = 0.25, 0.2, 20
 """Rows at the beginning as a share of the columns, rows added at a time as a share of those there, and at least."""
@@ -184,13 +187,21 @@ class Model:
         budget.spend(self.iterations * self.work((basic + self._basic) / 2))
         self._basic = basic
 
+    @property
+    def call_work(self) -> tuple[int, int]:
+        """Charge of what lies between two calls back of the integer programme: at the root, in the tree."""
+        highs = self.highs
+        size, entries = highs.getNumCol() + highs.getNumRow(), highs.getNumNz()
+        root, node = (int(most * min(size / LARGE, 1.0)) for most in (ROOT_WORK, NODE_WORK))
+        return root + PER_ENTRY[0] * entries, node + PER_ENTRY[1] * entries
+
     def _run_integer(self, budget: Budget) -> None:
-        entries, affordable, estimate = self.highs.getNumNz(), budget.left, 0
+        estimate, (root, node) = 0, self.call_work
+        affordable = max(budget.left, ROOT_CALLS * root)
 
         def ended(event: Any) -> None:
             nonlocal estimate
-            root = event.data_out.mip_node_count <= 0
-            estimate += ROOT_WORK + ROOT_WORK_PER_ENTRY * entries if root else NODE_WORK + NODE_WORK_PER_ENTRY * entries
+            estimate += root if event.data_out.mip_node_count <= 0 else node
             if estimate > affordable:
                 event.interrupt()
 

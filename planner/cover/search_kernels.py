@@ -52,7 +52,7 @@ FIRST, INSIDE = range(2)
  FIRST_MEMBERS, NUMBERS) = range(15)  # fmt: skip
 """Numbers of a search: moves made; columns chosen; rows open; cost of the choice; objective and size of the best one;
 column that came last; units missing; cost up to which columns enter; units that may be missing; weight of a part of the
-graph too many; steps made; whether costs differ; how many columns `STACK` names that are chosen first. The last: how many there are."""
+graph too many; steps made; whether costs differ; columns that `STACK` names, to be chosen first. Then how many."""
 
 
 ALL: Any = np.int64(LABEL)
@@ -114,7 +114,9 @@ def move(s: State, column: int, sign: int) -> Any:
         if demand == 1:
             if low == 1:
                 # the one column that remains, or that was there before, can lose the row, or no longer
-                s.columns[SCORE, s.rows[OWNER, row] if sign < 0 else s.rows[OWNER, row] - column] -= sign * s.rows[WEIGHT, row]
+                s.columns[SCORE, s.rows[OWNER, row] if sign < 0 else s.rows[OWNER, row] - column] -= (
+                    sign * s.rows[WEIGHT, row]
+                )
             elif low == 0:
                 change = -sign * s.rows[WEIGHT, row]
                 for entry in range(s.row_start[row], s.row_start[row + 1]):
