@@ -17,7 +17,7 @@ from planner.values import Ints
 BOUND_SHARE = 0.35
 """Most of the budget that the linear programme may take."""
 
-SEARCH_SHARES = (0.3, 0.4)
+SEARCH_SHARES = (0.2, 0.4)
 """`auto`: share of what is left for the search before the integer programme is tried, and before it is tried again."""
 
 PROOF_SHARE = 0.75
