@@ -76,7 +76,9 @@ class Job:
             return Search(sets, self.best, self.rng)
         inside = sets.restricted(columns=useful)
         keep = np.searchsorted(core, self.best[useful[self.best]])
-        return Search(inside, prune(inside, complete(inside, keep)), self.rng, core)
+        start = prune(inside, complete(inside, keep))
+        self.budget.offer(core[start], inside.objective(start))  # it may be the better one already
+        return Search(inside, start, self.rng, core)
 
     def prove(self, *, at_least_root: bool = False) -> None:
         """The integer programme, as far as the budget goes; it knows no graph."""
