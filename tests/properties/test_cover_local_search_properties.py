@@ -1,12 +1,18 @@
 """The choice that the local search moves: its running numbers against numbers computed from scratch."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.cover import Problem, search_kernels
+from planner.cover.bound import Relaxation
+from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
+from planner.cover.greedy import greedy
+from planner.cover.linear import raise_bound
 from planner.cover.search import Search
+from planner.cover.solvers import Job
 
 
 @st.composite
@@ -65,3 +71,21 @@ def test_draws_are_even_and_in_range():
     drawn = np.bincount([search_kernels.draw(state, 7) for _ in range(10_000)], minlength=7)
     assert len(drawn) == 7
     assert abs(drawn - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
+
+
+@pytest.mark.parametrize("seed", [11, 25, 56, 113])
+def test_a_core_that_begins_with_the_best_choice_ends_its_search(seed):
+    """Columns that a better choice may contain, completed, meet the bound at times: nothing to search."""
+    rng = np.random.default_rng(seed)
+    M = rng.random((40, 50)) < 0.08
+    M[np.arange(40), rng.integers(0, 50, 40)] = True
+    sets = canonical(Problem(M, np.ones(40), costs=rng.integers(1, 20, 50).astype(float))).rest
+    budget = Budget(10**9)
+    first, _ = greedy(sets)
+    budget.offer(first, sets.objective(first))
+    relaxation = Relaxation(sets)
+    raise_bound(relaxation, budget.objective, budget)
+    search = Job(sets, rng, budget, relaxation).core_search()
+    assert budget.best is not None and sets.met(budget.best)
+    assert budget.lower_bound == budget.objective == sets.objective(budget.best) < sets.objective(first)
+    search.run(budget)
