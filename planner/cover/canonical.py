@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from planner.cover.graph import NO_GRAPH, joined_columns
 from planner.cover.problem import Problem
-from planner.cover.sets import Sets, set_hash
+from planner.cover.sets import Sets, both_ways, set_hash
 from planner.errors import PlannerError
 from planner.values import Bools, Floats, Ints, Value, freeze
 
@@ -110,16 +110,16 @@ def canonical(problem: Problem) -> Canonical:
     order = np.lexsort((chosen, given[chosen], group[chosen], held, -covered))
     columns = chosen[order]
     group_units[group[np.setdiff1d(pinned, chosen)]] = 0  # pinned columns that cover nothing open theirs in any case
-    most = None if problem.max_views is None else min(problem.max_views - len(pinned), len(chosen))
-    full = problem.coverage == 1.0 and most is None
+    most = -1 if problem.max_views is None else min(problem.max_views - len(pinned), len(chosen))
+    full = problem.coverage == 1.0 and most < 0
     required = ceil(Fraction(problem.coverage) * int(units.sum()) * (1 - TARGET_SLACK))
     in_order = part[:, order]
     graph = NO_GRAPH
     if problem.overlap is not None:
         graph = joined_columns(in_order > 0, areas[rows], problem.overlap)
     fixed = np.flatnonzero(np.isin(columns, pinned))
-    whole = Sets.of(
-        in_order, demand, units, required=required, full=full, most=most, costs=costs[columns],
+    whole = Sets(
+        *both_ways(in_order), demand, units, required=max(required, 0), full=full, most=most, costs=costs[columns],
         group=group[columns], group_costs=group_units, adjacent=graph,
         fixed=fixed if len(graph) else fixed[:0],
     )  # fmt: skip

@@ -11,7 +11,7 @@ from highspy import HighsModelStatus, SolutionStatus
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.greedy import complete, prune
-from planner.cover.linear import LEAST_ROWS, MORE_ROWS, Model
+from planner.cover.linear import LEAST_ROWS, MORE_ROWS, ROOT_CALLS, Model
 from planner.values import Ints
 
 
@@ -37,7 +37,7 @@ def close_gap(relaxation: Relaxation, best: Ints, budget: Budget, *, at_least_ro
                 break
             model = Model(relaxation, core, at_most=aim)
             model.add(_decisive(relaxation))
-        if not at_least_root and budget.left < model.root_pivots * model.work:
+        if not at_least_root and budget.left < ROOT_CALLS * model.call_work[0]:
             break
         model.run(budget)
         at_least_root = False

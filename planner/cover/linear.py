@@ -5,32 +5,39 @@ its solution is held against all rows, those that it violates most are added, an
 stood, until no row is violated. The multipliers of every stage bound the whole problem (`planner.cover.bound`). Where
 rows may stay open, each row of the model has a variable for the share that does.
 
-HiGHS runs on one thread and stops by iterations and nodes, so that runs repeat; Ctrl-C is heard.
+HiGHS runs on one thread and is stopped by iterations, and in whole numbers by how often it calls back, so that runs
+repeat; Ctrl-C is heard.
 """
 
 from typing import Any
 
 import highspy
 import numpy as np
-from highspy import HighsModelStatus, HighsVarType, kHighsInf
+from highspy import HighsBasisStatus, HighsModelStatus, HighsVarType, kHighsInf
 
 from planner.cover.bound import Relaxation, climb
 from planner.cover.budget import Budget, interruptible
 from planner.values import Floats, Ints
 
-PIVOT_WORK, PIVOT_WORK_PER_ENTRY, PIVOT_WORK_PER_ENTRY_WIDE, WIDE = 18_000, 0.5, 2.3, 4
-"""Charge of a simplex iteration, and of each row, column and entry of the model that it touches on average;
-of matrices with more columns than so many times their rows it touches more. Fitted to processor time."""
+PIVOT_WORK, SIZE_WORK, PRICE_WORK, FACTOR_WORK, ENTRY_WORK = 12_500, 3.5, 1.5, 2.5, 25
+"""Charge of a simplex iteration, of each row and column of the model, of each entry that pricing touches, of each entry
+of the factors of the basis; and of handing over each entry at every call. Fitted to processor time (`Model.work`)."""
 
-WHOLE_NUMBERS = 1.2
-"""An iteration within the integer programme costs so many times that of the linear one: cuts and nodes come on top."""
+FILLED = 20
+"""With so many entries in each column of the basis its factors have no zeros left."""
 
-NODE_PIVOTS, ROOT_PIVOTS, ROOT_PIVOTS_OF_AREA = 150, 3000, 30_000
-"""Iterations that a node, and the root with its cuts and first branchings, take: what the limit of nodes is derived
-from. Where rows may stay open the root takes most of all."""
+PIVOTS = 300
+"""Iterations of the linear programme between two looks at the basis."""
 
-ROOT_PIVOTS_OF_SMALL = 8
-"""Of a small model the root takes so many iterations for each row and column."""
+INTEGER_PIVOT_WORK = 27_500
+"""Charge of an iteration of the integer programme, fitted to processor time."""
+
+ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 6_000_000, 450_000, (450, 30), 360
+"""Charge of what lies between two calls back of the integer programme at its root and in its tree, and of each entry;
+below so many rows and columns in proportion. By these it is ended: HiGHS tells no iterations while it runs."""
+
+ROOT_CALLS = 20
+"""The integer programme begins where the budget pays for so many of them."""
 
 FIRST_ROWS, MORE_ROWS, LEAST_ROWS = 0.25, 0.2, 20
 """Rows at the beginning as a share of the columns, rows added at a time as a share of those there, and at least."""
@@ -40,8 +47,6 @@ CLIMB_SHARE = 0.6
 
 VIOLATED = 1e-6
 """A row is violated where this share of its demand is missing."""
-
-_NONE = np.zeros(0, dtype=np.int64)
 
 SLACKER = 1e-7
 """Share of all units by which the area asked of HiGHS is eased, so that its tolerance excludes nothing."""
@@ -72,7 +77,7 @@ class Model:
         self._slack_of = np.full(sets.n_rows, -1)
         self._weights = sets.units / max(float(sets.units.mean()), 1e-300) if sets.n_rows else relaxation.units
         self._scale = float(sets.costs.mean())
-        self._heads = 0
+        self._heads = self._basic = 0
         self.highs = _highs(self.integer)
         if not sets.full:  # many rows with open shares: trying each branch at the root would take minutes
             self.highs.setOptionValue("mip_pscost_minreliable", 0)
@@ -154,42 +159,61 @@ class Model:
         """Allow so many columns (most area)."""
         self.highs.changeRowBounds(0, -kHighsInf, float(count))
 
-    @property
-    def root_pivots(self) -> int:
-        """Iterations that the root may take."""
-        size: int = self.highs.getNumCol() + self.highs.getNumRow()
-        most = ROOT_PIVOTS if self.sets.full else ROOT_PIVOTS_OF_AREA
-        return min(most, ROOT_PIVOTS_OF_SMALL * size)
+    def work(self, k: float) -> int:
+        """Charge of a simplex iteration of the linear programme with k of the problem's columns in the basis.
 
-    @property
-    def work(self) -> int:
-        """Charge of one simplex iteration."""
+        Pricing touches the entries of as many rows, and the factors of the basis fill up with it.
+        """
         highs = self.highs
-        size: int = highs.getNumCol() + highs.getNumRow()
-        wide = self.sets.n_columns > WIDE * self.sets.n_rows
-        entries = (
-            PIVOT_WORK_PER_ENTRY_WIDE * highs.getNumNz()
-            if wide
-            else PIVOT_WORK_PER_ENTRY * min(highs.getNumNz(), 40 * size)
-        )
-        pivot = PIVOT_WORK + 8 * size + entries
-        return int(WHOLE_NUMBERS * pivot if self.integer else pivot)
+        n_rows, n_columns, entries = highs.getNumRow(), highs.getNumCol(), highs.getNumNz()
+        filled = min(entries / n_rows / n_columns * k / FILLED, 1.0)
+        return int(
+            PIVOT_WORK + SIZE_WORK * (n_rows + n_columns) + PRICE_WORK * entries * k / n_rows
+            + FACTOR_WORK * k * k * filled
+        )  # fmt: skip
 
-    def run(self, budget: Budget) -> int:
-        """Solve within the budget; simplex iterations."""
-        highs, per = self.highs, self.work
-        affordable = min(max(budget.left // per, 1), 2**31 - 1)
-        if self.integer:
-            nodes = max(affordable - self.root_pivots, 0) // NODE_PIVOTS
-            highs.setOptionValue("mip_max_nodes", int(nodes) + 1)
-        else:
-            highs.setOptionValue("simplex_iteration_limit", int(affordable))
+    def run(self, budget: Budget) -> None:
+        """Solve as far as the budget goes; the linear programme as far as `PIVOTS` go too."""
         if budget.seconds_left is not None:
-            highs.setOptionValue("time_limit", highs.getRunTime() + budget.seconds_left)
-        interruptible(highs.run)
-        iterations: int = max(int(highs.getInfo().simplex_iteration_count), 0)
-        budget.spend(iterations * per + 2 * self.A.nnz)
-        return iterations
+            self.highs.setOptionValue("time_limit", self.highs.getRunTime() + budget.seconds_left)
+        budget.spend(ENTRY_WORK * self.highs.getNumNz() + 2 * self.A.nnz)
+        if self.integer:
+            self._run_integer(budget)
+            return
+        dear = self.work(min(self._basic + PIVOTS / 2, self.highs.getNumRow()))
+        self.highs.setOptionValue("simplex_iteration_limit", min(max(budget.left // dear, 1), PIVOTS))
+        interruptible(self.highs.run)
+        basic = self.highs.getBasis().col_status[: len(self.columns)].count(HighsBasisStatus.kBasic)
+        budget.spend(self.iterations * self.work((basic + self._basic) / 2))
+        self._basic = basic
+
+    @property
+    def call_work(self) -> tuple[int, int]:
+        """Charge of what lies between two calls back of the integer programme: at the root, in the tree."""
+        highs = self.highs
+        size, entries = highs.getNumCol() + highs.getNumRow(), highs.getNumNz()
+        root, node = (int(most * min(size / LARGE, 1.0)) for most in (ROOT_WORK, NODE_WORK))
+        return root + PER_ENTRY[0] * entries, node + PER_ENTRY[1] * entries
+
+    def _run_integer(self, budget: Budget) -> None:
+        estimate, (root, node) = 0, self.call_work
+        affordable = max(budget.left, ROOT_CALLS * root)
+
+        def ended(event: Any) -> None:
+            nonlocal estimate
+            estimate += root if event.data_out.mip_node_count <= 0 else node
+            if estimate > affordable:
+                event.interrupt()
+
+        self.highs.cbMipInterrupt.subscribe(ended)
+        interruptible(self.highs.run)
+        self.highs.cbMipInterrupt.unsubscribe(ended)
+        budget.spend(max(INTEGER_PIVOT_WORK * self.iterations, estimate))
+
+    @property
+    def iterations(self) -> int:
+        """Simplex iterations of the last call."""
+        return max(int(self.highs.getInfo().simplex_iteration_count), 0)
 
     @property
     def status(self) -> Any:
@@ -257,10 +281,13 @@ def raise_bound(relaxation: Relaxation, upper: int, budget: Budget, model: Model
         model.run(budget)
         relaxation.evaluate(model.multipliers())
         budget.prove(relaxation.value)
-        rows = model.violated(*model.solution()) if model.status == HighsModelStatus.kOptimal else _NONE
-        if not len(rows):
+        if model.status == HighsModelStatus.kOptimal:
+            rows = model.violated(*model.solution())
+            if not len(rows):
+                break
+            model.add(rows[: max(LEAST_ROWS, int(MORE_ROWS * model.inside.sum()))])
+        elif model.status != HighsModelStatus.kIterationLimit:
             break
-        model.add(rows[: max(LEAST_ROWS, int(MORE_ROWS * model.inside.sum()))])
     return model
 
 
@@ -270,7 +297,10 @@ def _highs(integer: bool) -> Any:
     highs.silent()
     options: dict[str, Any] = {"threads": 1, "random_seed": 0}
     if integer:
-        options |= {"mip_rel_gap": 0.0, "mip_abs_gap": 1e-9, "mip_heuristic_effort": 0.0, "mip_pscost_minreliable": 1}
+        options |= {
+            "mip_rel_gap": 0.0, "mip_abs_gap": 1e-9, "mip_heuristic_effort": 0.0, "mip_pscost_minreliable": 1,
+            "mip_heuristic_run_feasibility_jump": False, "mip_allow_restart": False,
+        }  # fmt: skip
     else:
         options |= {"presolve": "off", "solver": "simplex", "simplex_strategy": 1}
     for name, value in options.items():

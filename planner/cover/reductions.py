@@ -26,8 +26,8 @@ from planner.cover.budget import Budget
 from planner.cover.sets import Sets, gather, set_hash
 from planner.values import Bools, Ints, Ints32
 
-MOST_WORK, SHARE = 400_000_000, 0.15
-"""Work that one pass of subset tests may cost, and share of the budget (a quarter of the first in any case)."""
+MOST_WORK, SHARE = 400_000_000, 0.2
+"""Work that one pass of subset tests may cost, and share of what is left of the budget."""
 
 SET_WORK, WORD_WORK = 9000, 2.0
 """Charge of the NumPy calls for one set, and of each 64-bit word that is compared."""
@@ -55,6 +55,10 @@ class Reduction:
     def lift(self, columns: Ints) -> Ints:
         """A cover of the reduced problem as a cover of the original."""
         return np.concatenate((self.forced, self.columns[columns]))
+
+    def left_of(self, columns: Ints) -> Ints:
+        """Those columns of a cover of the original that are left, as columns of the reduced problem."""
+        return np.searchsorted(self.columns, columns[np.isin(columns, self.columns)])
 
 
 def reduce(sets: Sets, budget: Budget) -> Reduction:
@@ -190,7 +194,7 @@ def _supersets(
     rarest = np.zeros(n_sets, dtype=np.int64)
     rarest[filled] = np.minimum.reduceat(key, start[:-1][filled]) % len(frequency)
     work = int(WORD_WORK * words * float(frequency[rarest[filled]].sum())) + n_sets * SET_WORK
-    if work > max(min(MOST_WORK, int(SHARE * budget.left)), MOST_WORK // 4):
+    if work > min(MOST_WORK, SHARE * budget.left):
         return
     budget.spend(work)
     bits = _packed(start, members, words)

@@ -29,6 +29,9 @@ from planner.values import Ints
 if TYPE_CHECKING:
     from planner.cover.search_kernels import State
 
+FAR, FARTHEST = 12_000, 1.0
+"""With so many columns, which no near cache holds, work costs twice what it costs with few; and the most on top."""
+
 CHUNK_WORK = 20_000_000
 """Work between two looks at the clock: about 40 ms."""
 
@@ -56,14 +59,15 @@ class Search:
         """
         from planner.cover import search_kernels  # importing numba costs 0.3 s
 
-        self._kernels, self.sets, self._rng = search_kernels, sets, rng
+        self._kernels, self.sets = search_kernels, sets
         self._names = np.arange(sets.n_columns) if names is None else names
-        self._growth = np.ones(sets.n_rows, dtype=np.int64)
-        if not sets.full:
-            shares = sets.units / float(max(sets.total, 1))
-            self._growth = np.maximum(np.rint(shares * AREA_WEIGHTS), 1.0).astype(np.int64)
-        self._state = self._fresh()
-        self._place(columns)
+        self._state = self._fresh(rng)
+        self._begin(columns)
+        numbers, k = self._state.numbers, search_kernels
+        numbers[k.BEST] = sets.objective(columns)
+        # The kernel begins with a step; the choice has to be cheaper, or to cover more, than the best one by then.
+        numbers[k.LIMIT] = sets.most if sets.most >= 0 else sets.cost(columns) - 1
+        numbers[k.ALLOWED] = numbers[k.BEST] - 1 if sets.most >= 0 else sets.slack
         self._tenures = 0 if sets.full else min(TENURES, max(sets.n_columns - len(columns), 1))
         self._patience = PATIENCE
         self._waited = 0
@@ -74,64 +78,51 @@ class Search:
         numbers = state.numbers
         # Rows open for good: nothing is better than the bound; elsewhere the budget knows.
         target = budget.lower_bound + sets.tolerance
-        best, work = int(numbers[kernels.BEST]), sets.n_entries
-        while budget.spend(work):
-            limit = min(CHUNK_WORK, max(budget.left, 1))
+        best, work, far = int(numbers[kernels.BEST]), sets.n_entries, 1.0 + min(sets.n_columns / FAR, FARTHEST)
+        while budget.spend(int(work * far)):
+            limit = min(CHUNK_WORK, max(int(budget.left / far), 1))
             work = kernels.steps(state, sets.full, sets.most >= 0, target, self._tenures, limit)
             if work < 0:
                 break
             self._waited += 1
             if numbers[kernels.BEST] < best:
                 best, self._waited = int(numbers[kernels.BEST]), 0
-                found = prune(sets, state.best[: numbers[kernels.BEST_MEMBERS]])
+                found = prune(sets, state.columns[kernels.BEST_MEMBER, : numbers[kernels.BEST_MEMBERS]])
                 budget.offer(self._names[found], sets.objective(found))
             elif self._waited > self._patience:
                 self._waited, self._patience = 0, 2 * self._patience
-                self._start_again()
+                self._begin(state.columns[kernels.MEMBER, : numbers[kernels.MEMBERS]].copy())
 
-    def _start_again(self) -> None:
-        """Weights are forgotten; the choice stays where it is."""
-        self._state.weights[:] = self._growth
-        self._kernels.rescore(self._state)
+    def _begin(self, chosen: Ints) -> None:
+        """Fresh weights; the next steps go on from this choice."""
+        k, sets, (rows, columns, groups, numbers) = self._kernels, self.sets, self._state[6:9] + self._state[10:11]
+        rows[k.LOAD], rows[k.OWNER], rows[k.WEIGHT] = 0, 0, rows[k.GROWTH]
+        rows[k.OPEN_ROW] = rows[k.OPEN_PLACE] = np.arange(sets.n_rows)
+        columns[k.CHOSEN], columns[k.FREE], columns[k.STAMP], groups[k.INSIDE] = 0, 1, 0, 0
+        brought = rows[k.WEIGHT][sets.column_rows] * (1 if sets.plain else sets.column_load)
+        columns[k.SCORE] = np.add.reduceat(np.append(brought, 0), sets.column_start[:-1])
+        columns[k.SCORE, np.diff(sets.column_start) == 0] = 0
+        columns[k.STACK, : len(chosen)], numbers[k.FIRST_MEMBERS] = chosen, len(chosen)
+        numbers[k.OPEN], numbers[k.MISSING], numbers[k.TABU] = sets.n_rows, sets.total, -1
+        numbers[k.MEMBERS] = numbers[k.SPENT] = 0
+        numbers[k.PARTS] = max(int(columns[k.SCORE].max(initial=1)) // 4, 1)
 
-    def _place(self, columns: Ints) -> None:
-        """Put the first choice in place, unstamped."""
-        kernels, state = self._kernels, self._state
-        kernels.rescore(state)
-        state.numbers[kernels.PARTS] = max(int(state.score.max(initial=1)) // 4, 1)
-        for column in columns.tolist():
-            kernels.move(state, column, 1)
-        state.stamp[:] = 0
-        numbers, sets = state.numbers, self.sets
-        numbers[kernels.BEST] = sets.objective(columns)
-        numbers[kernels.LIMIT] = sets.most if sets.most >= 0 else sets.cost(columns) - 1
-        numbers[kernels.ALLOWED] = numbers[kernels.MISSING] - 1 if sets.most >= 0 else sets.slack
-        if sets.most < 0:  # the kernel begins with a step; the choice has to be cheaper than the best one by then
-            numbers[kernels.LIMIT] = sets.cost(columns) - 1
-
-    def _fresh(self) -> "State":
-        """The arrays of a search that has no column yet."""
-        kernels, sets = self._kernels, self.sets
-        n_rows, n_columns = sets.shape
-        numbers = np.zeros(kernels.NUMBERS, dtype=np.int64)
-        numbers[kernels.PRICED] = not sets.unit_cost
-        numbers[kernels.OPEN], numbers[kernels.MISSING], numbers[kernels.TABU] = n_rows, sets.total, -1
-        fixed = np.zeros(n_columns, dtype=np.bool_)
-        fixed[sets.fixed] = True
-
-        def zeros(count: int) -> Ints:
-            return np.zeros(count, dtype=np.int64)
-
-        state: State = kernels.State(
-            row_start=sets.row_start, row_columns=sets.row_columns, row_load=sets.row_load,
-            column_start=sets.column_start, column_rows=sets.column_rows, column_load=sets.column_load,
-            demand=sets.demand, units=sets.units, costs=sets.costs, group=sets.group, group_costs=sets.group_costs,
-            group_members=zeros(len(sets.group_costs)), adjacent=sets.adjacent, fixed=fixed, growth=self._growth,
-            weights=self._growth.copy(), load=zeros(n_rows), owner=zeros(n_rows), score=zeros(n_columns),
-            chosen=np.zeros(n_columns, dtype=np.bool_), free=np.ones(n_columns, dtype=np.bool_),
-            members=zeros(n_columns), place=zeros(n_columns),
-            open_rows=np.arange(n_rows), open_place=np.arange(n_rows), stamp=zeros(n_columns), best=zeros(n_columns),
-            labels=np.zeros((2, n_columns + 1), dtype=np.int64), numbers=numbers,
-            random=self._rng.integers(0, 2**64, 1, dtype=np.uint64),
+    def _fresh(self, rng: np.random.Generator) -> "State":
+        """The arrays of a search."""
+        k, sets = self._kernels, self.sets
+        numbers = np.zeros(k.NUMBERS, dtype=np.int64)
+        numbers[k.PRICED] = not sets.unit_cost
+        rows = np.zeros((k.OPEN_PLACE + 1, sets.n_rows), dtype=np.int64)
+        rows[k.DEMAND], rows[k.UNITS], rows[k.GROWTH] = sets.demand, sets.units, 1
+        if not sets.full:
+            shares = sets.units / float(max(sets.total, 1))
+            rows[k.GROWTH] = np.maximum(np.rint(shares * AREA_WEIGHTS), 1.0).astype(np.int64)
+        columns = np.zeros((k.STACK + 1, sets.n_columns), dtype=np.int64)
+        columns[k.COST], columns[k.GROUP] = sets.costs, sets.group
+        columns[k.FIXED, sets.fixed] = 1
+        groups = np.stack((sets.group_costs, np.zeros_like(sets.group_costs)))
+        state: State = k.State(
+            sets.row_start, sets.row_columns, sets.row_load, sets.column_start, sets.column_rows, sets.column_load,
+            rows, columns, groups, sets.adjacent, numbers, rng.integers(0, 2**64, 1, dtype=np.uint64),
         )  # fmt: skip
         return state

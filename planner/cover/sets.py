@@ -60,25 +60,6 @@ class Sets(Value):
     adjacent: Annotated[NDArray[np.uint8], "_ _"]
     fixed: Annotated[Ints, "_"]
 
-    @classmethod
-    def of(
-        cls, loads: Any, demand: Ints, units: Ints, *, required: int, full: bool, most: int | None, costs: Ints,
-        group: Ints, group_costs: Ints, adjacent: Graph, fixed: Ints,
-    ) -> "Sets":  # fmt: skip
-        """From a sparse (S, V) matrix of loads; the other arguments as the attributes, `most` None for -1."""
-        by_column: Any = sp.csc_array(loads)
-        by_column.sort_indices()
-        by_row: Any = sp.csr_array(by_column)
-        by_row.sort_indices()
-        one = not len(by_row.data) or int(by_row.data.max()) == 1
-        none = np.zeros(0, dtype=np.int32)
-        return cls(
-            by_row.indptr, by_row.indices, none if one else by_row.data,
-            by_column.indptr, by_column.indices, none if one else by_column.data,
-            demand, units, max(required, 0), full, -1 if most is None else max(most, 0),
-            costs, group, group_costs, adjacent, fixed,
-        )  # fmt: skip
-
     @property
     def n_rows(self) -> int:
         """Rows to be satisfied."""
@@ -187,7 +168,7 @@ class Sets(Value):
 
     def restricted(
         self, rows: Bools | None = None, columns: Bools | None = None, *, demand: Ints | None = None,
-        units: Ints | None = None, required: int | None = None, most: int | None = None,
+        units: Ints | None = None, required: int | None = None,
     ) -> "Sets":  # fmt: skip
         """The problem on some rows and columns (None: all), in the same order, with other numbers where given."""
         rows = np.ones(self.n_rows, dtype=bool) if rows is None else rows
@@ -199,11 +180,10 @@ class Sets(Value):
         M = sp.csr_array(M if columns.all() else M[:, columns])
         if not self.plain:
             M.data = np.minimum(M.data, np.repeat(demand, np.diff(M.indptr)))
-        most = self.most if most is None else most
         place = np.cumsum(columns) - 1
-        return Sets.of(
-            M, demand, (self.units if units is None else units)[rows],
-            required=self.required if required is None else required, full=self.full, most=None if most < 0 else most,
+        return Sets(
+            *both_ways(M), demand, (self.units if units is None else units)[rows],
+            required=self.required if required is None else max(required, 0), full=self.full, most=self.most,
             costs=self.costs[columns], group=self.group[columns], group_costs=self.group_costs,
             adjacent=self.adjacent[np.ix_(columns, columns)] if len(self.adjacent) else self.adjacent,
             fixed=place[self.fixed[columns[self.fixed]]],
@@ -224,6 +204,16 @@ class Sets(Value):
         paid = self.group_costs.copy()
         paid[self.group[chosen]] = 0
         return replace(rest, group_costs=paid), np.flatnonzero(useful)
+
+
+def both_ways(loads: Any) -> tuple[Ints, Ints32, Ints32, Ints, Ints32, Ints32]:
+    """A sparse (S, V) matrix of loads by rows and by columns: the first six attributes of `Sets`."""
+    by_column: Any = sp.csc_array(loads)
+    by_column.sort_indices()
+    by_row: Any = sp.csr_array(by_column)
+    one = not len(by_row.data) or int(by_row.data.max()) == 1
+    row_load, column_load = (by_row.data[:0], by_column.data[:0]) if one else (by_row.data, by_column.data)
+    return by_row.indptr, by_row.indices, row_load, by_column.indptr, by_column.indices, column_load
 
 
 def gather(start: Ints, items: NDArray[Any], which: Ints) -> tuple[NDArray[Any], Ints]:

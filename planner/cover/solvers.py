@@ -9,7 +9,7 @@ from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.meta_raps import meta_raps
-from planner.cover.reductions import reduce
+from planner.cover.reductions import Reduction, reduce
 from planner.cover.search import Search
 from planner.cover.sets import Sets
 from planner.values import Ints
@@ -17,15 +17,21 @@ from planner.values import Ints
 BOUND_SHARE = 0.35
 """Most of the budget that the linear programme may take."""
 
-SEARCH_SHARES = (0.3, 0.4)
+SEARCH_SHARES = (0.2, 0.4)
 """`auto`: share of what is left for the search before the integer programme is tried, and before it is tried again."""
+
+PROOF_SHARE = 0.75
+"""`auto`: share of what is left for the integer programme."""
+
+SHORT, SHORT_SHARE = 500_000_000, 0.3
+"""`auto` with no more work than this, a second's worth, begins with a search on the problem as it is, for this share:
+reductions and bound would take most of it."""
 
 HOPEFUL_EXCESS = 0.1
 """`auto` tries the integer programme on a choice that exceeds the bound by at most this share, or by 2 columns."""
 
 SMALL = 30
 """With no more columns than this the integer programme is tried before the search, and whatever the gap."""
-
 
 CORE = 0.7
 """The search is confined to the columns that reduced costs leave where these are no more than this share."""
@@ -70,7 +76,9 @@ class Job:
             return Search(sets, self.best, self.rng)
         inside = sets.restricted(columns=useful)
         keep = np.searchsorted(core, self.best[useful[self.best]])
-        return Search(inside, prune(inside, complete(inside, keep)), self.rng, core)
+        start = prune(inside, complete(inside, keep))
+        self.budget.offer(core[start], inside.objective(start))  # it may be the better one already
+        return Search(inside, start, self.rng, core)
 
     def prove(self, *, at_least_root: bool = False) -> None:
         """The integer programme, as far as the budget goes; it knows no graph."""
@@ -85,17 +93,18 @@ Solver = Callable[[Job], None]
 
 
 def auto(job: Job) -> None:
-    """The integer programme first where little is left; else local search, the integer programme, local search."""
+    """The integer programme first where little is left; else search and integer programme, until neither helps."""
     if job.sets.n_columns <= SMALL:
         job.prove()
-    search = None
+    search, asked = None, -1
     for share in SEARCH_SHARES:
         if job.budget.spend(0):
             search = search or job.core_search()
             with job.budget.portion(share):
                 search.run(job.budget)
-        if job.hopeful and job.budget.spend(0):
-            with job.budget.portion(0.7):
+        if job.hopeful and job.budget.objective != asked and job.budget.spend(0):
+            asked = job.budget.objective
+            with job.budget.portion(PROOF_SHARE):
                 job.prove()
     if search and job.budget.spend(0):
         search.run(job.budget)
@@ -136,18 +145,38 @@ def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> t
         The best choice, a bound on the objective, and, with a number of columns allowed, how many fewer ones need at
         least to leave as little open.
     """
+    early = _early(sets, rng, work) if solver == "auto" and 0 < work.left <= SHORT and sets.n_columns > SMALL else None
     reduction = reduce(sets, work)
-    inner, relaxation = _run(reduction.sets, solver, rng, work)
-    chosen, found = reduction.lift(inner), reduction.sets.objective(inner)
+    inner, relaxation = _run(reduction, early, solver, rng, work)
+    chosen = reduction.lift(inner)
+    paid = sets.objective(chosen) - reduction.sets.objective(inner)  # what the forced columns cost
+    if early is not None and sets.objective(early) < sets.objective(chosen):
+        chosen = early
+    found = sets.objective(chosen) - paid
     fewest = 0
     if relaxation and sets.most >= 0:
         fewest = next(k for k in range(sets.most + 1) if k == sets.most or relaxation.certified_units(k) <= found)
-    paid = sets.objective(chosen) - found  # what the forced columns cost
     return chosen, paid + min(work.lower_bound, found), fewest
 
 
-def _run(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> tuple[Ints, Relaxation | None]:
+def _early(sets: Sets, rng: np.random.Generator, work: Budget) -> Ints | None:
+    """A short search on the problem as it is; None where nothing is asked for."""
+    work.begin(sets.tolerance)
+    if sets.trivial:
+        return None
+    chosen, spent = greedy(sets)
+    work.offer(chosen, sets.objective(chosen))
+    with work.ended_by_ctrl_c(), work.portion(SHORT_SHARE):
+        if work.spend(spent):
+            Search(sets, chosen, rng).run(work)
+    return work.best
+
+
+def _run(
+    reduction: Reduction, early: Ints | None, solver: str, rng: np.random.Generator, work: Budget
+) -> tuple[Ints, Relaxation | None]:
     """Greedy, bound and the chosen solver; the best so far when Ctrl-C ends it."""
+    sets = reduction.sets
     work.begin(sets.tolerance)
     if sets.trivial:
         nothing = np.zeros(0, dtype=np.int64)
@@ -157,6 +186,9 @@ def _run(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> tup
         work.prove(int(sets.costs.min()))  # one column at least, should Ctrl-C come before the bound
     chosen, spent = greedy(sets)
     work.offer(chosen, sets.objective(chosen))
+    if early is not None:
+        kept = prune(sets, complete(sets, reduction.left_of(early)))
+        work.offer(kept, sets.objective(kept))
     relaxation = None
     with work.ended_by_ctrl_c():
         work.spend(spent)

@@ -51,7 +51,7 @@ def anneal(
     m = len(first) - 1
     state = np.empty(1, dtype=np.uint64)
     state[0] = seed
-    widest, root = 0, 0
+    widest, root = 0, near[0, 0]  # cluster 0; the literal would be a type of its own, and compile `_choose_nodes` twice
     for k in range(m):
         widest = max(widest, first[k + 1] - first[k])
         if first[k + 1] - first[k] < first[root + 1] - first[root]:

@@ -1,12 +1,18 @@
 """The choice that the local search moves: its running numbers against numbers computed from scratch."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.cover import Problem, search_kernels
+from planner.cover.bound import Relaxation
+from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
+from planner.cover.greedy import greedy
+from planner.cover.linear import raise_bound
 from planner.cover.search import Search
+from planner.cover.solvers import Job
 
 
 @st.composite
@@ -36,8 +42,8 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
     sets, columns = case
     search = Search(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(seed))
     state, numbers = search._state, search._state.numbers
-    state.weights[:] = np.random.default_rng(seed).integers(1, 100, sets.n_rows)
-    search_kernels.rescore(state)
+    state.rows[search_kernels.GROWTH] = np.random.default_rng(seed).integers(1, 100, sets.n_rows)
+    search._begin(np.zeros(0, dtype=np.int64))
     chosen: set[int] = set()
     for column in columns.tolist():
         search_kernels.move(state, column, -1 if column in chosen else 1)
@@ -48,12 +54,13 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
     deficit = np.maximum(sets.demand - total, 0)
     for j in range(sets.n_columns):
         other = np.maximum(sets.demand - total + (loads[:, j] if inside[j] else -loads[:, j]), 0)
-        assert state.score[j] == (state.weights * np.abs(other - deficit)).sum()
-    np.testing.assert_array_equal(state.load, total)
-    assert set(state.members[: numbers[search_kernels.MEMBERS]].tolist()) == chosen
-    open_rows = state.open_rows[: numbers[search_kernels.OPEN]]
+        weights = state.rows[search_kernels.WEIGHT]
+        assert state.columns[search_kernels.SCORE, j] == (weights * np.abs(other - deficit)).sum()
+    np.testing.assert_array_equal(state.rows[search_kernels.LOAD], total)
+    assert set(state.columns[search_kernels.MEMBER, : numbers[search_kernels.MEMBERS]].tolist()) == chosen
+    open_rows = state.rows[search_kernels.OPEN_ROW, : numbers[search_kernels.OPEN]]
     assert sorted(open_rows.tolist()) == np.flatnonzero(deficit).tolist()
-    assert numbers[search_kernels.COST] == sets.cost(sorted(chosen))
+    assert numbers[search_kernels.SPENT] == sets.cost(sorted(chosen))
     assert numbers[search_kernels.MISSING] == int(sets.units[deficit > 0].sum())
 
 
@@ -64,3 +71,21 @@ def test_draws_are_even_and_in_range():
     drawn = np.bincount([search_kernels.draw(state, 7) for _ in range(10_000)], minlength=7)
     assert len(drawn) == 7
     assert abs(drawn - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
+
+
+@pytest.mark.parametrize("seed", [11, 25, 56, 113])
+def test_a_core_that_begins_with_the_best_choice_ends_its_search(seed):
+    """Columns that a better choice may contain, completed, meet the bound at times: nothing to search."""
+    rng = np.random.default_rng(seed)
+    M = rng.random((40, 50)) < 0.08
+    M[np.arange(40), rng.integers(0, 50, 40)] = True
+    sets = canonical(Problem(M, np.ones(40), costs=rng.integers(1, 20, 50).astype(float))).rest
+    budget = Budget(10**9)
+    first, _ = greedy(sets)
+    budget.offer(first, sets.objective(first))
+    relaxation = Relaxation(sets)
+    raise_bound(relaxation, budget.objective, budget)
+    search = Job(sets, rng, budget, relaxation).core_search()
+    assert sets.met(budget.best)
+    assert budget.lower_bound == budget.objective == sets.objective(budget.best) < sets.objective(first)
+    search.run(budget)
