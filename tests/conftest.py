@@ -45,7 +45,10 @@ settings.load_profile("own")
 # MuJoCo reads it once, when it is imported: what draws without a display.
 os.environ.setdefault("MUJOCO_GL", "egl")
 
-_SMALL_PLAN = ("--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3")
+_SMALL_PLAN = (
+    "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
+    "--candidates", "optimal-scanning-zone",  # grown ones take longer, and have tests of their own
+)  # fmt: skip
 
 
 def _blob(subdivisions: int = 4) -> trimesh.Trimesh:
@@ -286,7 +289,7 @@ def swept(
             f'[[fixtures]]\nname = "clamp"\nshape = "mesh"\nunits = "mm"\npath = "{part_file}"\n'
             "position_mm = [700, -700, 200]\nabc_deg = [10, 20, 30]\n"
         )
-        options = ("--place", "1100,400,100", "--faces", "24", "--samples", "2", "--standoff", "250")
+        options = ("--place", "1100,400,100", "--faces", "24", "--samples", "2", "--standoff", "250", *_SMALL_PLAN[-2:])
         more = ("--coverage", "0.7", "--scene", "line.toml", "--out", "run", "--json")
         done = run_cell("plan", part_file, "--units", "mm", *options, *more, cwd=folder)
         assert done.returncode == 0, done.stderr
