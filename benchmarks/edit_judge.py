@@ -30,6 +30,9 @@ POSE_M, CLEARANCE_M = 20e-6, 60e-6
 VISIBLE = 0.006
 """Of two counts of 100,000 samples each: 0.6 points are 3.5 standard deviations or more."""
 
+_REFUSAL = re.compile(
+    r"(view \d+|candidate \d+|added pose \d+) cannot be (taken|part of a motion): (.*); (move it|give another)"
+)
 _TURNED = 1e-4  # of the entries of rotations
 _STEP_S, _DISTANCES = 1e-3, 40
 _ARM = Robot(
@@ -67,9 +70,7 @@ class EditJudge:
         told = str(error)
         if asked.wrong:
             return [] if asked.wrong in told else [f"should say: {asked.wrong}"]
-        found = re.match(
-            r"(view \d+|candidate \d+|added pose \d+) cannot be (taken|part of a motion): (.*); move it", told
-        )
+        found = _REFUSAL.match(told)
         if found is None or found[1] not in asked.poses:
             return ["names no view that the edit names anew"]
         T, reason = asked.poses[found[1]] @ np.linalg.inv(self._scene.T_flange_scanner), found[3]
