@@ -24,6 +24,7 @@ _SAMPLES = 200  # points of a view that are asked
 _SMALLEST = 0.001  # of the part's diagonal: nearer than this, points are where they should be
 _LARGEST = 0.03  # farther off than registration reaches
 _BETTER = 0.5
+_SPOT = 0.02  # of the part's diagonal: points that come down to a spot may be on the part by chance
 _OUTSIDE = 0.2  # share of a view's points that may be outliers
 
 Guess = tuple[str, Sequence[Floats]]
@@ -47,7 +48,11 @@ def doubts(scans: Sequence[ExecutedScan], cell: RunCell, nearest: NearestSurface
     left = _left(given, nearest, diagonal)
     if left.mean() > _SMALLEST * diagonal:
         guesses = [*_units(given, scans, cell, units), *_mirrored(given, scans, cell), *_frames(given, scans, cell)]
-        found = [(float(_left(points, nearest, diagonal).mean()), why) for why, points in guesses]
+        found = [
+            (float(_left(points, nearest, diagonal).mean()), why)
+            for why, points in guesses
+            if np.median([np.linalg.norm(np.ptp(view, axis=0)) for view in points]) > _SPOT * diagonal
+        ]
         found += _swapped(given, scans, nearest, diagonal)
         least, why = min(found, default=(np.inf, ""))
         if least < _BETTER * left.mean():
