@@ -23,7 +23,7 @@ SEARCH_SHARES = (0.2, 0.4)
 PROOF_SHARE = 0.75
 """`auto`: share of what is left for the integer programme."""
 
-SHORT, SHORT_SHARE = 500_000_000, 0.3
+SHORT, SHORT_SHARE = 500_000_000, 0.4
 """`auto` with no more work than this, a second's worth, begins with a search on the problem as it is, for this share:
 reductions and bound would take most of it."""
 
@@ -166,8 +166,9 @@ def _early(sets: Sets, rng: np.random.Generator, work: Budget) -> Ints | None:
         return None
     chosen, spent = greedy(sets)
     work.offer(chosen, sets.objective(chosen))
+    work.spend(spent)
     with work.ended_by_ctrl_c(), work.portion(SHORT_SHARE):
-        if work.spend(spent):
+        if work.spend(0):
             Search(sets, chosen, rng).run(work)
     return work.best
 
