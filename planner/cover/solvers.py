@@ -23,9 +23,9 @@ SEARCH_SHARES = (0.2, 0.4)
 PROOF_SHARE = 0.75
 """`auto`: share of what is left for the integer programme."""
 
-SHORT, SHORT_SHARE = 500_000_000, 0.4
-"""`auto` with no more work than this, a second's worth, begins with a search on the problem as it is, for this share:
-reductions and bound would take most of it."""
+EARLY_WORK, EARLY_SHARE = 100, 0.4
+"""`auto` with less work left than this for each entry, about what reductions take, begins with a search on the problem
+as it is, for this share."""
 
 HOPEFUL_EXCESS = 0.1
 """`auto` tries the integer programme on a choice that exceeds the bound by at most this share, or by 2 columns."""
@@ -145,7 +145,7 @@ def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> t
         The best choice, a bound on the objective, and, with a number of columns allowed, how many fewer ones need at
         least to leave as little open.
     """
-    early = _early(sets, rng, work) if solver == "auto" and 0 < work.left <= SHORT and sets.n_columns > SMALL else None
+    early = _early(sets, rng, work) if solver == "auto" and 0 < work.left < EARLY_WORK * sets.n_entries else None
     reduction = reduce(sets, work)
     inner, relaxation = _run(reduction, early, solver, rng, work)
     chosen = reduction.lift(inner)
@@ -167,7 +167,7 @@ def _early(sets: Sets, rng: np.random.Generator, work: Budget) -> Ints | None:
     chosen, spent = greedy(sets)
     work.offer(chosen, sets.objective(chosen))
     work.spend(spent)
-    with work.ended_by_ctrl_c(), work.portion(SHORT_SHARE):
+    with work.ended_by_ctrl_c(), work.portion(EARLY_SHARE):
         if work.spend(0):
             Search(sets, chosen, rng).run(work)
     return work.best
