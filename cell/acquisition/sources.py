@@ -146,7 +146,10 @@ def load(text: str) -> tuple[AcquisitionClass, str]:
     name, _, argument = text.partition(":")
     found: list[EntryPoint] = [point for point in entry_points(group=GROUP) if point.name == name]
     if not found:
-        raise UsageError(f"--acquire {text} names no source of points; installed are: {', '.join(names()) or 'none'}")
+        again = "" if names() else " (scan-cell was installed before it had any: install it again)"
+        raise UsageError(
+            f"--acquire {text} names no source of points; installed are: {', '.join(names()) or 'none'}{again}"
+        )
     if len({point.value for point in found}) > 1:
         raise UsageError(
             f"--acquire {name} is offered by {' and '.join(p.value for p in found)}; uninstall all but one"
