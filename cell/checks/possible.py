@@ -95,9 +95,13 @@ def _in_what_stands(world: World, solids: dict[str, Solid]) -> list[str]:
     fixtures = [fixture.name for fixture in world.scene.fixtures]
     pairs = [("part", name) for name in (*fixtures, *_STILL)]
     pairs += [("post", name) for name in _STILL] + [(name, "base") for name in fixtures]
-    problems = []
+    problems: list[str] = []
+    held = set()  # what the part stands in: its post does too, and goes with it
     for one, other in pairs:
+        if one == "post" and other in held:
+            continue
         if one in solids and other in solids and inside(solids[one], solids[other]):
+            held |= {other} if one == "part" else set()
             mover = other if (one, _attached(world, other)) == ("part", "object") else one
             problems.append(stands_inside(world, solids[mover], solids[one if mover == other else other]))
     return problems

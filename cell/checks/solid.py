@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from cell.part.mesh_checks import encloses
 from cell.rays.embree import EmbreeRayCaster
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
 FLUSH = 1e-4
@@ -23,6 +25,8 @@ FLUSH = 1e-4
 
 _STEPS = 24  # at which a direction is looked at before it is halved: hollows narrower than a 24th of the way are missed
 _HALVINGS = 16
+_SEARCHED = 8_000  # faces above which ways are searched for with a decimated copy, and settled with the true triangles
+_STEPS_BACK, _BACK = 8, 1e-3  # m; how far the true depth is looked for below that of the copies
 _STEEPEST = 2.0  # of the way that a corner goes so that its faces go 1: less than a needle's, more than a cube's 1.73
 
 
@@ -102,6 +106,14 @@ class Solid:
     def triangles(self) -> Floats:
         """(F, 3, 3) corners [m]."""
         return self.vertices[self.faces]
+
+    @cached_property
+    def coarse(self) -> Solid:
+        """Itself, or a decimated copy where it has more faces than a search for a way needs."""
+        if len(self.faces) <= _SEARCHED:
+            return self
+        copy = decimate(TriangleMesh(self.vertices, self.faces.astype(np.int32)), _SEARCHED // 2)
+        return Solid(self.name, copy.vertices, copy.faces, self.axes)
 
     def grown(self, by: float) -> Solid:
         """The same with every face moved outward [m], inward where that is negative."""
@@ -184,13 +196,43 @@ def way_out(one: Solid, other: Solid, gap: float = 0.0) -> Floats:
     """(3,) the shortest way [m] that was found for `one` to stand no longer in `other`.
 
     Looked at along the axes of the base frame and of both solids, and along the line of their middles: the length is
-    the depth of convex solids whose faces meet, and an upper bound on that of others.
+    the depth of convex solids whose faces meet, and an upper bound on that of others. Of meshes of many faces decimated
+    copies choose the direction; its length is that of the true triangles.
 
     Args:
         one: deeper than `FLUSH` in the other.
         other: or nearer to it than the gap.
         gap: what is between them afterwards [m].
     """
+    if one.coarse is one and other.coarse is other:
+        return _searched(one, other, gap)
+    rough = _searched(one.coarse, other.coarse, gap)
+    return _settled(one, other, gap, rough)
+
+
+def _settled(one: Solid, other: Solid, gap: float, rough: Floats) -> Floats:
+    """(3,) the way out in the direction of a rough one, its length that of the true triangles [m]."""
+    near = other.grown(gap) if gap else other
+    thin, wide = (one, near) if gap else _without_skin(one, near)
+    length = float(np.linalg.norm(rough))
+    along = rough / length
+    high = length
+    while share_space(thin, wide, high * along):
+        high += _BACK
+    low = high
+    for _ in range(_STEPS_BACK):
+        low = max(0.0, high - _BACK)
+        if share_space(thin, wide, low * along):
+            break
+        high = low
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if share_space(thin, wide, middle * along) else (low, middle)
+    return np.asarray((high + (0.0 if gap else FLUSH)) * along)
+
+
+def _searched(one: Solid, other: Solid, gap: float) -> Floats:
+    """(3,) the shortest way out that was found [m]; arguments as for `way_out`."""
     near = other.grown(gap) if gap else other
     thin, wide = (one, near) if gap else _without_skin(one, near)
     ways = []
