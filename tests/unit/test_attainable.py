@@ -70,14 +70,16 @@ def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
     samples = SimpleNamespace(points=targets.points.T, normals=targets.normals.T, areas=areas)
     covered = targets.points[2] > 0.02
     some = Coverage(covered, float(areas[covered].sum()), float(areas.sum()))
-    problem = SimpleNamespace(prediction=SimpleNamespace(samples=samples, coverable=some))
-    whole = of_plan(problem, some, arm, np.random.default_rng(0))
+    prediction = SimpleNamespace(samples=samples, coverable=some, scanner=None, casters=())
+    problem = SimpleNamespace(prediction=prediction, world=None, kinematics=None, checker=None)
+    monkeypatch.setattr("cell.plan.attainable.arm_of", lambda *_: arm)
+    whole = of_plan(problem, some, np.random.default_rng(0))
     truth = attainable(targets, arm)
     assert whole.standard_error == 0
     assert whole.share == pytest.approx((covered | truth.measured).mean(), abs=0.01)
     assert whole.share + whole.out_of_reach + whole.out_of_sight == pytest.approx(1.0)
     monkeypatch.setattr("cell.plan.attainable.ASKED", int((~covered).sum()) // 2)
-    half = of_plan(problem, some, arm, np.random.default_rng(0))
+    half = of_plan(problem, some, np.random.default_rng(0))
     assert half.standard_error > 0
     assert abs(half.share - whole.share) < 4 * half.standard_error + 0.01
 
