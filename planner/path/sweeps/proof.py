@@ -134,4 +134,7 @@ def _time_needed(line: SweepLine, speeds: Floats, curves: Floats, jolts: Floats,
     rising, easing = line.ramp_shares
     g, h = 1.0 / rising, 1.0 / (rising * easing)
     time: Floats = np.maximum(speeds / limits.velocity, np.sqrt((curves + speeds * g) / limits.acceleration))
-    return np.maximum(time, np.cbrt((jolts + 3.0 * curves * g + speeds * h) / limits.jerk))
+    jolt = jolts + 3.0 * curves * g + speeds * h
+    # An axis without a jerk limit asks for no time, where the bounds are infinite too.
+    cubed = np.divide(jolt, limits.jerk, out=np.zeros_like(jolt), where=np.isfinite(limits.jerk))
+    return np.maximum(time, np.cbrt(cubed))
