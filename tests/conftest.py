@@ -47,7 +47,8 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 
 _SMALL_PLAN = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
-    "--candidates", "optimal-scanning-zone",  # grown ones take longer, and have tests of their own
+    # Grown candidates take longer, and have tests of their own.
+    "--candidates", "optimal-scanning-zone", "--coverage", "1",
 )  # fmt: skip
 
 
@@ -289,7 +290,17 @@ def swept(
             f'[[fixtures]]\nname = "clamp"\nshape = "mesh"\nunits = "mm"\npath = "{part_file}"\n'
             "position_mm = [700, -700, 200]\nabc_deg = [10, 20, 30]\n"
         )
-        options = ("--place", "1100,400,100", "--faces", "24", "--samples", "2", "--standoff", "250", *_SMALL_PLAN[-2:])
+        options = (
+            "--place",
+            "1100,400,100",
+            "--faces",
+            "24",
+            "--samples",
+            "2",
+            "--standoff",
+            "250",
+            *_SMALL_PLAN[-4:-2],
+        )
         more = ("--coverage", "0.7", "--scene", "line.toml", "--out", "run", "--json")
         done = run_cell("plan", part_file, "--units", "mm", *options, *more, cwd=folder)
         assert done.returncode == 0, done.stderr

@@ -15,7 +15,7 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: 
     before = {path: path.read_bytes() for path in planned.iterdir() if path.is_file()}
     views = len(json.loads((planned / "plan.json").read_text())["views"])
     done = run_cell("edit", planned, "--drop", "2", "--out", "without", cwd=tmp_path)
-    assert (done.returncode, "less than the 99 % asked for" in done.stderr) == (3, True), done.stderr
+    assert done.returncode == 0, done.stderr
     text = " ".join(done.stdout.replace("│", " ").split())
     assert f"{views - 1} views instead of {views}" in text
     assert "loses" in text

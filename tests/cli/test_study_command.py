@@ -37,7 +37,7 @@ def test_a_table_leaves_tidy_rows_and_pictures(table: Path, run_cell: Run) -> No
     done = run_cell("view", table, "--no-open", cwd=table)
     assert (done.returncode, done.stdout) == (0, f"{table / 'view.html'}\n"), done.stderr
     assert (
-        "cell plan mug --sensor=paper --roll=0 --faces=37 --samples=80 --standoff=300"
+        "cell plan mug --sensor=paper --roll=0 --candidates=optimal-scanning-zone --faces=37 --samples=80 --standoff=300"
         in (table / "view.html").read_text()
     )
     rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))

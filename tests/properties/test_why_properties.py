@@ -52,6 +52,7 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory, run_cell: Callable) -> 
     trimesh.util.concatenate([outer, void]).export(home / "plate.stl")
     (home / "scene.toml").write_text(_SCENE)
     options = ["--faces", "200", "--samples", "2", "--standoff", "250", "--coverage", "0.6", "--out", "run"]
+    options += ["--sensor", "generic-area-large", "--candidates", "optimal-scanning-zone"]
     done = run_cell(
         "plan", "plate.stl", "--units", "mm", "--scene", "scene.toml", "--place", _PLACE, *options, cwd=home
     )

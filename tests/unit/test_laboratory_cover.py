@@ -126,7 +126,7 @@ def test_units_are_whole_and_uncoverable_rows_do_not_count() -> None:
     assert Instance(M, ones, np.array([1.0, 3.0]), np.ones(2, bool)).units.tolist() == [500_000, 1_500_000]
 
 
-def test_reduced_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reduced_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: None) -> None:
     """Processes of their own; a figure asked for again computes nothing; tables say what the rows say; a picture."""
     monkeypatch.chdir(Path(__file__).parents[2])
     tasks = [Task("cyc4", solver, 0.2, weighted=False) for solver in ("ours", "textbook")]
