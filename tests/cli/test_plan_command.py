@@ -215,7 +215,7 @@ def test_a_negative_placement_is_not_taken_for_an_option(
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize(
-    ("stage", "faces"), [("reach", 1000), ("measurability", 1000), ("select, order and connect", 200)]
+    ("stage", "faces"), [("reach", 1000), ("measurability", 1000), ("select, order and connect", 600)]
 )
 def test_ctrl_c_in_any_stage_keeps_what_was_finished(
     stage: str, faces: int, part_file: Path, tmp_path: Path, start_cell: Start
