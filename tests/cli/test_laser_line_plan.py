@@ -10,7 +10,10 @@ import pytest
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-_OPTIONS = ("--units", "mm", "--place", "1100,400,100", "--faces", "24", "--samples", "2")
+_OPTIONS = (
+    "--units", "mm", "--place", "1100,400,100", "--faces", "24", "--samples", "2",
+    "--candidates", "optimal-scanning-zone",
+)  # fmt: skip
 
 
 def test_a_plan_of_sweeps_ends_in_a_correct_run(swept: Path) -> None:

@@ -15,7 +15,7 @@ from cell.errors import FileError, SceneError, UsageError
 from cell.run.planned import PlannedRun
 from cell.scene.scene import load_scene
 
-_QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3}
+_QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3, "coverage": 1}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -75,7 +75,7 @@ def test_a_mesh_in_memory_is_planned_as_its_file(
         {
             "part": {"path": str(file), "units": "mm"},
             "placement": {"position_mm": [1100, 400, 100]},
-            "plan": {"standoffs_mm": [200.0], "faces": 40, "samples_per_face": 2, "seed": 3},
+            "plan": {"standoffs_mm": [200.0], "faces": 40, "samples_per_face": 2, "seed": 3, "coverage": 1.0},
         },
     )
     of_scene = plan(scene, out=tmp_path / "scene")

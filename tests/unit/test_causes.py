@@ -96,7 +96,9 @@ def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
     return {cause: causes.doubts(spoilt(scans, cause), cell, nearest, "mm") for cause in ("", *CAUSES)}
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in ("mseke", "mug") else pytest.mark.slow) for name in BUILT_IN]
+)
 def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
     """With noise and pose errors as executions have them. Swapped views of the rod of a bone look alike: silence."""
     said = named(workpiece.load(name))
