@@ -36,14 +36,14 @@ PRESETS: dict[str, Preset] = {
         plan={"samples_per_face": 2},
         scanner={"resolution_deg": [0.5, 0.5]},
         faces_factor=0.5,
-        price="a plan takes 0.9 times as long, a scan 0.7 times; 0.7 times as many views miss 1.6 points more",
+        price="a scan takes 0.7 times as long; a plan as long as the default, with as much surface",
     ),
     "balanced": Preset(price="the defaults"),
     "accurate": Preset(
         plan={"samples_per_face": 8},
         scanner={"resolution_deg": [0.125, 0.125]},
         faces_factor=2.0,
-        price="a plan takes 2.1 times as long, a scan 2.9 times; 1.5 times as many views miss 1.5 points less",
+        price="a scan takes 2.9 times as long, its points half as far apart; a plan up to 1.8 times, with no more surface",
     ),
 }
 
