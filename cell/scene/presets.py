@@ -43,7 +43,7 @@ PRESETS: dict[str, Preset] = {
         plan={"samples_per_face": 8},
         scanner={"resolution_deg": [0.125, 0.125]},
         faces_factor=2.0,
-        price="a scan takes 2.9 times as long, its points half as far apart; a plan up to 1.8 times, with no more surface",
+        price="a scan takes 2.9 times as long, points half as far apart; a plan up to 1.8 times, with no more surface",
     ),
 }
 
