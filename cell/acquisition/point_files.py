@@ -33,11 +33,15 @@ def read(path: Path) -> Floats:
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     readers: dict[str, Callable[[bytes], Floats]] = {".ply": _ply, ".pcd": _pcd, ".xyz": _text, ".txt": _text}
+    if path.suffix.lower() not in readers:
+        raise FileError(f"{path} is '{path.suffix}'; points are read from {', '.join(SUFFIXES)}")
     try:
         points = readers[path.suffix.lower()](content)
-    except KeyError:
-        raise FileError(f"{path} is '{path.suffix}'; points are read from {', '.join(SUFFIXES)}") from None
-    except (ValueError, IndexError, UnicodeDecodeError) as error:
+    except KeyError as error:
+        raise FileError(
+            f"{path} holds no points that can be read: its header lacks or does not know {error}"
+        ) from error
+    except (ValueError, IndexError, TypeError) as error:
         raise FileError(f"{path} holds no points that can be read: {error}") from error
     finite: Floats = points[np.isfinite(points).all(axis=1)]
     return finite
@@ -58,7 +62,7 @@ def _ply(content: bytes) -> Floats:
     lines = [line.split() for line in header.decode("ascii").splitlines()]
     if not found or lines[0] != ["ply"]:
         raise ValueError("it is no whole PLY")
-    kind = next(line[1] for line in lines if line[:1] == ["format"])
+    kind = {line[0]: line[1] for line in lines if len(line) > 1}["format"]
     elements = [number for number, line in enumerate(lines) if line[:1] == ["element"]]
     if not elements or lines[elements[0]][1] != "vertex":
         raise ValueError("its first element is not 'vertex'")
