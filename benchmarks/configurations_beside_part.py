@@ -10,7 +10,6 @@ from cell.part.workpiece import Workpiece
 from cell.robot.kinematics import Kr16Kinematics
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
-from planner.surface.mesh import face_normals
 from planner.values import Floats
 
 _APART_M = 50.0  # where the part is put so that only the rest of the cell counts
@@ -47,7 +46,7 @@ def configurations(
         return np.asarray(q[elsewhere.free(q)][:count])
 
     faces = rng.integers(len(part.reference.faces), size=4 * counts[1])
-    normals = face_normals(part.reference)[faces]
+    normals = part.reference.normals[faces]
     near = np.tile(np.eye(4), (len(faces), 1, 1))
     for k, normal in enumerate(normals):
         tilted = normal + _TILT * rng.normal(size=3)

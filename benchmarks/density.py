@@ -23,7 +23,6 @@ from cell.run import reader as run_reader
 from cell.run.cell import read_cell
 from cell.run.record import open_run
 from planner.measurability import coverage
-from planner.surface.mesh import face_normals
 from planner.surface.sample import sample
 from planner.values import Floats, Ints32
 
@@ -82,7 +81,7 @@ def spacing_of_scans(folder: Path) -> Floats:
     best = np.full(_SAMPLES, np.inf)
     for path in sorted((folder / "executions" / "0001" / "scans").glob("*.npz")):
         with np.load(path) as scan:
-            points, across = scan["points"], face_normals(cell.reference)[scan["face"]]
+            points, across = scan["points"], cell.reference.normals[scan["face"]]
             gap = _gaps(points, across, scan["pixel"], tuple(scan["grid_shape"]))
         known = np.isfinite(gap)
         if known.any():

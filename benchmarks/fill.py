@@ -31,7 +31,7 @@ from planner.measurability.matrix import Measurability, fill
 from planner.ports import RayCaster
 from planner.surface.closest import closest_face
 from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, face_features, sample
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.viewpoints.zone import optimal_scanning_zone
@@ -134,7 +134,7 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
     held_out = sample(reference, planning, coverage.SAMPLES, rng)
-    row_of_face = closest_face(face_centres(reference), face_normals(reference), planning)
+    row_of_face = closest_face(reference.centres, reference.normals, planning)
     faces = face_features(reference, planning)
 
     def rays(step: float) -> Measurability:

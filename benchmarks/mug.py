@@ -21,7 +21,6 @@ from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, fill
 from planner.surface.closest import closest_face
 from planner.surface.decimate import decimate
-from planner.surface.mesh import face_centres, face_normals
 from planner.surface.sample import face_features, sample
 from planner.viewpoints.zone import optimal_scanning_zone
 
@@ -43,7 +42,7 @@ def run() -> list[dict[str, Any]]:
     rng = np.random.default_rng(0)
     features = sample(reference, planning, _SAMPLES_PER_FACE * len(planning.faces), rng)
     held_out = sample(reference, planning, coverage.SAMPLES, rng)
-    row_of_face = closest_face(face_centres(reference), face_normals(reference), planning)
+    row_of_face = closest_face(reference.centres, reference.normals, planning)
     rows = face_features(reference, planning)
 
     def judged(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.rays.embree import HAIR, EmbreeRayCaster
-from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 RAYS = int(os.environ.get("SCAN_CELL_RAYS", "1000000"))
@@ -109,7 +109,7 @@ def _hits(vertices: Floats, faces: NDArray[np.int64]) -> dict[str, Any]:
     seconds = perf_counter() - start
     wrong = near_edge = 0
     largest = steep = 0.0
-    normals = face_normals(TriangleMesh(vertices, faces))
+    normals = TriangleMesh(vertices, faces).normals
     for block in np.array_split(np.arange(RAYS), RAYS // _BLOCK):
         distance, margin = _all_hits(vertices, faces, origins[block], directions[block])
         first = distance.min(axis=1)

@@ -22,7 +22,6 @@ from cell.scene.scene import load_scene
 from planner.measurability.matrix import fill
 from planner.measurability.quality import sigma_layer
 from planner.surface.decimate import decimate
-from planner.surface.mesh import face_normals
 from planner.surface.sample import sample
 from planner.values import Floats
 from planner.viewpoints.zone import optimal_scanning_zone
@@ -84,7 +83,7 @@ def _row(name: str) -> dict[str, Any]:
     planning = decimate(part.reference, settings.faces)
     views = optimal_scanning_zone(planning, settings.standoffs, settings.rolls)
     rng = np.random.default_rng(0)
-    normals = face_normals(part.reference)
+    normals = part.reference.normals
     found: list[tuple[Floats, ...]] = []
     for view in rng.choice(len(views), VIEWS, replace=False):
         T = views.T_object_scanner[view, 0]

@@ -26,7 +26,7 @@ from planner.cover import CoverStatus
 from planner.measurability import coverage
 from planner.measurability.matrix import fill, measured
 from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Floats
 from planner.viewpoints.lines_of_sight import Targets, in_view
@@ -138,7 +138,7 @@ def _carried(features: SurfaceSamples, part: TriangleMesh, mesh: TriangleMesh) -
     w = np.einsum("nj,nj->n", np.cross(b - a, features.points - a), n) / (n * n).sum(axis=1)
     weights = np.stack([1 - v - w, v, w], axis=1)
     points = np.einsum("nc,ncj->nj", weights, mesh.vertices[mesh.faces[features.face]])
-    return SurfaceSamples(points, face_normals(mesh)[features.face], features.areas, features.face, features.face)
+    return SurfaceSamples(points, mesh.normals[features.face], features.areas, features.face, features.face)
 
 
 _PLATE_M, _AT_M, _PART_M = 0.05, 0.3, 0.4  # a plate before the scanner; the diagonal of the part that it belongs to

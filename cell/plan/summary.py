@@ -26,7 +26,7 @@ from cell.run.report_json import (
 from cell.world.clearance import MotionClearance
 from planner.measurability import coverage
 from planner.measurability.quality import best_sigma, best_spacing
-from planner.surface.mesh import TriangleMesh, face_areas
+from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, jerk_free_duration
 
 
@@ -100,7 +100,7 @@ def _part(part: Workpiece, planning: TriangleMesh) -> ReportPart:
         faces=len(part.reference.faces),
         planning_faces=len(planning.faces),
         extents_mm=(part.size * 1000).round(6).tolist(),
-        area_mm2=round(float(face_areas(part.reference).sum()) * 1e6, 3),
+        area_mm2=round(float(part.reference.areas.sum()) * 1e6, 3),
         findings=[finding.sentence for finding in part.findings],
     )
 

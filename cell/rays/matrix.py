@@ -20,7 +20,7 @@ from planner.measurability.columns import join_measurability, pick_measurability
 from planner.measurability.matrix import Measurability, fill
 from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
 from planner.surface.closest import closest_face
-from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, face_features, sample
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
@@ -90,7 +90,7 @@ def part_matrix(
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
     row_of_face = None
     if method == "rays":
-        row_of_face = closest_face(face_centres(reference), face_normals(reference), planning)
+        row_of_face = closest_face(reference.centres, reference.normals, planning)
     elif "max_spacing_mm" not in parameters:
         parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid
     key = measurability_cache.row_key(reference, features, parameters, method, row_of_face)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh, face_areas
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value
 
 _BINS = 40
@@ -113,7 +113,7 @@ def area_samples(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Fl
     """
     if count < 1:
         raise PlannerError(f"count is {count}; at least 1 sample is needed")
-    ends = np.cumsum(face_areas(mesh))
+    ends = np.cumsum(mesh.areas)
     if not ends[-1] > 0:
         raise PlannerError("the mesh has no area; every face of it is degenerate")
     places = np.minimum((np.arange(count) + rng.random(count)) * (ends[-1] / count), np.nextafter(ends[-1], 0))

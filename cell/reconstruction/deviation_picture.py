@@ -15,7 +15,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.deviation import Deviation
 from cell.view import rays
 from cell.view.palette import SIGNED
-from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 _PIXELS = 560  # along the longer side
@@ -36,7 +36,7 @@ def draw(path: Path, mesh: TriangleMesh, deviation: Deviation, source: str) -> N
     limit = max(deviation.quantile_95 * 1000.0, 1e-6) * 1.5
     scale = ScalarMappable(Normalize(-limit, limit), LinearSegmentedColormap.from_list("signed", SIGNED))
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
-    normals = face_normals(mesh)
+    normals = mesh.normals
     of_face = deviation.at_vertices[mesh.faces].mean(axis=1) * 1000.0
     for axes, (azimuth, title) in zip(panels, _SIDES, strict=False):
         camera = rays.fitted(mesh.vertices, rays.direction(azimuth, 22.0), (_PIXELS, _PIXELS), parallel=True)

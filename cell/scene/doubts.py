@@ -7,7 +7,7 @@ import numpy as np
 
 from cell.scene.scene import Scene
 from planner.ports import Scanner
-from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 
 STEEPEST_GRAZING_DEG = 77.0
@@ -57,8 +57,8 @@ def off_mesh(features: SurfaceSamples, planning: TriangleMesh) -> float:
         features: samples of the part (the centres of the planning faces themselves, of `rays`, are 0 off).
         planning: the planning mesh.
     """
-    off = features.points - face_centres(planning)[features.planning_face]
-    height = np.abs(np.einsum("nj,nj->n", off, face_normals(planning)[features.planning_face]))
+    off = features.points - planning.centres[features.planning_face]
+    height = np.abs(np.einsum("nj,nj->n", off, planning.normals[features.planning_face]))
     return float(np.quantile(height, 0.95) / planning.diagonal)
 
 

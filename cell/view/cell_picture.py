@@ -16,7 +16,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.view import rays
 from cell.view.palette import BLUE, LOOKS, ORANGE
 from cell.view.pieces import Cell, Piece, placed
-from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 _BESIDE_DEG, _ABOVE_DEG = (
@@ -123,7 +123,7 @@ class _Lit:
 
     def __init__(self, eye: Floats, pieces: Sequence[Piece]) -> None:
         mesh, of_face = _joined(pieces)
-        self._caster, self._normals = EmbreeRayCaster(mesh.vertices, mesh.faces), face_normals(mesh)
+        self._caster, self._normals = EmbreeRayCaster(mesh.vertices, mesh.faces), mesh.normals
         self._rgb = np.array([piece.rgb for piece in pieces])[of_face]
         self._floor = np.array([piece.name == "floor" for piece in pieces])[of_face]
         self._far = 2.5 * float(np.linalg.norm(eye))

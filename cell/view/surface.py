@@ -20,7 +20,7 @@ from planner.measurability.matrix import measured
 from planner.measurability.quality import best_of_views
 from planner.ports import RayCaster, Scanner
 from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Value
 
@@ -75,8 +75,8 @@ def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
     mesh = decimate(reference, FACES if count > FACES else max(count, _FINE))
     weight = _WALL * reference.diagonal
     tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
-    normals = face_normals(mesh)
-    _, own = tree.query(np.hstack([face_centres(mesh), weight * normals]))
+    normals = mesh.normals
+    _, own = tree.query(np.hstack([mesh.centres, weight * normals]))
     note = f"drawn with {len(mesh.faces):,} of {count:,} faces" if len(mesh.faces) < count else ""
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     return Canvas(mesh, normals, caster, samples, np.asarray(own, dtype=np.int64), note)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.stand_ins import STAND_INS, build
-from planner.surface.mesh import face_normals
 
 # Where the viewer stands (object frame), what is up, and the pixels' share of the diagonal.
 VIEWS = {
@@ -43,7 +42,7 @@ def shade(name: str) -> Floats:
     origins = centre + (middle[0] + u)[:, None] * right + (middle[1] + v)[:, None] * up + size * towards
     hits = caster.first_hit(origins, np.broadcast_to(-towards, origins.shape).copy())
     seen = hits.face >= 0
-    normals = face_normals(mesh)[hits.face[seen]]
+    normals = mesh.normals[hits.face[seen]]
     points = origins[seen] - hits.distance[seen, None] * towards + normals * size * 1e-5
     light = towards + 0.9 * up - 0.7 * right
     light /= np.linalg.norm(light)

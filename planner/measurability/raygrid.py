@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from planner.ports import RayCaster, Rejection, Scanner
-from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Ints, Ints32
 from planner.viewpoints.lines_of_sight import BUNDLE, lift
 
@@ -32,7 +32,7 @@ def scanned_rows(
     Yields:
         (poses done, pose of each pair, row of each pair) in bundles; each pair once.
     """
-    normals = face_normals(part)
+    normals = part.normals
     used = part.vertices[part.faces.ravel()]
     low, high = used.min(axis=0), used.max(axis=0)
     middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))

@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh, face_areas, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Ints32, Value
 
 _CREASE_DEG = 30.0  # across edges that turn by more, normals are not interpolated
@@ -52,7 +52,7 @@ class NearestSurface:
 
         self.mesh = mesh
         self._igl, self._tree = igl, igl.AABB()
-        self._rows = np.flatnonzero(face_areas(mesh) > 0)
+        self._rows = np.flatnonzero(mesh.areas > 0)
         if not len(self._rows):
             raise PlannerError("no face of the mesh has an area; a surface needs at least one")
         self._arrays = (mesh.vertices, mesh.faces[self._rows].astype(np.int64))  # libigl wants them in every call
@@ -118,13 +118,13 @@ def closest_face(points: Floats, normals: Floats, mesh: TriangleMesh) -> Ints32:
     Raises:
         PlannerError: if no face has an area, or a point is not finite.
     """
-    facing = face_normals(mesh)
+    facing = mesh.normals
     closest = NearestSurface(mesh).closest(points)
     face = closest.face.copy()
     away = np.flatnonzero(np.einsum("nj,nj->n", normals, facing[face]) <= 0)
     if not len(away):
         return face
-    nearest = closest.distance[away] + np.sqrt(face_areas(mesh).mean())
+    nearest = closest.distance[away] + np.sqrt(mesh.areas.mean())
     group = np.where(facing.any(axis=1), np.argmax(facing @ _DIRECTIONS.T, axis=1), -1)
     for rows in (np.flatnonzero(group == direction) for direction in np.unique(group[group >= 0])):
         found = NearestSurface(TriangleMesh(mesh.vertices, mesh.faces[rows])).closest(points[away])

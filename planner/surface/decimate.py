@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh, cross_products, face_areas
+from planner.surface.mesh import TriangleMesh, cross_products
 from planner.surface.remesh import edges_of, split_long_edges, stout
 from planner.values import Floats, Ints32
 
@@ -50,10 +50,10 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     fine = TriangleMesh((clean.vertices - middle) / diagonal, clean.faces)
     best = _collapse(fine, face_count)
     if len(best.faces) > face_count + _allowed_miss(face_count):
-        area = float(face_areas(fine).sum())
+        area = float(fine.areas.sum())
         repaired = _clean(*stout(fine.vertices, fine.faces, np.sqrt(area / face_count)))
         candidate = _collapse(repaired, face_count)
-        if len(candidate.faces) < len(best.faces) and abs(float(face_areas(candidate).sum()) / area - 1) < 0.2:
+        if len(candidate.faces) < len(best.faces) and abs(float(candidate.areas.sum()) / area - 1) < 0.2:
             best = candidate
     return TriangleMesh(best.vertices * diagonal + middle, best.faces)
 
@@ -81,7 +81,7 @@ def collapse_edges(vertices: Floats, faces: Ints32, face_count: int, aggression:
 
 def _split(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     """The same surface, its longest edges halved until they suit `face_count` faces; a mesh that does stays."""
-    longest = _TOO_LONG * np.sqrt(float(face_areas(mesh).sum()) / face_count)
+    longest = _TOO_LONG * np.sqrt(float(mesh.areas.sum()) / face_count)
     vertices, faces = mesh.vertices, mesh.faces
     before = 0
     while before < len(faces) < face_count:  # a needle would be cut into ever more pieces

@@ -4,6 +4,7 @@ Object frame (the mesh file's axes), metres.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +14,7 @@ from planner.errors import PlannerError
 from planner.values import Floats, Ints32, Value, freeze
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # without slots: normals, areas and centres are kept once they were asked for
 class TriangleMesh(Value):
     """A triangle mesh; a face's corners turn counter-clockwise when seen from outside.
 
@@ -40,25 +41,34 @@ class TriangleMesh(Value):
             )
         object.__setattr__(self, "diagonal", float(np.linalg.norm(np.ptp(self.vertices, axis=0))))
 
+    @cached_property
+    def normals(self) -> Floats:
+        """(F, 3) outward unit normals, object frame; zero for a face without area."""
+        cross = cross_products(self.vertices, self.faces)
+        length = np.linalg.norm(cross, axis=1, keepdims=True)
+        return _sealed(np.divide(cross, length, out=np.zeros_like(cross), where=length > 0))
 
-def face_normals(mesh: TriangleMesh) -> Floats:
-    """(F, 3) outward unit normals, object frame; zero for a face without area."""
-    cross = cross_products(mesh.vertices, mesh.faces)
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    return np.asarray(np.divide(cross, length, out=np.zeros_like(cross), where=length > 0))
+    @cached_property
+    def areas(self) -> Floats:
+        """(F,) areas of the faces [m^2]."""
+        return _sealed(np.linalg.norm(cross_products(self.vertices, self.faces), axis=1) / 2)
 
-
-def face_areas(mesh: TriangleMesh) -> Floats:
-    """(F,) areas [m^2]."""
-    return np.asarray(np.linalg.norm(cross_products(mesh.vertices, mesh.faces), axis=1) / 2)
-
-
-def face_centres(mesh: TriangleMesh) -> Floats:
-    """(F, 3) centres of gravity of the faces [m], object frame."""
-    return np.asarray(mesh.vertices[mesh.faces].mean(axis=1))
+    @cached_property
+    def centres(self) -> Floats:
+        """(F, 3) centres of gravity of the faces [m], object frame."""
+        return _sealed(np.asarray(self.vertices[self.faces].mean(axis=1)))
 
 
 def cross_products(vertices: Floats, faces: NDArray[np.integer]) -> Floats:
     """(F, 3) cross products of two edges of each face (F, 3): twice the area long, outward; vertices (V, 3)."""
-    corners = vertices[faces]
-    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    one, two = vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    result = np.empty_like(one)
+    for k in range(3):  # as `np.cross`, which takes three times as long
+        i, j = (k + 1) % 3, (k + 2) % 3
+        np.subtract(one[:, i] * two[:, j], one[:, j] * two[:, i], out=result[:, k])
+    return result
+
+
+def _sealed(array: Floats) -> Floats:
+    array.flags.writeable = False
+    return array

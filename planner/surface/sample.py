@@ -4,13 +4,14 @@ Coverage is a sum of the areas of samples of the *reference* mesh (Section 3.2).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
 
 from planner.errors import PlannerError
 from planner.surface.closest import closest_face
-from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.values import Bools, Floats, Ints, Ints32, Value
 
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
@@ -59,9 +60,8 @@ def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.
     """
     if count < 1:
         raise PlannerError(f"count is {count}; at least 1 sample is needed")
-    areas = face_areas(reference)
-    order = _morton_order(face_centres(reference))
-    ends = np.cumsum(areas[order])
+    areas = reference.areas
+    order, ends = _laid_end_to_end(reference)
     total = float(ends[-1])
     if not total > 0:
         raise PlannerError("the reference mesh has no area; every face of it is degenerate")
@@ -75,7 +75,7 @@ def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.
     root = np.sqrt(along)
     weights = np.stack([1 - root, root * (1 - across), root * across], axis=1)
     points = np.einsum("sc,scj->sj", weights, reference.vertices[reference.faces[face]])
-    normals = face_normals(reference)[face]
+    normals = reference.normals[face]
     planning_face = closest_face(points, normals, planning)
     return SurfaceSamples(points, normals, np.full(count, total / count), face.astype(np.int32), planning_face)
 
@@ -90,9 +90,16 @@ def face_features(reference: TriangleMesh, planning: TriangleMesh) -> SurfaceSam
     Returns:
         As many features as the planning mesh has faces; `face` is the closest face of the reference.
     """
-    points, normals = face_centres(planning), face_normals(planning)
+    points, normals = planning.centres, planning.normals
     face = closest_face(points, normals, reference)
-    return SurfaceSamples(points, normals, face_areas(planning), face, np.arange(len(points), dtype=np.int32))
+    return SurfaceSamples(points, normals, planning.areas, face, np.arange(len(points), dtype=np.int32))
+
+
+@lru_cache(maxsize=1)  # of the part, whose surface is sampled several times in a plan
+def _laid_end_to_end(mesh: TriangleMesh) -> tuple[Ints, Floats]:
+    """(F,) the faces in the order of the curve, and (F,) the area up to the end of each [m^2]."""
+    order = _morton_order(mesh.centres)
+    return order, np.cumsum(mesh.areas[order])
 
 
 def _morton_order(points: Floats) -> Ints:

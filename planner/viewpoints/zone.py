@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.viewpoints.viewpoints import Viewpoints, looking_at
 
 
@@ -22,5 +22,5 @@ def optimal_scanning_zone(planning: TriangleMesh, standoffs: Sequence[float], ro
     Raises:
         PlannerError: if a standoff is not positive, or there is no standoff or no roll.
     """
-    face = np.flatnonzero(face_areas(planning) > 0)
-    return looking_at(face_centres(planning)[face], face_normals(planning)[face], face, standoffs, rolls)
+    face = np.flatnonzero(planning.areas > 0)
+    return looking_at(planning.centres[face], planning.normals[face], face, standoffs, rolls)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cell.stand_ins import NAMES, STAND_INS, build
-from planner.surface.mesh import TriangleMesh, face_areas, face_centres
+from planner.surface.mesh import TriangleMesh
 
 # Area [mm^2], volume [mm^3] and centre of the surface [mm], as first built. Another version of a library may change the
 # bytes, so the figures are compared to 1e-4 and 0.02 mm: a different shape, not a different rounding.
@@ -33,13 +33,13 @@ def built(name: str) -> TriangleMesh:
 def test_the_part_is_the_one_that_was_frozen(name: str) -> None:
     """Area, volume and centre of the surface are those of the first build."""
     mesh = built(name)
-    areas = face_areas(mesh)
+    areas = mesh.areas
     corners = mesh.vertices[mesh.faces]
     volume = np.einsum("fj,fj->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     area_mm2, volume_mm3, centre_mm = FROZEN[name]
     assert areas.sum() * 1e6 == pytest.approx(area_mm2, rel=1e-4)
     assert volume * 1e9 == pytest.approx(volume_mm3, rel=1e-4)
-    assert areas @ face_centres(mesh) / areas.sum() * 1e3 == pytest.approx(np.array(centre_mm), abs=0.02)
+    assert areas @ mesh.centres / areas.sum() * 1e3 == pytest.approx(np.array(centre_mm), abs=0.02)
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -56,7 +56,7 @@ def test_the_part_has_the_papers_counts_bounds_and_genus(name: str) -> None:
     assert body.volume > 0
     assert body.body_count == 1
     assert body.euler_number == 2 - 2 * paper.genus
-    assert face_areas(mesh).min() > 1e-5 * face_areas(mesh).mean()
+    assert mesh.areas.min() > 1e-5 * mesh.areas.mean()
     assert len(np.unique(np.sort(mesh.faces, axis=1), axis=0)) == paper.faces
     assert body.area == pytest.approx(paper.area_mm2, rel=0.3)
 

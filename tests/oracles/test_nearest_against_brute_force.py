@@ -8,7 +8,7 @@ import trimesh
 from cell.reconstruction.deviation import deviation
 from planner.errors import PlannerError
 from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh, face_normals
+from planner.surface.mesh import TriangleMesh
 
 
 def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:
@@ -155,7 +155,7 @@ def test_normals_are_smooth_but_for_creases() -> None:
         nearest = NearestSurface(mesh)
         closest = nearest.closest(mesh.vertices.max(axis=0) * rng.uniform(-1.2, 1.2, (2000, 3)))
         radial = closest.point / np.linalg.norm(closest.point, axis=1, keepdims=True)
-        expected = radial if mesh is ball else face_normals(mesh)[closest.face]
+        expected = radial if mesh is ball else mesh.normals[closest.face]
         np.testing.assert_allclose(nearest.normals(closest), expected, atol=tolerance)
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from planner.surface.closest import closest_face
 from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh, face_areas, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import sample
 
 
@@ -26,11 +26,11 @@ def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> N
     points = np.repeat(samples.points, count, axis=0)
     feet = trimesh.triangles.closest_point(np.tile(triangles, (400, 1, 1)), points)
     distance = np.linalg.norm(feet - points, axis=1).reshape(400, count)
-    agreeing = np.where(samples.normals @ face_normals(planning).T > 0, distance, np.inf)
+    agreeing = np.where(samples.normals @ planning.normals.T > 0, distance, np.inf)
     excess = agreeing[np.arange(400), chosen] - agreeing.min(axis=1)
     assert np.isfinite(excess).all()
     assert (excess > 1e-9).mean() <= 0.02
-    assert excess.max() < np.sqrt(face_areas(planning).mean())
+    assert excess.max() < np.sqrt(planning.areas.mean())
 
 
 @given(st.integers(1, 3000), st.integers(0, 2**32 - 1))
@@ -42,7 +42,7 @@ def test_samples_lie_on_their_faces_and_share_the_area(count: int, seed: int) ->
     assert len(samples) == count
     feet = trimesh.triangles.closest_point(mesh.vertices[mesh.faces[samples.face]], samples.points)
     assert np.abs(feet - samples.points).max() < 1e-12
-    assert (samples.normals == face_normals(mesh)[samples.face]).all()
+    assert (samples.normals == mesh.normals[samples.face]).all()
     assert np.isclose(samples.areas.sum(), body.area, rtol=1e-9)
     assert np.ptp(samples.areas) == 0
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh, face_areas, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import face_features, sample
 from planner.viewpoints.zone import optimal_scanning_zone
 
@@ -112,7 +112,7 @@ def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face
     body = case()
     reference = TriangleMesh(body.vertices, body.faces)
     planning = decimate(reference, face_count)
-    areas = face_areas(planning)
+    areas = planning.areas
     assert 1 <= len(planning.faces) <= max(2 * face_count, len(reference.faces))  # a coarse mesh is split by halves
     assert (areas > 0).all()
     assert len(np.unique(np.sort(planning.faces, axis=1), axis=0)) == len(planning.faces)
@@ -128,7 +128,7 @@ def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face
     assert samples.areas.sum() == pytest.approx(body.area, rel=1e-9)
     points = np.repeat(samples.points, len(planning.faces), axis=0)
     to_all = _distance(points, np.tile(planning.vertices[planning.faces], (1000, 1, 1)), extent).reshape(1000, -1)
-    same_side = samples.normals @ face_normals(planning).T > 0
+    same_side = samples.normals @ planning.normals.T > 0
     nearest = np.where(same_side, to_all, np.inf).min(axis=1)
     chosen = to_all[np.arange(1000), samples.planning_face]
     comparable = np.isfinite(nearest)

@@ -9,7 +9,7 @@ from cell.reconstruction.deviation import area_samples
 from cell.reconstruction.holes import boundary_loops
 from cell.reconstruction.reconstruct import Reconstruction, ReconstructionStatus, reconstruct
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh, face_areas, face_normals
+from planner.surface.mesh import TriangleMesh
 
 RADIUS = 0.05
 VIEWS = 0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
@@ -46,7 +46,7 @@ def test_ball_from_six_sides_is_closed_and_exact() -> None:
     assert boundary_loops(mesh) == []
     edges = np.unique(np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     assert len(mesh.vertices) - len(edges) + len(mesh.faces) == 2
-    outward = np.einsum("fj,fj->f", face_normals(mesh), mesh.vertices[mesh.faces].mean(axis=1))
+    outward = np.einsum("fj,fj->f", mesh.normals, mesh.vertices[mesh.faces].mean(axis=1))
     assert outward.min() > 0
 
 
@@ -115,9 +115,9 @@ def test_a_thin_sheet_seen_from_both_sides_has_two_surfaces() -> None:
     scans = [ScanCloud(top, np.array([0, 0, 0.3])), ScanCloud(top * [1, 1, -1], np.array([0, 0, -0.3]))]
     mesh = _mesh_of(reconstruct(merge(scans)))
     inner = (np.abs(mesh.vertices[mesh.faces].mean(axis=1)[:, :2]) < 0.018).all(axis=1)
-    height, up = mesh.vertices[mesh.faces].mean(axis=1)[inner, 2], face_normals(mesh)[inner, 2]
+    height, up = mesh.vertices[mesh.faces].mean(axis=1)[inner, 2], mesh.normals[inner, 2]
     np.testing.assert_allclose(height, np.sign(up) * 0.6e-3, atol=5e-6)
-    areas = [face_areas(mesh)[inner & (sign * face_normals(mesh)[:, 2] > 0)].sum() for sign in (1, -1)]
+    areas = [mesh.areas[inner & (sign * mesh.normals[:, 2] > 0)].sum() for sign in (1, -1)]
     np.testing.assert_allclose(areas, 0.036**2, rtol=0.06)
 
 

@@ -8,7 +8,7 @@ import trimesh
 
 from planner.errors import PlannerError
 from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh, face_areas, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import face_features, sample
 
 
@@ -37,18 +37,18 @@ def with_zero_area_faces(mesh: TriangleMesh) -> TriangleMesh:
 def test_face_quantities_of_a_box_are_exact() -> None:
     """A box's faces have half its sides' areas, axis-parallel outward normals, and centres on its sides."""
     mesh = box()
-    assert face_areas(mesh).sum() == pytest.approx(2 * (0.1 * 0.2 + 0.2 * 0.3 + 0.1 * 0.3), rel=1e-12)
-    assert np.abs(face_normals(mesh)).max(axis=1) == pytest.approx(1.0, abs=1e-12)
-    outward = np.einsum("fj,fj->f", face_centres(mesh), face_normals(mesh))
+    assert mesh.areas.sum() == pytest.approx(2 * (0.1 * 0.2 + 0.2 * 0.3 + 0.1 * 0.3), rel=1e-12)
+    assert np.abs(mesh.normals).max(axis=1) == pytest.approx(1.0, abs=1e-12)
+    outward = np.einsum("fj,fj->f", mesh.centres, mesh.normals)
     assert np.sort(outward) == pytest.approx(np.repeat([0.05, 0.1, 0.15], 4), abs=1e-12)
 
 
 def test_a_face_without_area_has_normal_zero() -> None:
     """A degenerate face yields the zero vector and area 0, not NaN."""
     mesh = with_zero_area_faces(box())
-    degenerate = face_areas(mesh) == 0
+    degenerate = mesh.areas == 0
     assert degenerate.sum() == 3
-    assert (face_normals(mesh)[degenerate] == 0).all()
+    assert (mesh.normals[degenerate] == 0).all()
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
     repeated = TriangleMesh(dirty.vertices, np.vstack([dirty.faces, dirty.faces[5:7, [1, 2, 0]]]))
     clean = decimate(repeated, 12)
     assert len(clean.faces) == 12
-    assert face_areas(clean).sum() == pytest.approx(face_areas(box()).sum(), rel=1e-12)
+    assert clean.areas.sum() == pytest.approx(box().areas.sum(), rel=1e-12)
     assert trimesh.Trimesh(clean.vertices, clean.faces, process=False).is_watertight
 
 
@@ -130,7 +130,7 @@ def test_samples_never_lie_on_a_face_without_area() -> None:
     mesh = with_zero_area_faces(box())
     samples = sample(mesh, box(), 6000, np.random.default_rng(1))
     held = np.bincount(samples.face, minlength=len(mesh.faces))
-    areas = face_areas(mesh)
+    areas = mesh.areas
     assert (held[areas == 0] == 0).all()
     assert np.abs(held - 6000 * areas / areas.sum()).max() <= 1.0 + 1e-9
 
@@ -153,7 +153,7 @@ def test_the_two_sides_of_a_thin_wall_are_kept_apart() -> None:
     reference = TriangleMesh(plate.vertices, plate.faces)
     planning = box(0.1, 0.1, 0.0002)
     samples = sample(reference, planning, 4000, np.random.default_rng(3))
-    agreement = np.einsum("sj,sj->s", samples.normals, face_normals(planning)[samples.planning_face])
+    agreement = np.einsum("sj,sj->s", samples.normals, planning.normals[samples.planning_face])
     assert (agreement > 0.99).all()
 
 
@@ -164,9 +164,9 @@ def test_face_features_are_the_planning_faces() -> None:
     features = face_features(fine, coarse)
     assert len(features) == len(coarse.faces)
     assert (features.planning_face == np.arange(len(coarse.faces))).all()
-    assert features.areas.sum() == pytest.approx(face_areas(coarse).sum(), rel=1e-12)
+    assert features.areas.sum() == pytest.approx(coarse.areas.sum(), rel=1e-12)
     direction = features.points / np.linalg.norm(features.points, axis=1, keepdims=True)
-    below = face_centres(fine)[features.face]
+    below = fine.centres[features.face]
     below /= np.linalg.norm(below, axis=1, keepdims=True)
     assert np.arccos(np.clip(np.einsum("fj,fj->f", direction, below), -1, 1)).max() < np.deg2rad(4)
 
@@ -200,8 +200,8 @@ def test_a_mesh_of_few_large_faces_is_split_on_its_surface() -> None:
     mesh = box()
     planning = decimate(mesh, 1000)
     assert 500 < len(planning.faces) < 1500
-    assert face_areas(planning).sum() == pytest.approx(face_areas(mesh).sum(), rel=1e-12)
+    assert planning.areas.sum() == pytest.approx(mesh.areas.sum(), rel=1e-12)
     assert trimesh.Trimesh(planning.vertices, planning.faces, process=False).is_watertight
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    centres = face_centres(planning)
+    centres = planning.centres
     assert (np.isclose(centres, low, atol=1e-12) | np.isclose(centres, high, atol=1e-12)).any(axis=1).all()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh, face_centres, face_normals
+from planner.surface.mesh import TriangleMesh
 from planner.viewpoints.sphere import view_sphere
 from planner.viewpoints.viewpoints import Viewpoints, enclosing_radius
 from planner.viewpoints.zone import optimal_scanning_zone
@@ -38,7 +38,7 @@ def test_each_face_is_looked_at_from_its_standoff_against_its_normal() -> None:
     assert (viewpoints.face == face).all()
     assert (viewpoints.standoff == np.tile([0.3, 0.3, 0.3, 0.1, 0.1, 0.1], len(mesh.faces))).all()
     assert (viewpoints.roll == np.tile([0.0, np.pi / 2, 1.0], len(mesh.faces) * 2)).all()
-    normals, centres = face_normals(mesh)[face], face_centres(mesh)[face]
+    normals, centres = mesh.normals[face], mesh.centres[face]
     T = viewpoints.T_object_scanner[:, 0]
     assert np.abs(T[:, :3, 2] + normals).max() < 1e-12
     assert np.abs(T[:, :3, 3] - (centres + viewpoints.standoff[:, None] * normals)).max() < 1e-12
@@ -58,7 +58,7 @@ def test_a_view_along_z_has_its_baseline_along_x() -> None:
     body = trimesh.creation.box(extents=(0.1, 0.2, 0.3))
     mesh = TriangleMesh(body.vertices, body.faces)
     viewpoints = optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
-    normals = face_normals(mesh)[viewpoints.face]
+    normals = mesh.normals[viewpoints.face]
     baseline = viewpoints.T_object_scanner[:, 0, :3, 0]
     flat, turned = np.abs(normals[:, 2]) > 0.5, viewpoints.roll > 0
     assert (flat & ~turned).sum() == 4

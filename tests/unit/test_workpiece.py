@@ -14,7 +14,6 @@ import trimesh
 from cell.errors import CellError, FileError, UsageError
 from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
 from cell.scene.scene import Scene
-from planner.surface.mesh import face_areas
 
 
 def body() -> trimesh.Trimesh:
@@ -335,7 +334,7 @@ def test_zero_area_and_duplicate_faces_are_dropped_and_counted() -> None:
         "2 faces have no area and were dropped",
         "4 faces were there twice; one of each was dropped",
     ]
-    assert face_areas(part.reference).sum() == pytest.approx(mesh.area * 1e-6, rel=1e-9)
+    assert part.reference.areas.sum() == pytest.approx(mesh.area * 1e-6, rel=1e-9)
 
 
 def test_a_sliver_that_joins_its_neighbours_does_not_open_the_surface() -> None:
