@@ -56,13 +56,13 @@ class TriangleMesh(Value):
     @cached_property
     def centres(self) -> Floats:
         """(F, 3) centres of gravity of the faces [m], object frame."""
-        return _sealed(np.asarray(self.vertices[self.faces].mean(axis=1)))
+        return _sealed(self.vertices[self.faces].mean(axis=1))
 
 
 def cross_products(vertices: Floats, faces: NDArray[np.integer]) -> Floats:
     """(F, 3) cross products of two edges of each face (F, 3): twice the area long, outward; vertices (V, 3)."""
     one, two = vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
-    result = np.empty_like(one)
+    result: Floats = np.empty_like(one)
     for k in range(3):  # as `np.cross`, which takes three times as long
         i, j = (k + 1) % 3, (k + 2) % 3
         np.subtract(one[:, i] * two[:, j], one[:, j] * two[:, i], out=result[:, k])

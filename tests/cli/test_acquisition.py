@@ -105,8 +105,9 @@ def as_pcd(path: Path, points: np.ndarray) -> None:
 
 @pytest.mark.parametrize(
     ("frame", "write", "off_mm"),
-    [("scanner", as_ply("<f8"), 1e-6), ("flange", as_xyz, 1e-6), ("base", as_ply("<f8"), 1e-6),
-     ("scanner", as_ply("<f4"), 1e-3), ("base", as_pcd, 1e-3)],
+    [("scanner", as_ply("<f8"), 1e-6), ("flange", as_xyz, 1e-6), ("base", as_pcd, 1e-3),
+     pytest.param("base", as_ply("<f8"), 1e-6, marks=pytest.mark.slow),
+     pytest.param("scanner", as_ply("<f4"), 1e-3, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_an_execution_s_own_scans_read_back_give_the_same(
     run: Path, tmp_path: Path, frame: str, write: Callable[[Path, np.ndarray], None], off_mm: float
@@ -205,7 +206,10 @@ CAUSES: dict[str, tuple[str, Callable[[int, np.ndarray], np.ndarray], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", CAUSES)
+@pytest.mark.parametrize(
+    "name",
+    ["metres", "left-handed base", *(pytest.param(name, marks=pytest.mark.slow) for name in ("inches", "mirrored"))],
+)
 def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: str) -> None:
     """Units and mirrored frames, by what is left off the part when they are taken as if it were so."""
     frame, change, words = CAUSES[name]

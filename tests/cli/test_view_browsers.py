@@ -74,24 +74,30 @@ def test_a_page_plays_clicks_hides_and_recolours(browser: Any, planned: Path) ->
     assert coloured(browser) > 1000
 
 
-@pytest.mark.usefixtures("drawn_pictures")
-def test_every_page_is_shown(
-    browser: Any, planned: Path, executed: Path, run_cell: Callable[..., Any], tmp_path: Path
-) -> None:
-    """A scene, an execution in each of its colours, why, a difference; without a request or a fault."""
-    shutil.copytree(planned, tmp_path / "run")
+@pytest.fixture(scope="module")
+def pages(
+    planned: Path, executed: Path, run_cell: Callable[..., Any], drawn: Callable[[], Any], tmp_path_factory: Any
+) -> list[Path]:
+    """Of an execution, a scene, why and a difference."""
+    folder = tmp_path_factory.mktemp("pages")
+    shutil.copytree(planned, folder / "run")
     for words in (("view", "--no-open", "--out", "scene.html"), ("why", "run", "--samples", "2000"),
                   ("diff", "run", executed, "--out", "diff.html")):  # fmt: skip
-        done = run_cell(*words, cwd=tmp_path)
+        with drawn():
+            done = run_cell(*words, cwd=folder)
         assert done.returncode == 0, done.stderr
     scan = executed / "executions" / "0001" / "view.html"
-    shown = [scan, *(tmp_path / name for name in ("scene.html", "run/why/view.html", "diff.html"))]
-    for page in shown:
+    return [scan, *(folder / name for name in ("scene.html", "run/why/view.html", "diff.html"))]
+
+
+def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
+    """A scene, an execution in each of its colours, why, a difference; without a request or a fault."""
+    for page in pages:
         browser.open(page.as_uri())
         titles = browser.run(_EVERY_COLOUR)
         assert (browser.faults(), browser.asked()) == ([], []), page
         assert coloured(browser) > 500, page
-        if page == scan:
+        if page == pages[0]:
             assert {"Number of views", "Spacing of points", "Deviation"} <= set(titles)
 
 

@@ -194,7 +194,9 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
     assert (execution / "manifest.json").read_bytes() == kept
 
 
-@pytest.mark.parametrize(("status", "torn"), [("failed", True), ("finished", True), ("finished", False)])
+@pytest.mark.parametrize(
+    ("status", "torn"), [("failed", True), pytest.param("finished", True, marks=pytest.mark.slow), ("finished", False)]
+)
 def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     status: str, torn: bool, executed_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
 ) -> None:

@@ -97,7 +97,7 @@ def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in ("mseke", "mug") else pytest.mark.slow) for name in BUILT_IN]
+    "name", [pytest.param(name, marks=() if name == "mug" else pytest.mark.slow) for name in BUILT_IN]
 )
 def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
     """With noise and pose errors as executions have them. Swapped views of the rod of a bone look alike: silence."""
