@@ -4,6 +4,7 @@ Object frame (the mesh file's axes), metres.
 """
 
 import threading
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from planner.surface.remesh import edges_of, split_long_edges, stout
 from planner.values import Floats, Ints32
 
 _AGGRESSIONS = (7, 5, 6, 8, 4)  # in this order; 7 is the library's default, see `decimate`
+_BETWEEN = 40  # faces of the copy between, for each one wanted: fine enough to be taken for the mesh, quick to try on
 _TOO_LONG = 2.5  # edges above so many face sizes are split: a right triangle then has at most 1.6 times the wanted area
 
 _decimation_lock = threading.Lock()  # fast_simplification keeps its mesh in module globals
@@ -24,9 +26,10 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
 
     The library's thresholds are absolute, so the mesh is brought to a diagonal of 1 first: the result does not depend
     on the unit. At a high aggression it sometimes leaves edges with more than two faces, at a low one it stops short of
-    the count; the first aggression that does neither is taken, else the one that came nearest. Where the needles of a
-    CAD mesh hold it far above the count, it is made stout first (see `planner.surface.remesh`). Faces without area and
-    faces that appear twice are dropped from the result.
+    the count; the first aggression that does neither is taken, else the one that came nearest; from the second on they
+    are tried on a copy between, of 40 faces to each one wanted. Where the needles of a CAD mesh hold it far above the
+    count, that copy is made stout (see `planner.surface.remesh`). Faces without area and faces that appear twice are
+    dropped from the result.
 
     Args:
         mesh: the reference, object frame.
@@ -48,11 +51,17 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     middle = (clean.vertices.min(axis=0) + clean.vertices.max(axis=0)) / 2
     diagonal = clean.diagonal
     fine = TriangleMesh((clean.vertices - middle) / diagonal, clean.faces)
-    best = _collapse(fine, face_count)
+    best = _collapsed(fine, face_count, _AGGRESSIONS[0])
+    if _flaws(best, face_count) == (False, 0):
+        return TriangleMesh(best.vertices * diagonal + middle, best.faces)
+    between = fine
+    if len(fine.faces) > _BETWEEN * face_count:
+        between = _collapsed(fine, _BETWEEN * face_count, _AGGRESSIONS[0])
+    best = _best(best, between, face_count, _AGGRESSIONS[1:])
     if len(best.faces) > face_count + _allowed_miss(face_count):
         area = float(fine.areas.sum())
-        repaired = _clean(*stout(fine.vertices, fine.faces, np.sqrt(area / face_count)))
-        candidate = _collapse(repaired, face_count)
+        repaired = _clean(*stout(between.vertices, between.faces, np.sqrt(area / face_count)))
+        candidate = _best(repaired, repaired, face_count, _AGGRESSIONS)
         if len(candidate.faces) < len(best.faces) and abs(float(candidate.areas.sum()) / area - 1) < 0.2:
             best = candidate
     return TriangleMesh(best.vertices * diagonal + middle, best.faces)
@@ -90,22 +99,27 @@ def _split(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     return TriangleMesh(vertices, faces)
 
 
-def _collapse(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
-    """The best of several aggressions: first the count, then no edge of more than two faces. Diagonal of about 1."""
-    best, best_key = mesh, (True, float("inf"))
-    for aggression in _AGGRESSIONS:
-        vertices, faces = collapse_edges(mesh.vertices, mesh.faces, face_count, aggression)
-        if not len(faces):
-            continue
-        result = _clean(vertices, faces)
-        miss = abs(len(result.faces) - face_count)
-        crowded = int((edges_of(result.faces)[1] > 2).sum())
-        key = (miss > _allowed_miss(face_count), float(crowded + max(miss - 2, 0)))
-        if key < best_key:
-            best, best_key = result, key
-        if key == (False, 0) or miss > face_count:  # nothing to improve; or stuck on slivers at any aggression
-            break
+def _best(best: TriangleMesh, mesh: TriangleMesh, face_count: int, aggressions: Sequence[int]) -> TriangleMesh:
+    """The best of what is known and of the mesh collapsed at several aggressions; its diagonal is about 1."""
+    for aggression in aggressions:
+        flaws = _flaws(best, face_count)
+        if flaws == (False, 0) or (len(best.faces) > 2 * face_count and best is not mesh):
+            break  # nothing to improve; or stuck on slivers, at any aggression
+        best = min(best, _collapsed(mesh, face_count, aggression), key=lambda each: _flaws(each, face_count))
     return best
+
+
+def _collapsed(mesh: TriangleMesh, face_count: int, aggression: int) -> TriangleMesh:
+    """The mesh after one run of the library, tidied; the mesh itself where nothing is left of it."""
+    vertices, faces = collapse_edges(mesh.vertices, mesh.faces, face_count, aggression)
+    return _clean(vertices, faces) if len(faces) else mesh
+
+
+def _flaws(mesh: TriangleMesh, face_count: int) -> tuple[bool, int]:
+    """Whether the count is missed, then the number of edges of more than two faces and by how much it is missed."""
+    miss = abs(len(mesh.faces) - face_count)
+    crowded = int((edges_of(mesh.faces)[1] > 2).sum())
+    return miss > _allowed_miss(face_count), crowded + max(miss - 2, 0)
 
 
 def _allowed_miss(face_count: int) -> float:
