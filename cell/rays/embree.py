@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from cell.errors import CellError
 from planner.ports import Hits
+from planner.surface.mesh import cross_products
 from planner.values import Floats
 
 HAIR = 2e-6
@@ -69,7 +70,9 @@ class EmbreeRayCaster:
                 f"the faces to cast rays on refer to vertices {indices.min()} to {indices.max()}; "
                 f"valid are 0 to {len(vertices) - 1}"
             )
-        used = vertices[indices.ravel()]
+        named = np.zeros(len(vertices), dtype=np.bool_)
+        named[indices] = True
+        used = vertices[named]
         if not np.isfinite(used).all():
             raise CellError("the triangles to cast rays on contain NaN or infinity; every coordinate must be finite")
         low, high = used.min(axis=0), used.max(axis=0)
@@ -77,7 +80,7 @@ class EmbreeRayCaster:
         self._half_diagonal = float(np.linalg.norm(high - low)) / 2
         centred = np.where(np.isfinite(vertices), vertices - self._middle, 0.0)  # a vertex that no face uses may be NaN
         corner = centred[indices[:, 0]]
-        self._normals: Floats = np.cross(centred[indices[:, 1]] - corner, centred[indices[:, 2]] - corner)
+        self._normals: Floats = cross_products(centred, indices)
         self._offsets: Floats = np.einsum("ij,ij->i", self._normals, corner)
         self._scene = _build(centred.astype(np.float32), indices.astype(np.int32))
         self._workers = max(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cell.world.crossings import crossings
 from cell.world.triangle_distance import BOX, CYLINDER, nearest_triangle
 from planner.surface.mesh import TriangleMesh
+from planner.surface.remesh import edges_of
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -43,9 +44,8 @@ class TriangleTree:
         Args:
             mesh: at least one face [m].
         """
-        corners = np.array(mesh.vertices[mesh.faces], dtype=np.float64)
-        order = np.argsort(_morton(corners.mean(axis=1)), kind="stable")
-        triangles = np.ascontiguousarray(corners[order])
+        order = np.argsort(_morton(mesh.centres), kind="stable")
+        triangles = mesh.vertices[mesh.faces[order]]
         leaves = 1 << max(0, int(np.ceil(np.log2(max(1.0, len(order) / _LEAF)))))
         first = (np.arange(leaves + 1, dtype=np.int64) * len(order)) // leaves
         bounds = np.empty((2 * leaves, 3, 3))
@@ -139,10 +139,8 @@ class TriangleTree:
 
 def is_closed(mesh: TriangleMesh) -> bool:
     """Whether every edge of a mesh is shared by an even number of faces, so that a ray tells inside from outside."""
-    faces = mesh.faces.astype(np.int64)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    edges = edges[edges[:, 0] != edges[:, 1]]  # of faces that are collapsed to a line
-    counts = np.unique(edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1], return_counts=True)[1]
+    edges, counts = edges_of(mesh.faces)
+    counts = counts[edges[:, 0] != edges[:, 1]]  # without those of faces that are collapsed to a line
     return bool((counts % 2 == 0).all())
 
 

@@ -103,9 +103,9 @@ def split_long_edges(vertices: Floats, faces: Ints32, longest: float) -> tuple[F
 
 def edges_of(faces: Ints32) -> tuple[Ints32, Ints]:
     """(E, 2) undirected edges of faces (F, 3), and (E,) how many faces each has."""
-    pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     size = int(faces.max()) + 1
-    key, count = np.unique(pairs[:, 0] * size + pairs[:, 1], return_counts=True)
+    ends = faces, np.roll(faces, -1, axis=1)
+    key, count = np.unique(np.minimum(*ends) * np.int64(size) + np.maximum(*ends), return_counts=True)
     return np.stack([key // size, key % size], axis=1).astype(np.int32), count
 
 
