@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 
 from cell.plant import factory
 from cell.plant.servo import Settings
+from cell.robot import model as robot
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from drivers.controller import SETTLE_LIMIT
-from drivers.limits import kr16
 from drivers.profile import Reference, interpolate
 from planner.values import Floats
 
@@ -109,7 +109,7 @@ class OneMove:
 
 def one_move(settings: Settings) -> OneMove:
     """Drive it with a plant of these settings."""
-    limits = kr16()
+    limits = robot.limits(load())
     reference = interpolate(HOME, MOVE, limits.velocity, limits.acceleration)
     trace = Trace()
     plant: Any = factory.built_in(settings, trace)["mujoco"](HOME)

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.robot import model as robot
 from drivers.contract import Driver, Fault
 from drivers.errors import (
     DriverError,
@@ -38,8 +39,11 @@ from drivers.errors import (
     StateUnknownError,
     StoppedError,
 )
-from drivers.registry import open_driver
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
 from drivers.setpoints import SetPoints
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 BACKENDS = ("serial", "modbus", "modbus-rtu")
 EVERY_FAULT = (
@@ -282,7 +286,7 @@ def soak_backend(backend: str, moves: int, faults: str, seed: int) -> tuple[Soak
                 assert process.stdout is not None
                 url = process.stdout.readline().strip()
                 url += ("&" if "?" in url else "?") + PATIENCE
-                soak = drive(open_driver(url), moves, np.random.default_rng(seed))
+                soak = drive(open_driver(url, Context(KR16)), moves, np.random.default_rng(seed))
             finally:
                 process.terminate()
                 process.wait(30)

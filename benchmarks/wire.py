@@ -21,9 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.commands import Reset, next_sequence
-from drivers.registry import open_driver
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
 from drivers.wires.modbus import register_map as registers
 
 FIGURE_MS = {"modbus": 3.0, "modbus-rtu": 15.0, "serial": 5.0}
@@ -89,12 +91,13 @@ def run() -> list[dict[str, Any]]:
     """A row per wire."""
     rounds = int(os.environ.get("WIRE_ROUNDS", "500"))
     rows = [_bare_line(rounds)]
+    arm = Context(Limits.from_rad(robot.limits(robot.load())))
     for backend, figure in FIGURE_MS.items():
         command = [sys.executable, "-m", "cell", "emulate", backend]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
             try:
                 assert process.stdout is not None
-                driver = open_driver(process.stdout.readline().strip())
+                driver = open_driver(process.stdout.readline().strip(), arm)
                 assert isinstance(driver, ControllerClient)
                 with driver:
                     driver.take()

@@ -2,7 +2,7 @@
 
 A wire implements `Link`, a few small methods; `ControllerClient` makes a `Driver` of it. What it adds:
 
-- **Both sides refuse.** What the capabilities exclude is not even sent.
+- **Both sides refuse.** What the capabilities or the arm's own limits exclude is not even sent.
 - **One owner.** Moves and resets need the session, which is taken before the first and given back at the end. Who loses
   it (another client stopped the arm, or took it over from a client that was silent) sends nothing more.
 - **A status is doubted** (`drivers.status`): before each move and scan and while waiting, faults, contradictions and a
@@ -40,7 +40,7 @@ from drivers.errors import (
     ProtocolError,
     RefusedError,
 )
-from drivers.limits import Limits, kr16, refuse
+from drivers.limits import Limits, refuse
 from drivers.link import Link
 from drivers.setpoints import SetPoints
 
@@ -56,7 +56,7 @@ class ControllerClient:
     Args:
         link: the wire.
         clock: with which it waits.
-        limits: what the arm can do at most, by which arrivals are judged; None: a KR 16.
+        limits: what the arm can do at most, by which moves are refused and arrivals judged.
         say: told what is waited for where nothing happens.
         session: its number, 1 to 65535; None: random.
     """
@@ -65,13 +65,13 @@ class ControllerClient:
         self,
         link: Link,
         clock: Clock,
+        limits: Limits,
         *,
-        limits: Limits | None = None,
         say: Callable[[str], None] | None = None,
         session: int | None = None,
     ) -> None:
         self._link, self._clock = link, clock
-        self._limits, self._say = limits or kr16(), say
+        self._limits, self._say = limits, say
         self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
         self._account = Account(link, session or secrets.randbelow(65535) + 1, self._read)
         self._capabilities: Capabilities | None = None
@@ -158,9 +158,10 @@ class ControllerClient:
             self.take()
             self._leaving = False
             state = self.ready()
-            result, detail = refuse(command, state.axes, self.capabilities)
-            if result is not Result.OK:
-                raise RefusedError(detail, result)
+            for bounds in (self.capabilities, self._limits):
+                result, detail = refuse(command, state.axes, bounds)
+                if result is not Result.OK:
+                    raise RefusedError(detail, result)
             profile = arrival.profile_of(command, state, self._limits)
             watch = arrival.watch_of(command, profile, self._clock, self.capabilities.time_scale, self._say)
             try:

@@ -5,7 +5,7 @@ start and stop together, each leg is a straight segment in joint space, and the 
 The controller owns the timing inside its own limits. That is what the PTP of a real controller does, and all that a
 checked plan needs. Axes travel as set-points (`drivers.setpoints`), so every driver executes exactly what was checked.
 
-    with open_driver("sim://") as driver:
+    with open_driver("sim://", Context(limits)) as driver:
         driver.move(set_points, speed=0.5)      # returns when the arm stands at the last set-point, or raises
         driver.state().q                        # axes as the controller reports them [rad]
 

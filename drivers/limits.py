@@ -1,10 +1,9 @@
 """Limits on the controller's own side: position, speed, acceleration and step size of the six axes."""
 
 from dataclasses import dataclass, field
-from functools import cache
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from drivers.commands import Move, Result
 from drivers.contract import Capabilities
@@ -12,6 +11,30 @@ from drivers.errors import DriverError
 from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, frozen
 
 _ROUNDING = 1e-3  # counts; a limit that is a count but for the rounding of its radians is that count
+
+
+class JointLimits(Protocol):
+    """What the axes of an arm can do, as its model says it (`planner.ports.JointLimits`)."""
+
+    @property
+    def lower(self) -> Floats:
+        """(n,) smallest joint angles [rad]."""
+
+    @property
+    def upper(self) -> Floats:
+        """(n,) largest joint angles [rad]."""
+
+    @property
+    def velocity(self) -> Floats:
+        """(n,) axis speeds [rad/s]."""
+
+    @property
+    def acceleration(self) -> Floats:
+        """(n,) axis accelerations [rad/s^2]."""
+
+    @property
+    def jerk(self) -> Floats:
+        """(n,) axis jerks [rad/s^3]; inf: not limited."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,30 +88,11 @@ class Limits:
             raise DriverError(f"the largest speed fraction is {self.max_speed}; it must be above 0 and at most 1")
 
     @classmethod
-    def from_rad(
-        cls,
-        lower: ArrayLike,
-        upper: ArrayLike,
-        velocity: ArrayLike,
-        acceleration: ArrayLike,
-        *,
-        jerk: ArrayLike | None = None,
-    ) -> "Limits":
-        """Limits in radians, rounded inwards to counts; a step may be the whole range.
-
-        Args:
-            lower: (6,) smallest joint angles [rad].
-            upper: (6,) largest joint angles [rad].
-            velocity: (6,) axis speeds [rad/s].
-            acceleration: (6,) axis accelerations [rad/s^2].
-            jerk: (6,) axis jerks [rad/s^3]; None: not limited.
-        """
-        low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (lower, upper))
+    def from_rad(cls, arm: JointLimits) -> "Limits":
+        """Those of an arm, positions rounded inwards to counts; a step may be the whole range."""
+        low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (arm.lower, arm.upper))
         low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
-        return cls(
-            low, high, np.asarray(velocity), np.asarray(acceleration), np.maximum(high - low, 1),
-            jerk=np.asarray(np.inf if jerk is None else jerk),
-        )  # fmt: skip
+        return cls(low, high, arm.velocity, arm.acceleration, np.maximum(high - low, 1), jerk=arm.jerk)
 
     def capabilities(self, controller: str, *, hardware: bool, simulated_time: bool) -> Capabilities:
         """What a driver says of a controller with these limits."""
@@ -132,20 +136,3 @@ def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple
             f"{bounds.max_step[axis] / PER_DEGREE:.4f} deg"
         )
     return Result.OK, ""
-
-
-@cache
-def kr16() -> Limits:
-    """The KUKA KR 16 with a floor-mounted KR C2: ranges and speeds of its data sheet.
-
-    KUKA publishes no accelerations and no jerks. Assumed are twice the speed per second (a ramp of 0.5 s), a common
-    guess, and an acceleration that is reached in 0.1 s.
-    """
-    velocity = np.radians([156.0, 156.0, 156.0, 330.0, 330.0, 615.0])
-    return Limits.from_rad(
-        np.radians([-185.0, -155.0, -130.0, -350.0, -130.0, -350.0]),
-        np.radians([185.0, 35.0, 154.0, 350.0, 130.0, 350.0]),
-        velocity,
-        2.0 * velocity,
-        jerk=20.0 * velocity,
-    )

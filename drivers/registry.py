@@ -41,15 +41,14 @@ class Context:
     """What the opener injects; a driver takes what concerns it.
 
     Attributes:
+        limits: of the arm: those of the simulated controller, and by which a client refuses moves and judges arrivals.
         clock: time for waiting and for simulated controllers; None: the driver's own choice.
-        limits: limits of the simulated controller, and those by which a client judges what a real one says of its arm;
-            None: those of a KR 16.
         plants: further plants of the simulated controller by name; "ideal" here replaces the built-in one.
         say: told in a sentence what is waited for, where nothing happens.
     """
 
+    limits: Limits
     clock: Clock | None = None
-    limits: Limits | None = None
     plants: Mapping[str, PlantFactory] = field(default_factory=dict)
     say: Callable[[str], None] | None = None
 
@@ -66,7 +65,7 @@ def schemes() -> tuple[str, ...]:
     return tuple(sorted({point.name for point in entry_points(group=GROUP)}))
 
 
-def open_driver(url: str, context: Context | None = None) -> Driver:
+def open_driver(url: str, context: Context) -> Driver:
     """Make the driver that a URL names; use it in `with`, which connects.
 
     Args:
@@ -77,7 +76,7 @@ def open_driver(url: str, context: Context | None = None) -> Driver:
         DriverUrlError: if the scheme or an option does not exist, or the driver's distribution is broken.
     """
     parsed = DriverUrl(url)
-    driver = _load(parsed.scheme).from_url(parsed, context or Context())
+    driver = _load(parsed.scheme).from_url(parsed, context)
     missing = [part for part in _PARTS if not hasattr(type(driver), part)]
     if missing:
         raise DriverUrlError(

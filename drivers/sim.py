@@ -24,7 +24,6 @@ from drivers.commands import Answer, Command, Result
 from drivers.contract import Capabilities, RobotState
 from drivers.controller import Controller
 from drivers.errors import DriverUrlError
-from drivers.limits import kr16
 from drivers.plant import IdealPlant
 from drivers.registry import Context
 from drivers.setpoints import PER_DEGREE, from_rad, to_rad
@@ -82,7 +81,7 @@ class SimDriver(ControllerClient):
     """
 
     def __init__(self, controller: Controller, clock: Clock, say: Callable[[str], None] | None = None) -> None:
-        super().__init__(_InProcess(controller, clock.simulated), clock, limits=controller.limits, say=say)
+        super().__init__(_InProcess(controller, clock.simulated), clock, controller.limits, say=say)
         self.controller, self.clock = controller, clock
 
     @classmethod
@@ -101,8 +100,7 @@ class SimDriver(ControllerClient):
         realtime = url.flag("realtime")
         time_scale = url.number("time_scale", 0.0, above=0.0)
         start = from_rad(np.radians(url.numbers("start", HOME_DEG)))
-        limits = context.limits or kr16()
-        max_speed = url.number("max_speed", limits.max_speed, above=0.0, at_most=1.0)
+        max_speed = url.number("max_speed", context.limits.max_speed, above=0.0, at_most=1.0)
         max_step_deg = url.number("max_step_deg", 0.0, above=0.0, at_most=2**31 / PER_DEGREE - 1.0)
         url.finish()
         if url.host or url.path not in ("", "/"):
@@ -115,7 +113,7 @@ class SimDriver(ControllerClient):
             raise DriverUrlError(
                 f"'{url.text}' has time_scale without realtime; add &realtime, or leave time_scale away"
             )
-        limits = dataclasses.replace(limits, max_speed=max_speed)
+        limits = dataclasses.replace(context.limits, max_speed=max_speed)
         if max_step_deg:
             limits = dataclasses.replace(
                 limits, max_step=np.full(6, max(1, int(max_step_deg * PER_DEGREE + 0.5)), np.int32)

@@ -16,6 +16,7 @@ EPILOG = (
     "Examples:\n\n"
     "cell emulate serial --link /tmp/kr16 --state arm.json\n\n"
     "cell emulate modbus --port 5020 --time-scale 10\n\n"
+    "cell emulate modbus --run sim_runs/trial --plant mujoco\n\n"
     "cell emulate modbus-rtu --faults drop=0.01,delay=0.02:0.3,estop@12.5 --seed 4 --log moves.jsonl\n\n"
     "The first line on stdout is the driver URL: cell scan sim_runs/trial --driver URL. Ctrl-C ends it."
 )
@@ -32,10 +33,17 @@ def emulate(
     ] = None,
     baud: Annotated[int, typer.Option(help="Baud rate of the pseudo-terminal.", rich_help_panel=_LINE)] = 115200,
     unit: Annotated[int, typer.Option(min=1, max=247, help="Modbus device address.", rich_help_panel=_LINE)] = 1,
+    run: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="Run folder whose arm, tool and home it is. Default: the built-in arm's."),
+    ] = None,
     plant: Annotated[str, typer.Option(metavar="ideal|mujoco", help="What the controller moves.")] = "ideal",
     start: Annotated[
-        str, typer.Option(metavar="A1,...,A6", help="Axes at which the arm stands at its very first start, deg.")
-    ] = "0,-90,90,0,90,0",
+        str | None,
+        typer.Option(
+            metavar="A1,...,A6", help="Axes at which the arm stands at its very first start, deg. Default: home."
+        ),
+    ] = None,
     state: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keeps the arm's position across restarts.")
     ] = None,
@@ -54,11 +62,7 @@ def emulate(
     seconds: Annotated[float | None, typer.Option(help="End after this time. Default: at Ctrl-C.")] = None,
 ) -> None:
     """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be spoken to as hardware is."""
-    import numpy as np
-
     from cell.emulate import emulator
-    from drivers.errors import DriverError
-    from drivers.setpoints import from_rad
 
     if protocol not in emulator.PROTOCOLS:
         raise UsageError(f"cell emulate {protocol}: there is no such protocol; one of {', '.join(emulator.PROTOCOLS)}")
@@ -68,6 +72,21 @@ def emulate(
         raise UsageError(f"--port is for cell emulate modbus; cell emulate {protocol} has --link")
     if not 1e-3 <= time_scale <= 1e6:
         raise UsageError(f"--time-scale {time_scale:g} must be at least 0.001 and at most 1e6")
+    settings = emulator.Settings(
+        protocol, port, link, baud, unit, faults, seed, time_scale, state, log, _counts(start), seconds
+    )  # fmt: skip
+    emulator.emulate(settings, emulator.arm_of(run, plant), lambda url: _announce(url, run, time_scale))
+
+
+def _counts(start: str | None) -> tuple[int, ...] | None:
+    """The set-points of `--start`; None where it was not given."""
+    import numpy as np
+
+    from drivers.errors import DriverError
+    from drivers.setpoints import from_rad
+
+    if start is None:
+        return None
     try:
         axes = [float(piece) for piece in start.split(",")]
     except ValueError:
@@ -75,18 +94,15 @@ def emulate(
     if len(axes) != 6:
         raise UsageError(f"--start {start} must be six numbers, A1 to A6 in deg, for instance 0,-90,90,0,90,0")
     try:
-        counts = tuple(from_rad(np.radians(axes)).tolist())
+        return tuple(from_rad(np.radians(axes)).tolist())
     except DriverError as error:
         raise UsageError(f"--start: {error}") from error
-    settings = emulator.Settings(
-        protocol, port, link, baud, unit, faults, seed, time_scale, state, log, counts, seconds
-    )  # fmt: skip
-    emulator.emulate(settings, emulator.plants(plant), lambda url: _announce(url, time_scale))
 
 
-def _announce(url: str, time_scale: float) -> None:
+def _announce(url: str, run: Path | None, time_scale: float) -> None:
     sys.stdout.write(url + "\n")
     sys.stdout.flush()
     sys.stderr.write("cell: an emulated arm, no machine, answers there until Ctrl-C\n")
     scaled = "" if time_scale == 1.0 else f" --accept-time-scale {time_scale:g}"
-    sys.stderr.write(f"next, in another terminal:\n  cell scan RUN --driver {shlex.quote(url)}{scaled}\n")
+    planned = "RUN" if run is None else shlex.quote(str(run))
+    sys.stderr.write(f"next, in another terminal:\n  cell scan {planned} --driver {shlex.quote(url)}{scaled}\n")

@@ -8,6 +8,10 @@ import numpy as np
 
 from cell.emulate.memory import Memory
 from cell.errors import DriverFailureError, UsageError
+from cell.plant import factory
+from cell.robot import model as robot
+from cell.run import reader as run_reader
+from cell.run.record import open_run
 from drivers.clock import RealTimeClock
 from drivers.contract import Fault
 from drivers.emulated.endpoint import Endpoint
@@ -17,9 +21,9 @@ from drivers.emulated.serial_station import SerialStation
 from drivers.emulated.serve import Server, Station
 from drivers.emulated.wire_faults import Injector, parse
 from drivers.errors import DriverError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant, PlantFactory
-from drivers.setpoints import to_rad
+from drivers.setpoints import Floats, from_rad, to_rad
 
 PROTOCOLS = ("serial", "modbus", "modbus-rtu")
 
@@ -39,7 +43,7 @@ class Settings:
         time_scale: seconds of the arm per second.
         state: file of the arm's position; None: it is forgotten.
         log: file of the journal; None: none.
-        start: where the arm stands on the first start, counts of 1e-4 deg.
+        start: where the arm stands on the first start, counts of 1e-4 deg; None: at home.
         seconds: ends by itself after this time [s]; None: never.
     """
 
@@ -53,16 +57,31 @@ class Settings:
     time_scale: float
     state: Path | None
     log: Path | None
-    start: tuple[int, ...]
+    start: tuple[int, ...] | None
     seconds: float | None = None
 
 
-def emulate(settings: Settings, plant: PlantFactory, announce: Callable[[str], None]) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """Whose controller is emulated.
+
+    Attributes:
+        limits: the controller's.
+        home: (6,) where it stands on the first start, where nothing else is said [rad].
+        plant: makes it.
+    """
+
+    limits: Limits
+    home: Floats
+    plant: PlantFactory
+
+
+def emulate(settings: Settings, arm: Arm, announce: Callable[[str], None]) -> None:
     """Serve until Ctrl-C; then the arm brakes, and its position is kept.
 
     Args:
         settings: what.
-        plant: makes the arm.
+        arm: whose controller.
         announce: is given the driver URL, once clients can come.
 
     Raises:
@@ -75,11 +94,12 @@ def emulate(settings: Settings, plant: PlantFactory, announce: Callable[[str], N
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
     memory = Memory(settings.state, settings.log)
-    axes = np.array(settings.start, dtype=np.int32) if memory.axes is None else memory.axes
+    first = from_rad(arm.home) if settings.start is None else np.array(settings.start, dtype=np.int32)
+    axes = first if memory.axes is None else memory.axes
     wire_clock = RealTimeClock()
     try:
         endpoint = Endpoint(
-            plant(to_rad(axes)), kr16(), RealTimeClock(settings.time_scale), wire_clock, memory,
+            arm.plant(to_rad(axes)), arm.limits, RealTimeClock(settings.time_scale), wire_clock, memory,
             boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, time_scale=settings.time_scale,
         )  # fmt: skip
         line, url = _line(settings)
@@ -100,20 +120,23 @@ def emulate(settings: Settings, plant: PlantFactory, announce: Callable[[str], N
         memory.close(state)
 
 
-def plants(name: str) -> PlantFactory:
-    """The plant of a name.
+def arm_of(run_folder: Path | None, plant: str) -> Arm:
+    """The arm of a run's cell, with its tool; without a run the built-in one.
+
+    Args:
+        run_folder: of a plan; None: none.
+        plant: name of what moves.
 
     Raises:
-        UsageError: if there is none.
+        UsageError: if there is no such plant.
+        FileError: if the run folder has no cell, or it is damaged.
     """
-    if name == "ideal":
-        return IdealPlant
-    from cell.plant import factory  # brings the engine: an ideal arm starts without it
-
-    known = factory.built_in()
-    if name not in known:
-        raise UsageError(f"--plant {name} must be one of: {', '.join(('ideal', *known))}")
-    return known[name]
+    run = None if run_folder is None else open_run(run_folder)
+    plants = {"ideal": IdealPlant, **(factory.built_in() if run is None else factory.of_run(run))}
+    if plant not in plants:
+        raise UsageError(f"--plant {plant} must be one of: {', '.join(plants)}")
+    model = robot.load() if run is None else run_reader.cell_model(run)
+    return Arm(Limits.from_rad(robot.limits(model)), robot.home(model), plants[plant])
 
 
 def _line(settings: Settings) -> tuple[Line, str]:

@@ -109,8 +109,10 @@ def source(program: Program, options: KrlOptions) -> bytes:
     """The content of `<name>.src`.
 
     Raises:
-        UsageError: if a sweep turns.
+        UsageError: if the arm's axes are not KUKA's, or a sweep turns.
     """
+    if program.status is None:
+        raise UsageError("this arm's axes are not KUKA's, so no KRL drives it; choose --format csv or json")
     for sweep in program.sweeps:
         T = program.T_base_tcp[[sweep.begin, sweep.end], :3, :3]
         turn = float(np.degrees(np.linalg.norm(rotation_vectors(T[1:] @ T[0].T))))

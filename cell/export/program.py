@@ -5,7 +5,8 @@ them by forward kinematics. Base frame: the robot's foot, KUKA's $ROBROOT. The t
 frame. Metres, radians, seconds.
 
 E6POS wants status and turn beside a pose, so that one joint solution is meant: bits of S say behind A1 (wrist centre),
-elbow (A3 above the stretched arm, -2.990345 deg) and A5 < 0; bit i - 1 of T says A_i < 0.
+elbow (A3 above the stretched arm, -2.990345 deg) and A5 < 0; bit i - 1 of T says A_i < 0. Both are of an arm with
+KUKA's axes; the program of another has neither, and is not written in KRL.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from cell.proof.proof import prove
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from planner.path.sweeps.line import rotation_vectors
-from planner.ports import JointLimits
+from planner.ports import JointLimits, Kinematics
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
@@ -100,8 +101,8 @@ class Program(Value):
         T_base_tcp: (N, 4, 4) [m].
         T_flange_tcp: (4, 4) the tool [m].
         T_base_object: (4, 4) placement of the part [m].
-        status: (N,) S of E6POS.
-        turn: (N,) T of E6POS.
+        status: (N,) S of E6POS; None of an arm whose axes are not KUKA's.
+        turn: (N,) T of E6POS; None likewise.
         limits: joint limits that the plan was timed with.
         sweeps: lines that are driven, in driving order; their via points have the kind `lin`, but for the first.
     """
@@ -118,8 +119,8 @@ class Program(Value):
     T_base_tcp: Annotated[Floats, "N 4 4"]
     T_flange_tcp: Annotated[Floats, "4 4"]
     T_base_object: Annotated[Floats, "4 4"]
-    status: Annotated[NDArray[np.int64], "N"]
-    turn: Annotated[NDArray[np.int64], "N"]
+    status: Annotated[NDArray[np.int64], "N"] | None
+    turn: Annotated[NDArray[np.int64], "N"] | None
     limits: JointLimits
     sweeps: tuple[Sweep, ...]
 
@@ -166,7 +167,7 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
 
 
 def of_motion(
-    motion: Motion, kinematics: Kr16Kinematics, T_flange_tcp: Floats, T_base_object: Floats, told: Told
+    motion: Motion, kinematics: Kinematics, T_flange_tcp: Floats, T_base_object: Floats, told: Told
 ) -> Program:
     """The program of a motion.
 
@@ -182,7 +183,8 @@ def of_motion(
     at_view = np.flatnonzero(motion.view >= 0)
     stop = np.zeros(len(motion.view), dtype=np.int64)
     stop[at_view] = np.cumsum(np.diff(motion.view[at_view], prepend=-1) != 0)
-    status, turn = status_and_turn(motion.via_q, kinematics)
+    kuka = kinematics if isinstance(kinematics, Kr16Kinematics) else None
+    status, turn = (None, None) if kuka is None else status_and_turn(motion.via_q, kuka)
     return Program(
         told=told,
         kinds=(Kind.START, *(Kind.LIN if line >= 0 else Kind.PTP for line in motion.line[1:])),

@@ -76,8 +76,8 @@ def _via_points(program: Program) -> list[dict[str, object]]:
             "axes_deg": angles_deg(program.q[row]),
             "tcp_xyz_mm_abc_deg": _pose(program.T_base_tcp[row]),
             "flange_xyz_mm_abc_deg": _pose(program.T_base_flange[row]),
-            "status": int(program.status[row]),
-            "turn": int(program.turn[row]),
+            "status": None if program.status is None else int(program.status[row]),
+            "turn": None if program.turn is None else int(program.turn[row]),
         }
         for row in range(len(program.q))
     ]

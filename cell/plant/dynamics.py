@@ -1,11 +1,12 @@
-"""The KR 16 as a dynamic model: `models/kr16.xml` with its drives and a tool, and without what dynamics does not need.
+"""The arm as a dynamic model: its file, with its drives and a tool, and without what dynamics does not need.
 
-The same file is compiled twice: for planning as it is (`cell.robot.model`), and here with gravity, the drives'
+The same model is compiled twice: for planning as it is (`cell.robot.model`), and here with gravity, the drives'
 reflected rotor inertia, friction and torque limits, and without collision shapes: whether a path is free is decided
 when it is planned. Hard stops are left out, since they lie beyond the limits that the controller checks. World of the
 model = the robot's base frame (KUKA $ROBROOT), the foot on level ground; SI units.
 
-The masses of the links, and all four figures of the drives, are estimates: models/README.md says how they were made.
+Of the KR 16 the masses of the links, and all four figures of the drives, are estimates: models/README.md says how they
+were made. A file that lacks them is no dynamic model.
 """
 
 from __future__ import annotations
@@ -22,11 +23,14 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
+_INSTEAD = "add what it lacks, or let the ideal arm move: sim://"
+
 Integrator = Literal["Euler", "implicitfast"]
 
 
 def arm(
     tool: Tool,
+    spec: mujoco.MjSpec | None = None,
     *,
     mass_scale: float = 1.0,
     friction_scale: float = 1.0,
@@ -42,6 +46,7 @@ def arm(
 
     Args:
         tool: what the flange carries.
+        spec: of the robot alone; None: the built-in one.
         mass_scale: factor on the masses and inertias of links and tool, not on the rotors'.
         friction_scale: factor on the friction that does not depend on speed.
         stiffness: (6,) position gain of the actuators [Nm/rad]; None: torque alone.
@@ -50,16 +55,17 @@ def arm(
         integrator: MuJoCo's name of it.
 
     Raises:
-        FileError: if the model file is missing, damaged or lacks the figures of the drives.
+        FileError: if the model is missing, damaged or lacks masses or the figures of the drives.
     """
     import mujoco
 
-    spec = robot.spec()
+    spec = robot.spec() if spec is None else spec.copy()
+    flange = _compiled(spec.copy()).site(robot.FLANGE)
     rotor_inertia, torque_limit = _numbers(spec, "axis_rotor_inertia_kg_m2"), _numbers(spec, "axis_torque_limit_Nm")
     coulomb, viscous = _numbers(spec, "axis_coulomb_friction_Nm"), _numbers(spec, "axis_viscous_friction_Nm_s_rad")
     for element in [*spec.excludes, *spec.geoms]:
         spec.delete(element)
-    flange, last = robot.load().site(robot.FLANGE), spec.body("link_6")
+    last = spec.body(robot.LINKS[-1])
     for piece in tool.pieces:
         carried = last.add_body(name=piece.name, pos=flange.pos, quat=flange.quat)
         carried.explicitinertial, carried.mass, carried.inertia = True, piece.mass, piece.inertia
@@ -79,7 +85,7 @@ def arm(
     # What went wrong has to be seen, not replaced by a fresh state.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # MuJoCo 4.0.0 has a bug in its sparse Cholesky
-    model = spec.compile()
+    model = _compiled(spec)
     if mass_scale != 1.0:
         model.body_mass[:] *= mass_scale
         model.body_inertia[:] *= mass_scale
@@ -114,10 +120,17 @@ def levers(model: mujoco.MjModel, tool: Tool) -> Floats:
     return reached
 
 
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:  # of several lines
+        raise FileError(f"the arm's model has no dynamics ({' '.join(str(error).split())}); {_INSTEAD}") from error
+
+
 def _numbers(spec: mujoco.MjSpec, name: str) -> Floats:
     """(6,) values of a <custom><numeric>."""
     numeric = spec.numeric(name)
     values = np.array([] if numeric is None else numeric.data, dtype=np.float64)
     if len(values) != len(robot.AXES) or not (values >= 0.0).all():
-        raise FileError(f"{robot.model_file()} has no <numeric> named {name} with six values of at least 0; add it")
+        raise FileError(f"the arm's model has no <numeric> named {name} with six values of at least 0; {_INSTEAD}")
     return values

@@ -29,8 +29,9 @@ def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, Pla
     def mujoco(start: Floats) -> Plant:
         from cell.plant import tool
         from cell.plant.mujoco_plant import MujocoPlant
+        from cell.robot import model as robot
 
-        return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), observer=observer)
+        return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), observer=observer, spec=robot.spec())
 
     return {"mujoco": mujoco}
 

@@ -1,4 +1,4 @@
-"""`sim://?plant=mujoco`: the dynamic KR 16 behind the simulated controller.
+"""`sim://?plant=mujoco`: the dynamic arm behind the simulated controller.
 
 Time is cut into steps of the simulation, counted from the plant's making and not from a call: what is left of a call
 is carried to the next, so the trajectory does not depend on how `advance` is cut up. At each step the servo
@@ -64,6 +64,7 @@ class MujocoPlant:
         tool: what its flange carries.
         settings: of simulation and servo.
         observer: is told of every step.
+        spec: of the robot alone; None: the built-in one.
 
     Attributes:
         model: the arm that is simulated.
@@ -76,6 +77,7 @@ class MujocoPlant:
         tool: Tool | None = None,
         settings: Settings | None = None,
         observer: Observer | None = None,
+        spec: mujoco.MjSpec | None = None,
     ) -> None:
         import mujoco
 
@@ -85,12 +87,13 @@ class MujocoPlant:
         tool, settings = tool or Tool(), settings or Settings()
         if settings.doubt:
             log.warning("%s", settings.doubt)
-        self._feed_forward = servo.FeedForward(tool, settings)
+        self._feed_forward = servo.FeedForward(tool, settings, spec)
         home = np.array(self._feed_forward.model.key("home").qpos)
         inertia = np.diag(dynamics.mass_matrix(self._feed_forward.model, home))
         self._gains = gains = servo.gains(inertia, settings.bandwidth)
         self.model = dynamics.arm(
             tool,
+            spec,
             stiffness=gains.stiffness,
             damping=gains.damping,
             time_step=settings.time_step,

@@ -108,16 +108,17 @@ class FeedForward:
     Args:
         tool: what the flange carries.
         settings: errors of its masses and its friction.
+        spec: of the robot alone; None: the built-in one.
 
     Attributes:
         model: the arm that it believes in.
     """
 
-    def __init__(self, tool: Tool, settings: Settings) -> None:
+    def __init__(self, tool: Tool, settings: Settings, spec: mujoco.MjSpec | None = None) -> None:
         import mujoco
 
         self.model = dynamics.arm(
-            tool, mass_scale=1.0 + settings.mass_error, friction_scale=1.0 + settings.friction_error
+            tool, spec, mass_scale=1.0 + settings.mass_error, friction_scale=1.0 + settings.friction_error
         )
         self._data: mujoco.MjData = mujoco.MjData(self.model)
         self._inverse = mujoco.mj_inverse

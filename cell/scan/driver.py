@@ -7,11 +7,12 @@ from urllib.parse import parse_qsl, urlsplit
 import numpy as np
 
 from cell.errors import DriverFailureError, UsageError
+from cell.run.cell import RunCell
 from cell.scan.options import ScanOptions
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Driver
 from drivers.errors import DriverError
-from drivers.limits import Limits, kr16
+from drivers.limits import Limits
 from drivers.plant import PlantFactory
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_deg
@@ -29,7 +30,7 @@ def on_a_wire(url: str) -> bool:
 def prepare(
     options: ScanOptions,
     motion: Motion,
-    speed: float,
+    cell: RunCell,
     plants: Mapping[str, PlantFactory] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> tuple[Driver, Clock]:
@@ -37,12 +38,12 @@ def prepare(
 
     The simulated controller gets the limits and accelerations of the plan, stands at its beginning, and jumps in time
     unless real time was asked for. By the same limits the arrivals of a real one are judged; but it does not know how
-    far the plan stays below what the arm can do, so there the KR 16's count where they are larger.
+    far the plan stays below what the arm can do, so there the robot model's count where they are larger.
 
     Args:
         options: URL, and whether in real time.
         motion: of the plan, with the limits that it was timed with.
-        speed: fraction of the axis speeds in these limits.
+        cell: of the run, with its arm and the fraction of the axis speeds in these limits.
         plants: what a simulated controller can move, beside its own.
         say: told what is waited for, where nothing happens.
 
@@ -62,14 +63,15 @@ def prepare(
     if simulated and "start" not in query and "://" in url:
         start = ",".join(f"{angle:.4f}" for angle in to_deg(from_rad(motion.via_q[0])))
         url += ("&" if "?" in url else "?") + f"start={start}"
-    lim = motion.limits
-    limits = Limits.from_rad(lim.lower, lim.upper, lim.velocity / speed, lim.acceleration, jerk=lim.jerk)
+    arm = dataclasses.replace(motion.limits, velocity=motion.limits.velocity / cell.scene.speed_scaling)
     if not simulated:
-        fastest = {name: np.maximum(getattr(limits, name), getattr(kr16(), name)) for name in _DYNAMIC}
-        limits = dataclasses.replace(limits, **fastest)
+        able = cell.kinematics.limits
+        arm = dataclasses.replace(
+            arm, **{name: np.maximum(getattr(arm, name), getattr(able, name)) for name in _DYNAMIC}
+        )
     given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
     try:
-        driver = open_driver(url, Context(clock=given, limits=limits, plants=plants or {}, say=say))
+        driver = open_driver(url, Context(Limits.from_rad(arm), given, plants or {}, say))
         # A simulated controller has one clock, with its time_scale; of another one only real time is known.
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
     except DriverError as error:

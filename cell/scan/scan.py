@@ -68,7 +68,7 @@ def scan(
     released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
     cell = read_cell(run, options.resolution_deg)
     seed = options.seed if options.seed is not None else run.seed
-    driver, clock = scan_driver.prepare(options, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
+    driver, clock = scan_driver.prepare(options, motion, cell, factory.of_run(run), narrator.note)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
     _acquisition(kept, cell, seed, run.folder, narrator)  # what cannot be asked of it leaves no execution behind
     if options.acquire == SIMULATED:
@@ -139,7 +139,7 @@ def _resumed(
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
-    driver, clock = scan_driver.prepare(settled, motion, cell.scene.speed_scaling, factory.of_run(run), narrator.note)
+    driver, clock = scan_driver.prepare(settled, motion, cell, factory.of_run(run), narrator.note)
     if settled.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:

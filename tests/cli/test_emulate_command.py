@@ -5,8 +5,12 @@ import sys
 
 import pytest
 
+from cell.robot import model as robot
 from drivers.errors import DriverUrlError
-from drivers.registry import open_driver
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 
 @pytest.mark.parametrize(
@@ -42,9 +46,11 @@ def test_what_cannot_be_emulated_gets_one_sentence(
 def test_nothing_of_the_libraries_is_imported_before_it_is_chosen() -> None:
     """In a fresh process: `sim://` takes neither pyserial nor pymodbus, `serial://` takes no pymodbus."""
     code = (
-        "import sys; from drivers.registry import open_driver; open_driver('sim://')\n"
+        "import sys; from cell.robot.model import limits, load; from drivers.limits import Limits\n"
+        "from drivers.registry import Context, open_driver; arm = Context(Limits.from_rad(limits(load())))\n"
+        "open_driver('sim://', arm)\n"
         "assert not {'serial', 'pymodbus'} & set(sys.modules)\n"
-        "open_driver('serial:///dev/ttyUSB0')\n"
+        "open_driver('serial:///dev/ttyUSB0', arm)\n"
         "assert 'serial' in sys.modules and 'pymodbus' not in sys.modules\n"
         "import drivers.emulated.serve, drivers.emulated.modbus_station\n"
         "assert 'pymodbus' not in sys.modules"
@@ -72,4 +78,4 @@ def test_nothing_of_the_libraries_is_imported_before_it_is_chosen() -> None:
 def test_a_wrong_url_of_a_wire_gets_one_sentence(url: str, words: str) -> None:
     """Before anything is opened."""
     with pytest.raises(DriverUrlError, match=words):
-        open_driver(url)
+        open_driver(url, Context(KR16))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
 from drivers.commands import Answer, Command, Move, Reset, Result, Stop
@@ -22,9 +23,11 @@ from drivers.errors import (
     StateUnknownError,
     StoppedError,
 )
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant
 from drivers.setpoints import SetPoints, from_rad, to_rad
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 START = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
 
@@ -45,7 +48,7 @@ class ScriptedLink:
 
     def __init__(self) -> None:
         self.clock = SimulatedClock()
-        self.controller = Controller(IdealPlant(to_rad(START)), kr16(), self.clock)
+        self.controller = Controller(IdealPlant(to_rad(START)), KR16, self.clock)
         self.before: Callable[[Command], None] = lambda command: None
         self.after: Callable[[Command], None] = lambda command: None
         self.on_state: Callable[[], None] = lambda: None
@@ -54,7 +57,7 @@ class ScriptedLink:
         self.deadline, self.session = math.inf, 0
 
     def open(self) -> Capabilities:
-        limits = kr16()
+        limits = KR16
         return Capabilities("scripted", limits.lower, limits.upper, limits.max_step, 1.0, None, False, True)
 
     def close(self) -> None:
@@ -95,7 +98,7 @@ def link() -> ScriptedLink:
 @pytest.fixture
 def client(link: ScriptedLink) -> ControllerClient:
     """A connected client."""
-    client = ControllerClient(link, link.clock)
+    client = ControllerClient(link, link.clock, KR16)
     client.connect()
     return client
 
@@ -185,7 +188,7 @@ def test_a_controller_restarted_while_moving_is_noticed(link: ScriptedLink, clie
     """The new controller reports move 0 as its last: how ours ended is not known."""
 
     def restart(command: Command) -> None:
-        link.controller = Controller(IdealPlant(to_rad(START)), kr16(), link.clock)
+        link.controller = Controller(IdealPlant(to_rad(START)), KR16, link.clock)
 
     link.after = restart
     with pytest.raises(StateUnknownError, match="restarted"):
@@ -224,7 +227,7 @@ def test_another_client_on_the_line_is_noticed(link: ScriptedLink, client: Contr
 def test_what_the_capabilities_exclude_is_not_sent(link: ScriptedLink, client: ControllerClient) -> None:
     """The client refuses with the controller's own codes, without a byte on the wire."""
     outside = at(0)
-    outside[0, 1] = kr16().upper[1] + 1
+    outside[0, 1] = KR16.upper[1] + 1
     for points, speed, result in ((outside, 0.5, Result.LIMIT), (at(1), 2.0, Result.SPEED)):
         with pytest.raises(RefusedError) as refused:
             client.move(points, speed)
@@ -235,7 +238,7 @@ def test_what_the_capabilities_exclude_is_not_sent(link: ScriptedLink, client: C
 def test_numbering_continues_where_the_controller_stands(link: ScriptedLink) -> None:
     """A new client reads the last number and goes on from it, over the wrap too."""
     link.controller.command(65534, Stop())
-    with ControllerClient(link, link.clock) as client:
+    with ControllerClient(link, link.clock, KR16) as client:
         done = [client.move(at(k), 0.5).done_sequence for k in (1, 2, 3)]
     assert done == [65535, 1, 2]
 
@@ -260,8 +263,8 @@ def interrupted(happen: Callable[[ScriptedLink, ControllerClient], None]) -> tup
     """A connected client that meets something 0.1 s into its first move."""
     link = ScriptedLink()
     link.clock = Interrupting(lambda: happen(link, client))
-    link.controller = Controller(IdealPlant(to_rad(START)), kr16(), link.clock)
-    client = ControllerClient(link, link.clock)
+    link.controller = Controller(IdealPlant(to_rad(START)), KR16, link.clock)
+    client = ControllerClient(link, link.clock, KR16)
     client.connect()
     return link, client
 
@@ -363,7 +366,7 @@ def test_a_failed_connect_gives_the_wire_back(link: ScriptedLink) -> None:
         raise LinkLostError("nobody there")
 
     link.on_state = lose
-    client = ControllerClient(link, link.clock)
+    client = ControllerClient(link, link.clock, KR16)
     with pytest.raises(LinkLostError, match="nobody there"), client:
         pytest.fail("connected to nothing")
     assert link.closed == 1
@@ -388,8 +391,8 @@ def test_a_fault_right_after_a_move_is_told_by_it() -> None:
                 link.controller.emergency_stop()
 
     link.clock = Pressing()
-    link.controller = Controller(IdealPlant(to_rad(START)), kr16(), link.clock)
-    client = ControllerClient(link, link.clock)
+    link.controller = Controller(IdealPlant(to_rad(START)), KR16, link.clock)
+    client = ControllerClient(link, link.clock, KR16)
     client.connect()
     with pytest.raises(EmergencyStopError, match="the move was done just before"):
         client.move(at(10), 1.0)

@@ -13,11 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.commands import Result
 from drivers.contract import Driver, Mode
 from drivers.errors import DriverUrlError, NotConnectedError, RefusedError, SetPointError
-from drivers.registry import open_driver
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
 from drivers.setpoints import PER_DEGREE, SetPoints, from_rad
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 URLS = os.environ.get("CELL_DRIVER_URLS", "sim:// sim://?realtime&time_scale=10000 serial modbus modbus-rtu").split()
 SPEED = 0.1
@@ -35,7 +39,7 @@ def started(request: pytest.FixtureRequest) -> Callable[[str], str]:
 @pytest.fixture(params=URLS)
 def driver(request: pytest.FixtureRequest, started: Callable[[str], str]) -> Iterator[Driver]:
     """A connected driver without a fault."""
-    with open_driver(started(request.param)) as driver:
+    with open_driver(started(request.param), Context(KR16)) as driver:
         driver.reset()
         yield driver
 
@@ -170,4 +174,4 @@ def test_an_unknown_option_is_refused_by_name(entry: str, started: Callable[[str
     """No driver swallows an option that it does not have."""
     url = started(entry)
     with pytest.raises(DriverUrlError, match="no option 'no_such_option'"):
-        open_driver(url + ("&" if "?" in url else "?") + "no_such_option=1")
+        open_driver(url + ("&" if "?" in url else "?") + "no_such_option=1", Context(KR16))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
 from drivers.contract import RobotState
@@ -16,13 +17,15 @@ from drivers.emulated.serial_station import SerialStation
 from drivers.emulated.serve import Server, Station
 from drivers.emulated.wire_faults import Injector, parse
 from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant
 from drivers.reopening import ReopeningLink
 from drivers.wire import Patience
 from drivers.wires.modbus import adu
 from drivers.wires.modbus.link import ModbusLink
 from drivers.wires.serial.link import SerialLink
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 PATIENCE = Patience(answer=0.08, watchdog=0.5, poll=0.01)
 STEP = 0.01
@@ -234,7 +237,7 @@ class Bench:
     journal: Journal
 
 
-def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float = 1.0) -> Bench:
+def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float = 1.0, limits: Limits = KR16) -> Bench:
     """A bench of one back end.
 
     Args:
@@ -242,9 +245,10 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
         faults: list of faults.
         seed: theirs.
         time_scale: how much faster the arm's time goes than the wire's.
+        limits: of the arm, on both sides.
     """
     clock, journal, line = BenchClock(), Journal(), MemoryLine()
-    endpoint = Endpoint(IdealPlant(HOME), kr16(), FastClock(clock, time_scale), clock, journal, time_scale=time_scale)
+    endpoint = Endpoint(IdealPlant(HOME), limits, FastClock(clock, time_scale), clock, journal, time_scale=time_scale)
     station: Station
     link: ReopeningLink
     port: BytePort | RegisterPort
@@ -258,7 +262,7 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
     injector = Injector(parse(faults), np.random.default_rng(seed)) if faults else None
     server = Server(station, line, clock, injector, time_scale)
     clock.turn = server.turn
-    return Bench(ControllerClient(link, clock), link, port, line, clock, endpoint, server, journal)
+    return Bench(ControllerClient(link, clock, limits), link, port, line, clock, endpoint, server, journal)
 
 
 @pytest.fixture(params=["serial", "modbus", "modbus-rtu"])

@@ -13,10 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.contract import Fault, Mode
 from drivers.errors import LinkError, LinkLostError, ProtocolError, RefusedError, StateUnknownError
-from drivers.registry import open_driver
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
 from drivers.setpoints import SetPoints, from_rad
+
+ARM = Context(Limits.from_rad(robot.limits(robot.load())))
 
 HOME = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
 PATIENT = "watchdog_ms=3000&timeout_ms=900"  # a slow machine is no fault
@@ -34,7 +38,7 @@ def test_a_controller_that_is_killed_and_comes_back(protocol: str, emulate: Call
     """While the arm moves: state unknown; then a stop opens the line again, and the arm stands where it was seen."""
     link = tmp_path / "kr16"
     first = emulate(protocol, "--link", str(link))
-    driver = open_driver(first.url + "&" + PATIENT)
+    driver = open_driver(first.url + "&" + PATIENT, ARM)
     with driver:
 
         def kill_while_moving() -> None:
@@ -66,12 +70,12 @@ def test_a_controller_that_is_killed_and_comes_back(protocol: str, emulate: Call
 def test_a_client_that_goes_away_leaves_a_standing_arm(emulate: Callable[..., Any]) -> None:
     """Its socket closed in the middle of a move: the watchdog stops the arm; the next client hears why, and where."""
     emulated = emulate("modbus", "--time-scale", "2")
-    lost = open_driver(emulated.url + "&watchdog_ms=600&timeout_ms=200")
+    lost = open_driver(emulated.url + "&watchdog_ms=600&timeout_ms=200", ARM)
     lost.connect()
     lost.take()
     lost._link.send(lost.state().ack_sequence + 1, _move(170.0, 0.05))  # type: ignore[attr-defined] # as a killed one
     lost._link.close()  # type: ignore[attr-defined] # without the stop of close()
-    with open_driver(emulated.url + "&" + PATIENT) as driver:
+    with open_driver(emulated.url + "&" + PATIENT, ARM) as driver:
         deadline = threading.Event()
         for _ in range(200):  # looking feeds no watchdog
             if driver.state().fault_code and driver.state().standing:
@@ -94,7 +98,7 @@ def test_two_clients_on_one_controller_are_one_owner_at_a_time(emulate: Callable
     """The second takes the arm from a silent first, who says so and sends nothing before a stop; anybody may stop."""
     emulated = emulate("modbus", "--time-scale", "200")
     short = emulated.url + "&watchdog_ms=900&timeout_ms=300"
-    with open_driver(short) as one, open_driver(short) as two:
+    with open_driver(short, ARM) as one, open_driver(short, ARM) as two:
         one.move(turned(1.0), 1.0)
         two.move(turned(2.0), 1.0)  # waits for the silence of the first
         with pytest.raises(StateUnknownError, match="owns the arm now"):
@@ -109,11 +113,11 @@ def test_two_clients_on_one_controller_are_one_owner_at_a_time(emulate: Callable
 def test_the_arm_stands_where_it_stood_and_ctrl_c_is_a_clean_end(emulate: Callable[..., Any]) -> None:
     """After an end in order no fault is latched; the position is that of the last move, to the count."""
     first = emulate("modbus", "--time-scale", "200")
-    with open_driver(first.url) as driver:
+    with open_driver(first.url, ARM) as driver:
         driver.move(turned(12.3456), 1.0)
     assert first.end(signal.SIGINT) == 0
     second = emulate("modbus", beside=first)
-    with open_driver(second.url) as driver:
+    with open_driver(second.url, ARM) as driver:
         state = driver.state()
         assert (state.axes[0], state.fault_code, state.ack_sequence) == (123_456, 0, 0)
         assert state.boot == 2
@@ -124,11 +128,11 @@ def test_a_pseudo_terminal_at_another_speed_is_rubbish_and_says_so(emulate: Call
     emulated = emulate("serial", "--baud", "9600")
     path = emulated.url.split("?")[0]
     with pytest.raises(LinkError, match=r"baud rate|no answer"):
-        open_driver(path + "?baud=115200").connect()
-    with open_driver(emulated.url) as driver:
+        open_driver(path + "?baud=115200", ARM).connect()
+    with open_driver(emulated.url, ARM) as driver:
         assert driver.state().mode is Mode.IDLE
-    with open_driver(emulated.url) as one, pytest.raises(LinkLostError, match="cannot be opened"):
-        open_driver(emulated.url).connect()
+    with open_driver(emulated.url, ARM) as one, pytest.raises(LinkLostError, match="cannot be opened"):
+        open_driver(emulated.url, ARM).connect()
     assert one is not None
 
 
@@ -145,16 +149,16 @@ def test_ports_that_cannot_be(tmp_path: Path) -> None:
         "serial:///dev/null",
     ):
         with pytest.raises(LinkError, match="cannot be opened") as error:
-            open_driver(url).connect()
+            open_driver(url, ARM).connect()
         assert error.value.__cause__ is not None or "modbus" in url
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))
         port = closed.getsockname()[1]
         with pytest.raises(LinkLostError, match="cannot be opened"):
-            open_driver(f"modbus://127.0.0.1:{port}").connect()
+            open_driver(f"modbus://127.0.0.1:{port}", ARM).connect()
         closed.listen()
         with pytest.raises(LinkError, match=r"no answer|is gone"):
-            open_driver(f"modbus://127.0.0.1:{port}?timeout_ms=50&watchdog_ms=150").connect()
+            open_driver(f"modbus://127.0.0.1:{port}?timeout_ms=50&watchdog_ms=150", ARM).connect()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
@@ -202,7 +206,7 @@ def test_a_device_that_speaks_something_else_is_a_protocol_error() -> None:
         thread.start()
         try:
             with pytest.raises(LinkError):
-                open_driver(f"modbus://127.0.0.1:{port}?timeout_ms=100&watchdog_ms=300").connect()
+                open_driver(f"modbus://127.0.0.1:{port}?timeout_ms=100&watchdog_ms=300", ARM).connect()
         finally:
             stop.set()
             thread.join()

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.soak import EVERY_FAULT, PATIENCE, Soak, drive, judge
-from drivers.registry import open_driver
+from cell.robot import model as robot
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 
 @pytest.mark.parametrize("moves", [6, pytest.param(60, marks=pytest.mark.slow)])
@@ -21,7 +25,9 @@ def test_a_reduced_soak_over_real_processes(moves: int, emulate: Callable[..., A
 
     def soak(k: int) -> None:
         url = running[k].url
-        results[k] = drive(open_driver(f"{url}{'&' if '?' in url else '?'}{PATIENCE}"), moves, np.random.default_rng(k))
+        results[k] = drive(
+            open_driver(f"{url}{'&' if '?' in url else '?'}{PATIENCE}", Context(KR16)), moves, np.random.default_rng(k)
+        )
 
     threads = [threading.Thread(target=soak, args=(k,)) for k in range(len(running))]
     for thread in threads:

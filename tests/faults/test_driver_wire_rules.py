@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop
 from drivers.contract import Fault, Mode
 from drivers.errors import (
@@ -17,11 +18,13 @@ from drivers.errors import (
     RefusedError,
     StateUnknownError,
 )
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.setpoints import SetPoints, from_rad
 from drivers.wire import MOST_POINTS
 from drivers.wires.modbus import register_map as registers
 from drivers.wires.serial.frames import Frame, decode, encode
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
 
@@ -184,7 +187,7 @@ def test_many_via_points_are_one_move(bench: Callable[..., Any], backend: str) -
     """600 points in frames of 12 or blocks of 9; each arrives, and the journal has one move."""
     made = bench(backend, time_scale=1e6)
     made.driver.connect()
-    points = np.random.default_rng(0).integers(kr16().lower, kr16().upper, (600, 6), dtype=np.int32)
+    points = np.random.default_rng(0).integers(KR16.lower, KR16.upper, (600, 6), dtype=np.int32)
     assert made.driver.move(points, 1.0).axes.tolist() == points[-1].tolist()
     (move,) = made.journal.of("move")
     assert move["set_points"] == points.tolist()
@@ -194,7 +197,7 @@ def test_a_hundred_thousand_via_points_over_the_serial_line(bench: Callable[...,
     """8,334 frames make one move."""
     made = bench("serial", time_scale=1e6)
     made.driver.connect()
-    points = np.random.default_rng(0).integers(kr16().lower, kr16().upper, (100_000, 6), dtype=np.int32)
+    points = np.random.default_rng(0).integers(KR16.lower, KR16.upper, (100_000, 6), dtype=np.int32)
     assert made.driver.move(points, 1.0).axes.tolist() == points[-1].tolist()
     assert len(made.journal.of("move")) == 1
 

@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.commands import Result
 from drivers.contract import WHOLE, Capabilities, Flag, Mode, RobotState
 from drivers.errors import ArrivalError, DriverError, OverdueError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.profile import interpolate
 from drivers.setpoints import SetPoints, from_rad, to_rad
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
 
@@ -205,8 +208,8 @@ def test_an_emulator_that_tells_its_factor_is_judged_by_its_clock(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"lower": kr16().upper + np.int32(1)}, "lower limit is above"),
-        ({"max_step": kr16().max_step * 0}, "largest step"),
+        ({"lower": KR16.upper + np.int32(1)}, "lower limit is above"),
+        ({"max_step": KR16.max_step * 0}, "largest step"),
         ({"max_speed": 0.0}, "largest speed fraction"),
         ({"time_scale": 0.0}, "as fast as real time"),
     ],
@@ -272,7 +275,7 @@ def test_an_interrupt_at_any_moment_leaves_a_standing_arm(bench: Callable[..., A
     gone = made.clock.now()
     made.clock.wait = wait
     assert gone - came[0] < 2.0
-    limits = kr16()
+    limits = KR16
     there = interpolate(to_rad(HOME), to_rad(turned(170.0)), limits.velocity * speed, limits.acceleration, limits.jerk)
     braking.append(there.braked(there.duration / 2).duration)  # from full speed: no brake takes longer
     until = came[0] + braking[0] + 0.2 + (0.5 + 0.1 if mute else 0.0)  # a mute line is the watchdog's

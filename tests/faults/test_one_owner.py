@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.commands import Move, Reset, Result, Stop
 from drivers.contract import Fault, Mode
 from drivers.errors import NotOwnerError, ProtocolError, StateUnknownError, StoppedError
-from drivers.limits import Limits, kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant
 from drivers.setpoints import SetPoints, from_rad
 from drivers.wires.modbus import register_map as registers
 from drivers.wires.serial.frames import Frame, decode, encode
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
 
@@ -176,7 +179,7 @@ def test_the_arm_is_given_back(wire: Any) -> None:
 
 def test_seven_axes_are_agreed_on(bench: Callable[..., Any], backend: str) -> None:
     """A controller with an external axis: a client of seven drives it, a client of six ends with a sentence."""
-    made, six = bench(backend), kr16()
+    made, six = bench(backend), KR16
     seven = Limits(
         *(np.append(getattr(six, name), more) for name, more in
           (("lower", -10**6), ("upper", 10**6), ("velocity", 1.0), ("acceleration", 2.0), ("max_step", 2 * 10**6)))
@@ -188,7 +191,7 @@ def test_seven_axes_are_agreed_on(bench: Callable[..., Any], backend: str) -> No
     made.server._station.__init__(endpoint, **({"rtu": True} if backend == "modbus-rtu" else {}))
     with pytest.raises(ProtocolError, match="has 7 axes and this client drives 6"):
         made.driver.connect()
-    client = ControllerClient(made.link, made.clock, limits=seven)
+    client = ControllerClient(made.link, made.clock, seven)
     client.connect()
     points = np.tile(np.append(HOME, 50_000), (30, 1)).astype(np.int32)
     points[:, 6] += np.arange(30, dtype=np.int32) * 100

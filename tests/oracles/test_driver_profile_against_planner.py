@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from drivers.limits import kr16
+from cell.robot import model as robot
+from drivers.limits import Limits
 from drivers.profile import Reference, interpolate
 from drivers.setpoints import from_rad, to_rad
 from planner.path.certified_edge import quantise
@@ -11,16 +12,18 @@ from planner.ports import JointLimits
 from planner.reach.setpoints import from_steps, to_steps
 from planner.timing.motion import move_time, retime
 
+KR16 = Limits.from_rad(robot.limits(robot.load()))
+
 
 def limits(speed: float) -> JointLimits:
     """The controller's limits as the planner's."""
-    robot = kr16()
+    robot = KR16
     return JointLimits(to_rad(robot.lower), to_rad(robot.upper), robot.velocity * speed, robot.acceleration, robot.jerk)
 
 
 def tour(rng: np.random.Generator, count: int, spread_deg: float) -> np.ndarray:
     """(count, 6) via points inside the limits [rad], steps of up to `spread_deg` on each axis, some of them zero."""
-    robot = kr16()
+    robot = KR16
     middle = (robot.lower + robot.upper.astype(np.int64)) / 2
     steps = rng.uniform(-spread_deg, spread_deg, (count, 6)) * 1e4 * rng.integers(0, 2, (count, 6))
     return to_rad(np.clip(middle + np.cumsum(steps, axis=0), robot.lower, robot.upper).astype(np.int32))
@@ -28,7 +31,7 @@ def tour(rng: np.random.Generator, count: int, spread_deg: float) -> np.ndarray:
 
 def by_controller(via: np.ndarray, speed: float) -> Reference:
     """What the controller makes of it."""
-    return interpolate(via[0], via[1:], kr16().velocity * speed, kr16().acceleration, kr16().jerk)
+    return interpolate(via[0], via[1:], KR16.velocity * speed, KR16.acceleration, KR16.jerk)
 
 
 @pytest.mark.parametrize("spread_deg", [1e-4, 0.01, 5.0, 170.0])

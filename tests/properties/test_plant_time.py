@@ -8,9 +8,12 @@ from hypothesis import strategies as st
 
 from cell.plant.mujoco_plant import MujocoPlant
 from cell.plant.servo import Settings
-from drivers.limits import kr16
+from cell.robot import model as robot
+from drivers.limits import Limits
 from drivers.plant import Plant
 from drivers.profile import Reference, interpolate
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 STEP = Settings().time_step
@@ -18,7 +21,7 @@ STEP = Settings().time_step
 
 def reference(end: tuple[float, ...]) -> Reference:
     """From home to home plus so many radians."""
-    limits = kr16()
+    limits = KR16
     return interpolate(HOME, HOME[None] + np.array(end), limits.velocity, limits.acceleration, limits.jerk)
 
 

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cell.robot import model as robot
 from drivers.commands import Answer, Move, Reset, Stop
 from drivers.contract import Mode, RobotState
 from drivers.errors import ProtocolError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.wire import SPEEDS, Stage, Staging, pieces, points_crc, speed_from_wire, speed_to_wire
 from drivers.wires.modbus import adu
 from drivers.wires.modbus import register_map as registers
@@ -26,6 +27,8 @@ from drivers.wires.serial.frames import (
     plain,
     split,
 )
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 numbers = st.integers(0, 65535)
 int32 = st.integers(-(2**31), 2**31 - 1)
@@ -299,7 +302,7 @@ def test_the_kr16_fits_a_hello() -> None:
     """The capabilities of the KR 16 survive both wires' forms."""
     from drivers.contract import Capabilities
 
-    limits = kr16()
+    limits = KR16
     able = Capabilities("emulator", limits.lower, limits.upper, limits.max_step, 0.5, None, True, False)
     again = messages.hello_of(messages.hello_frame(3, able))
     assert again is not None

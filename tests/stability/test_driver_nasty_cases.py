@@ -5,18 +5,21 @@ import time
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop
 from drivers.contract import Fault, Mode
 from drivers.controller import SETTLE_LIMIT, Controller
 from drivers.errors import DriverError, FaultError, RefusedError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant
 from drivers.profile import Reference, interpolate
 from drivers.registry import Context
 from drivers.setpoints import SetPoints, from_rad, to_rad
 from drivers.sim import SimDriver
 from drivers.url import DriverUrl
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 START = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
 
@@ -30,7 +33,7 @@ class SetClock(SimulatedClock):
 
 def controller(clock: SimulatedClock | None = None) -> Controller:
     """A KR 16 at home."""
-    return Controller(IdealPlant(to_rad(START)), kr16(), clock or SimulatedClock())
+    return Controller(IdealPlant(to_rad(START)), KR16, clock or SimulatedClock())
 
 
 def turned(*degrees: float) -> SetPoints:
@@ -42,7 +45,7 @@ def turned(*degrees: float) -> SetPoints:
 
 def simulated(plant: type | None = None, clock: SimulatedClock | None = None) -> SimDriver:
     """A sim:// driver over a plant."""
-    context = Context(clock=clock, plants={} if plant is None else {"ideal": plant})
+    context = Context(KR16, clock=clock, plants={} if plant is None else {"ideal": plant})
     return SimDriver.from_url(DriverUrl("sim://"), context)
 
 
@@ -66,7 +69,7 @@ def test_a_move_of_one_count_ends_one_count_further() -> None:
 def test_a_hundred_thousand_via_points_are_one_move() -> None:
     """Each is passed exactly, and the whole is far faster than the arm."""
     rng = np.random.default_rng(0)
-    limits = kr16()
+    limits = KR16
     points = rng.integers(limits.lower, limits.upper, (100_000, 6), dtype=np.int32)
     with simulated() as driver:
         began = time.perf_counter()
@@ -88,7 +91,7 @@ def test_a_stop_in_the_middle_of_a_hundred_thousand_via_points_drops_the_rest() 
     clock = SimulatedClock()
     robot = controller(clock)
     rng = np.random.default_rng(0)
-    points = rng.integers(kr16().lower, kr16().upper, (100_000, 6), dtype=np.int32)
+    points = rng.integers(KR16.lower, KR16.upper, (100_000, 6), dtype=np.int32)
     robot.command(1, Move(points, 1.0))
     clock.wait(robot.time_to_wait() / 2)
     before = robot.state().axes
@@ -96,8 +99,8 @@ def test_a_stop_in_the_middle_of_a_hundred_thousand_via_points_drops_the_rest() 
     clock.wait(10.0)
     state = robot.state()
     assert (state.mode, state.done_sequence, state.done_result) == (Mode.IDLE, 1, Result.STOPPED)
-    eased = kr16().velocity / kr16().acceleration + kr16().acceleration / kr16().jerk
-    assert (np.abs(to_rad(state.axes - before)) <= kr16().velocity * eased / 2).all()
+    eased = KR16.velocity / KR16.acceleration + KR16.acceleration / KR16.jerk
+    assert (np.abs(to_rad(state.axes - before)) <= KR16.velocity * eased / 2).all()
     assert robot.time_to_wait() == 0.0
 
 
@@ -198,7 +201,7 @@ def test_a_stop_is_obeyed_whatever_its_number(number: int) -> None:
 @pytest.mark.parametrize("share", [0.0, 1e-9, 0.1, 0.5, 0.9, 1 - 1e-9, 1.0])
 def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(share: float) -> None:
     """Without a limit of jerk; in the ramp, the cruise and the last ramp: never beyond the leg's end."""
-    limits = kr16()
+    limits = KR16
     reference = interpolate(to_rad(START), to_rad(turned(120.0)), limits.velocity, limits.acceleration)
     t = share * reference.duration
     braked = reference.braked(t)
@@ -339,14 +342,14 @@ def test_a_plant_that_stays_broken_stays_a_fault() -> None:
 def test_an_arm_outside_the_limits_has_no_controller() -> None:
     """By one count, at the start."""
     outside = START.copy()
-    outside[1] = kr16().upper[1] + 1
+    outside[1] = KR16.upper[1] + 1
     with pytest.raises(DriverError, match="outside the controller's limits"):
-        Controller(IdealPlant(to_rad(outside)), kr16(), SimulatedClock())
+        Controller(IdealPlant(to_rad(outside)), KR16, SimulatedClock())
 
 
 def test_a_step_one_count_too_large_is_refused_anywhere() -> None:
     """From where the arm stands, and between two via points; the allowed step itself is taken."""
-    driver = SimDriver.from_url(DriverUrl("sim://?max_step_deg=5"), Context())
+    driver = SimDriver.from_url(DriverUrl("sim://?max_step_deg=5"), Context(KR16))
     with driver:
         driver.move(turned(5.0, 10.0), 1.0)
         robot = driver.controller

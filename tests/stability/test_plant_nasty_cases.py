@@ -8,16 +8,19 @@ import pytest
 from cell.plant import factory
 from cell.plant.mujoco_plant import FOLLOWING_ERROR, MujocoPlant
 from cell.plant.servo import Settings
+from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Mode
 from drivers.controller import Controller
 from drivers.errors import DriverError, FaultError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.plant import Plant
 from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 GOAL = from_rad(HOME[None] + np.array([0.6, 0.5, -0.4, 0.8, -0.6, 1.0]))
@@ -49,7 +52,7 @@ def context(settings: Settings, made: list[MujocoPlant] | None = None) -> Contex
             made.append(plant)
         return plant
 
-    return Context(plants={"mujoco": make})
+    return Context(KR16, plants={"mujoco": make})
 
 
 @pytest.mark.parametrize("case", UNSTABLE)
@@ -74,7 +77,7 @@ def test_the_default_has_room_on_every_side(case: str) -> None:
     def watch(reference: Reference, times: np.ndarray, axes: np.ndarray) -> None:
         errors.append(float(np.abs(axes - reference.sample(times)[0]).max()))
 
-    limits = kr16()
+    limits = KR16
     move = interpolate(HOME, GOAL / 1e4 * np.pi / 180, limits.velocity, limits.acceleration, limits.jerk)
     plant = factory.built_in(WITHIN_THE_MARGIN[case], watch)["mujoco"](HOME)
     plant.follow(move)
@@ -155,7 +158,7 @@ def test_a_failure_stays_where_the_reset_is_elsewhere() -> None:
     plant = MujocoPlant(HOME)
     plant.follow(resting(HOME + 2 * FOLLOWING_ERROR))
     plant.advance(0.1)
-    for elsewhere in (resting(HOME + 0.1), interpolate(HOME, HOME[None] + 0.1, kr16().velocity, kr16().acceleration)):
+    for elsewhere in (resting(HOME + 0.1), interpolate(HOME, HOME[None] + 0.1, KR16.velocity, KR16.acceleration)):
         plant.follow(elsewhere)
         assert plant.failure
         plant.advance(1.0)
@@ -166,13 +169,13 @@ def test_a_failure_stays_where_the_reset_is_elsewhere() -> None:
 def test_a_clock_that_jumps_ahead_costs_nothing(seconds: float) -> None:
     """With closed brakes a day, a year and far more pass at once; then the arm moves as if nothing had been."""
     clock = SimulatedClock()
-    controller = Controller(MujocoPlant(HOME), kr16(), clock)
+    controller = Controller(MujocoPlant(HOME), KR16, clock)
     start = perf_counter()
     clock.wait(seconds)
     assert controller.state().mode is Mode.IDLE
     assert perf_counter() - start < 2.0
     plant = controller.plant
-    limits = kr16()
+    limits = KR16
     plant.follow(interpolate(HOME, HOME[None] + 0.1, limits.velocity, limits.acceleration, limits.jerk))
     plant.advance(2.0)
     assert plant.settled
@@ -182,7 +185,7 @@ def test_a_clock_that_jumps_ahead_costs_nothing(seconds: float) -> None:
 def test_a_thousand_moves_leave_no_drift() -> None:
     """Moves of a count, taken at odd times, end where they should; the integral does not wind up."""
     plant = MujocoPlant(HOME)
-    limits, at = kr16(), HOME
+    limits, at = KR16, HOME
     for k in range(1000):
         goal = HOME + 1e-5 * (k % 2)
         move = interpolate(at, goal[None], limits.velocity, limits.acceleration, limits.jerk)

@@ -5,15 +5,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers import clock as clocks
 from drivers.clock import RealTimeClock, SimulatedClock
 from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop, is_newer, next_sequence, same, sentence_of
 from drivers.contract import Fault
 from drivers.errors import DriverError, SetPointError
-from drivers.limits import Limits, kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant
 from drivers.profile import interpolate
 from drivers.setpoints import check, from_rad, to_deg, to_rad
+from planner.ports import JointLimits
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 
@@ -61,7 +65,7 @@ def test_set_points_are_copied_and_read_only() -> None:
 
 def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
     """185 deg in radians and back is not rounded inwards by a count."""
-    robot = kr16()
+    robot = KR16
     assert to_deg(robot.lower).tolist() == [-185, -155, -130, -350, -130, -350]
     assert to_deg(robot.upper).tolist() == [185, 35, 154, 350, 130, 350]
     assert np.degrees(robot.velocity) == pytest.approx([156, 156, 156, 330, 330, 615])
@@ -70,9 +74,9 @@ def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
 
 def test_limits_between_counts_are_rounded_inwards() -> None:
     """A range that ends between two counts holds only the inner one."""
-    robot = kr16()
+    robot = KR16
     low, high = np.radians(np.full(6, -10.00004)), np.radians(np.full(6, 10.00006))
-    limits = Limits.from_rad(low, high, robot.velocity, robot.acceleration)
+    limits = Limits.from_rad(JointLimits(low, high, robot.velocity, robot.acceleration))
     assert limits.lower.tolist() == [-100_000] * 6
     assert limits.upper.tolist() == [100_000] * 6
     assert limits.max_step.tolist() == [200_000] * 6
@@ -93,7 +97,7 @@ def test_limits_between_counts_are_rounded_inwards() -> None:
 )
 def test_limits_under_which_nothing_could_move_are_refused(name: str, value: object, words: str) -> None:
     """Each by name."""
-    robot = kr16()
+    robot = KR16
     fields = {k: getattr(robot, k) for k in ("lower", "upper", "velocity", "acceleration", "max_step", "max_speed")}
     with pytest.raises(DriverError, match=words):
         Limits(**{**fields, name: value})

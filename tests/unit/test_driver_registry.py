@@ -7,19 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.errors import DriverUrlError
-from drivers.limits import Limits, kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant
 from drivers.registry import Context, open_driver, schemes
 from drivers.setpoints import to_deg
 from drivers.sim import SimDriver
 from drivers.url import DriverUrl
+from planner.ports import JointLimits
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 
 def sim(url: str, context: Context | None = None) -> SimDriver:
     """The simulated controller of a URL."""
-    return SimDriver.from_url(DriverUrl(url), context or Context())
+    return SimDriver.from_url(DriverUrl(url), context or Context(KR16))
 
 
 @pytest.fixture
@@ -50,7 +54,7 @@ def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_third_partys_driver_opens_by_its_scheme(distribution: Path) -> None:
     """Its class is used, with its options."""
     assert {"acme", "acme-broken"} <= set(schemes())
-    driver = open_driver("acme://?start=10,-90,90,0,90,0")
+    driver = open_driver("acme://?start=10,-90,90,0,90,0", Context(KR16))
     assert type(driver).__name__ == "Acme"
     with driver:
         assert to_deg(driver.state().axes).tolist() == [10, -90, 90, 0, 90, 0]
@@ -70,7 +74,7 @@ def test_a_third_partys_driver_opens_by_its_scheme(distribution: Path) -> None:
 def test_a_broken_plug_in_is_named(distribution: Path, scheme: str, words: str) -> None:
     """Which distribution, what is wrong, what to do."""
     with pytest.raises(DriverUrlError, match=words):
-        open_driver(f"{scheme}://")
+        open_driver(f"{scheme}://", Context(KR16))
 
 
 def test_nothing_is_imported_to_list_the_schemes(distribution: Path) -> None:
@@ -122,7 +126,7 @@ def test_a_wrong_url_gets_one_sentence(url: str, words: str) -> None:
 
 
 def test_options_reach_the_controller() -> None:
-    """Start, speed and step limits, and the KR 16 where nothing is said."""
+    """Start, speed and step limits, and those of the arm where nothing is said."""
     with sim("sim://?start=1,-80,70,5,50,9.1234&max_speed=0.25&max_step_deg=3") as driver:
         assert to_deg(driver.state().axes).tolist() == [1, -80, 70, 5, 50, 9.1234]
         assert driver.capabilities.max_speed == 0.25
@@ -130,8 +134,8 @@ def test_options_reach_the_controller() -> None:
         assert driver.capabilities.simulated_time
         assert not driver.capabilities.hardware
     with sim("sim://") as driver:
-        assert driver.capabilities.lower.tolist() == kr16().lower.tolist()
-        assert driver.capabilities.max_step.tolist() == (kr16().upper - kr16().lower).tolist()
+        assert driver.capabilities.lower.tolist() == KR16.lower.tolist()
+        assert driver.capabilities.max_step.tolist() == (KR16.upper - KR16.lower).tolist()
     with sim("sim://?realtime") as driver:
         assert not driver.capabilities.simulated_time
 
@@ -139,7 +143,7 @@ def test_options_reach_the_controller() -> None:
 def test_the_opener_injects_clock_limits_and_plants() -> None:
     """Another plant replaces the ideal one."""
     narrow = np.radians([10.0] * 6)
-    limits = Limits.from_rad(-narrow, narrow, narrow, narrow)
+    limits = Limits.from_rad(JointLimits(-narrow, narrow, narrow, narrow))
     clock = SimulatedClock(100.0)
     made: list[IdealPlant] = []
 
@@ -147,7 +151,7 @@ def test_the_opener_injects_clock_limits_and_plants() -> None:
         made.append(IdealPlant(start))
         return made[-1]
 
-    context = Context(clock=clock, limits=limits, plants={"ideal": plant, "other": IdealPlant})
+    context = Context(limits, clock=clock, plants={"ideal": plant, "other": IdealPlant})
     with sim("sim://?start=0,0,0,0,0,0", context) as driver:
         assert driver.controller.plant is made[0]
         target = np.full((1, 6), 50_000, dtype=np.int32)

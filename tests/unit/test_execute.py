@@ -14,6 +14,7 @@ import pytest
 
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.rays.embree import EmbreeRayCaster
+from cell.robot import model as robot
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from cell.run.cell import RunCell
@@ -34,16 +35,18 @@ from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_rad
 from planner.ports import JointLimits, Rejection
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, retime
 
+KR16 = Limits.from_rad(robot.limits(robot.load()))
+
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 LIMITS = JointLimits(
-    to_rad(kr16().lower), to_rad(kr16().upper), kr16().velocity, kr16().acceleration, kr16().jerk
+    to_rad(KR16.lower), to_rad(KR16.upper), KR16.velocity, KR16.acceleration, KR16.jerk
 )  # fmt: skip
 
 
@@ -72,7 +75,9 @@ def _scene() -> RunCell:
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     scanner = LaserArea(resolution_deg=(3.0, 3.0))
     return RunCell(
-        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10.0),
+        SimpleNamespace(
+            T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10, speed_scaling=1
+        ),
         mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
         scanner, ScannerKeys(**scanner.parameters()), kinematics, TravelBound(model),
     )  # fmt: skip
@@ -92,7 +97,7 @@ class Recorded:
         self.axes = from_rad(start)
         self.moves: list[tuple[np.ndarray, float]] = []
         self.before, self.off = before, off
-        limits = kr16()
+        limits = KR16
         self.capabilities = Capabilities(
             "recorder", limits.lower, limits.upper, limits.max_step, 1.0, max_via, False, True
         )  # fmt: skip
@@ -281,7 +286,7 @@ def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
 def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder: ExecutionFolder) -> None:
     """With the plan's limits and speed its clock agrees with the plan to a microsecond a leg."""
     motion, clock = _tour(), SimulatedClock()
-    with open_driver("sim://", Context(clock=clock, limits=kr16())) as driver:
+    with open_driver("sim://", Context(KR16, clock)) as driver:
         scene = _scene()
         source = Simulated(scene, Disturbance(), 0)
         seconds = execute.run(legs_of(motion), driver, scene, source, folder, speed=1.0, clock=clock)
@@ -291,8 +296,9 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
 
 def test_the_clock_of_events_is_the_controllers_own() -> None:
     """With a time scale there is one clock, so that times of events and of moves are the controller's."""
+    cell = _scene()
     for url in ("sim://?realtime=1&time_scale=50", "sim://"):
-        driver, clock = scan_driver.prepare(ScanOptions(driver=url), _tour(), 1.0)
+        driver, clock = scan_driver.prepare(ScanOptions(driver=url), _tour(), cell)
         assert clock is driver.clock
         assert clock.simulated == (url == "sim://")
 

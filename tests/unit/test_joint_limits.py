@@ -9,16 +9,8 @@ from cell.errors import SceneError
 from cell.robot import joint_limits
 from cell.robot import model as robot
 from cell.scene.scene import load_scene
-from drivers.limits import kr16
 
 MODEL = robot.limits(robot.load())
-
-
-def test_the_models_limits_are_the_controllers() -> None:
-    """The simulated controller of drivers, which may not read the model, has the same numbers."""
-    np.testing.assert_allclose(MODEL.velocity, kr16().velocity, rtol=1e-12)
-    np.testing.assert_allclose(MODEL.acceleration, kr16().acceleration, rtol=1e-12)
-    np.testing.assert_allclose(MODEL.jerk, kr16().jerk, rtol=1e-12)
 
 
 def test_what_is_not_given_follows_in_the_models_times() -> None:

@@ -17,14 +17,16 @@ from cell.robot.kinematics import Kr16Kinematics
 from drivers.clock import SimulatedClock
 from drivers.contract import Mode
 from drivers.errors import DriverError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
 
+KR16 = Limits.from_rad(robot.limits(robot.load()))
+
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
-CONTEXT = Context(plants=factory.built_in())
+CONTEXT = Context(KR16, plants=factory.built_in())
 URL = "sim://?plant=mujoco"
 
 
@@ -49,7 +51,7 @@ def test_it_takes_the_references_time_and_then_settles() -> None:
     took = {}
     for name in ("ideal", "mujoco"):
         clock = SimulatedClock()
-        with open_driver(f"sim://?plant={name}", Context(clock=clock, plants=factory.built_in())) as driver:
+        with open_driver(f"sim://?plant={name}", Context(KR16, clock=clock, plants=factory.built_in())) as driver:
             driver.move(goal, 1.0)
             took[name] = clock.now()
     assert took["ideal"] < took["mujoco"] < took["ideal"] + 0.5
@@ -57,7 +59,7 @@ def test_it_takes_the_references_time_and_then_settles() -> None:
 
 def test_once_at_rest_it_stays_within_the_repeatability() -> None:
     """What the integral holds at the end of a move does not swing the arm out again, whatever point of the tool."""
-    plant, limits, rng, at = factory.built_in()["mujoco"](HOME), kr16(), np.random.default_rng(5), HOME
+    plant, limits, rng, at = factory.built_in()["mujoco"](HOME), KR16, np.random.default_rng(5), HOME
     assert isinstance(plant, MujocoPlant)
     levers = dynamics.levers(plant.model, Tool()) + 0.17  # the housing's farthest corner from the flange
     for jerk in (limits.jerk, None, limits.jerk, None):
@@ -76,7 +78,7 @@ def test_once_at_rest_it_stays_within_the_repeatability() -> None:
 @pytest.mark.parametrize("with_jerk", [True, False])
 def test_the_scanner_keeps_to_its_path_faster_than_real_time(with_jerk: bool) -> None:
     """Through via points at full speed of every axis: below 1 mm on the way, at 10 x real time of one core or more."""
-    limits, kinematics = kr16(), Kr16Kinematics.from_model(robot.load())
+    limits, kinematics = KR16, Kr16Kinematics.from_model(robot.load())
     via = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])
     move = interpolate(HOME, via, limits.velocity, limits.acceleration, limits.jerk if with_jerk else None)
     errors: list[float] = []
@@ -101,7 +103,7 @@ def test_the_scanner_keeps_to_its_path_faster_than_real_time(with_jerk: bool) ->
 
 def test_a_stop_brakes_on_the_path_and_settles() -> None:
     """A braked reference is followed like any other."""
-    limits = kr16()
+    limits = KR16
     move = interpolate(HOME, HOME[None] + 0.5, limits.velocity, limits.acceleration, limits.jerk)
     plant = MujocoPlant(HOME)
     plant.follow(move)

@@ -8,18 +8,21 @@ import numpy as np
 import pytest
 
 from cell.emulate.memory import Memory
+from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.commands import Result
 from drivers.contract import Fault
 from drivers.emulated.endpoint import Endpoint
 from drivers.emulated.modbus_station import ModbusStation
 from drivers.emulated.serial_station import SerialStation
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.plant import IdealPlant
 from drivers.wire import MOST_AXES, MOST_POINTS
 from drivers.wires.modbus import register_map as registers
 from drivers.wires.serial.frames import MAX_FRAME, decode
 from drivers.wires.serial.messages import COUNTS_PER_FRAME, hello_of, request_of, status_of
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
 SERIAL, MODBUS = re.findall(r"^```\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
@@ -29,7 +32,7 @@ def endpoint() -> tuple[Endpoint, SimulatedClock]:
     """A KR 16 at home, as the page says, and its clock."""
     clock = SimulatedClock()
     plant = IdealPlant(np.radians([0, -90, 90, 0, 90, 0]))
-    return Endpoint(plant, kr16(), clock, clock, Memory(None, None)), clock
+    return Endpoint(plant, KR16, clock, clock, Memory(None, None)), clock
 
 
 def lines(session: str) -> list[str]:

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError, UsageError
+from cell.robot import model as robot
 from cell.scan import safety
 from cell.scan.options import ScanOptions
 from cell.scan.way import Released
 from cell.scene.option import flag, read
 from drivers.contract import Capabilities, Mode, RobotState
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.setpoints import from_rad
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 _PLAN = Released("the plan", "0123456789abcdef" * 4)
 _WAY = Released("the new way", "fedcba9876543210" * 4, own=True)
@@ -22,7 +25,7 @@ class _Controller:
     """A controller of steel in a given state; it remembers what was asked of it."""
 
     def __init__(self, mode: Mode = Mode.IDLE, *, standing: bool = True, hardware: bool = True) -> None:
-        limits = kr16()
+        limits = KR16
         self.capabilities = Capabilities(
             "KR C4", limits.lower, limits.upper, limits.max_step, 1.0, None, hardware, False
         )  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cell.rays.embree import EmbreeRayCaster
+from cell.robot import model as robot
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from cell.run.cell import RunCell
@@ -28,7 +29,7 @@ from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
-from drivers.limits import kr16
+from drivers.limits import Limits
 from drivers.setpoints import from_rad
 from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.path import SweepPath
@@ -37,6 +38,8 @@ from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses, turned_poses
+
+KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 KINEMATICS = Kr16Kinematics.load()
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
@@ -83,7 +86,7 @@ class _Driver:
 
     def __init__(self, fails_at: int = -1) -> None:
         self.axes, self.moves, self.fails_at = from_rad(HOME), 0, fails_at
-        limits = kr16()
+        limits = KR16
         self.capabilities = Capabilities(
             "recorder", limits.lower, limits.upper, limits.max_step, 1.0, None, False, True
         )  # fmt: skip

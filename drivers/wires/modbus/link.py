@@ -263,7 +263,7 @@ class ModbusRtuDriver(ControllerClient):
 def _driver(kind: type[Client], port: ModbusPort, clock: Clock, patience: Patience, context: Context) -> Client:
     link = ModbusLink(port, clock, patience)
     link.say = context.say
-    return kind(link, clock, limits=context.limits, say=context.say)
+    return kind(link, clock, context.limits, say=context.say)
 
 
 def _unit(url: DriverUrl) -> int:

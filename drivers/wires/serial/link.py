@@ -189,7 +189,7 @@ class SerialDriver(ControllerClient):
         clock = context.clock or RealTimeClock()
         link = SerialLink(SerialPort(path, baud), clock, patience, seconds_per_byte=BITS_PER_BYTE / baud)
         link.say = context.say
-        return cls(link, clock, limits=context.limits, say=context.say)
+        return cls(link, clock, context.limits, say=context.say)
 
 
 def port_path(url: DriverUrl) -> str:

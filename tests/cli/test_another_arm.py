@@ -1,0 +1,148 @@
+"""Another arm, models/kr16.xml with other ranges, speeds and drives: what comes after a plan goes by them."""
+
+import json
+import re
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from cell.emulate.emulator import arm_of
+from cell.errors import DriverFailureError, FileError, UsageError
+from cell.export import krl, tables
+from cell.export.krl import KrlOptions, Signals
+from cell.export.program import Told, of_motion
+from cell.plant import factory
+from cell.plant.mujoco_plant import MujocoPlant
+from cell.robot import model as robot
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run import reader as run_reader
+from cell.run.record import open_run
+from cell.scan import execute
+from cell.scan.legs import legs_of
+from drivers.limits import Limits
+from drivers.registry import Context, open_driver
+
+TORQUES = [900, 1500, 450, 70, 75, 25]
+LOWER, UPPER = [-95, -155, -130, -300, -125, -300], [95, 35, 154, 345, 128, 345]
+CHANGES = {
+    '"-185 185"': '"-95 95"', '"-350 350"': '"-300 345"', '"-130 130"': '"-125 128"',
+    "156 156 156 330 330 615": "80 70 60 150 160 170", "1100 1700 500 80 80 30": " ".join(map(str, TORQUES)),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def other(
+    tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> Iterator[Path]:
+    """Run folder of a plan for that arm, which is this process' robot meanwhile."""
+    folder = tmp_path_factory.mktemp("other")
+    text = robot.model_file().read_text(encoding="utf-8")
+    for old, new in CHANGES.items():
+        assert old in text
+        text = text.replace(old, new)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(robot, "spec", lambda: mujoco.MjSpec.from_string(text))
+        done = run_cell(
+            "plan", part_file, "--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2",
+            "--standoff", "250", "--candidates", "optimal-scanning-zone", "--coverage", "0.5", "--out", "run",
+            cwd=folder,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        yield folder / "run"
+
+
+def test_it_is_planned_driven_and_exported_by_its_own_limits(
+    other: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """The simulated controller takes the planned time, and the head of the program names the ranges."""
+    done = run_cell("scan", other, "--resolution", "2", cwd=other)
+    assert done.returncode == 0, done.stderr
+    planned = json.loads((other / "report.json").read_text())["motion"]["duration_s"]
+    moving = json.loads((other / "executions" / "0001" / "manifest.json").read_text())["moving_s"]
+    assert moving == pytest.approx(planned, abs=1e-3)
+    for kind in ("krl", "csv", "json"):
+        assert run_cell("export", other, "--format", kind, cwd=other).returncode == 0
+    exported = json.loads((other / "export" / "run.json").read_text())
+    assert exported["joint_limits_deg"] == [list(pair) for pair in zip(LOWER, UPPER, strict=True)]
+    assert "-95" in (other / "export" / "run.src").read_text()
+
+
+def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
+    other: Path, emulate: Callable[..., Any], run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """`cell emulate --run` in a process that knows the built-in arm alone; a plan is driven over its wire."""
+    limits = arm_of(other, "ideal").limits
+    assert (limits.lower / 1e4).tolist() == LOWER
+    assert (limits.upper / 1e4).tolist() == UPPER
+    assert np.degrees(limits.velocity) == pytest.approx([80, 70, 60, 150, 160, 170])
+    url = emulate("modbus", "--run", str(other), "--time-scale", "1000").url
+    digest = json.loads((other / "manifest.json").read_text())["digest"]
+    word = ("--driver", url, "--accept-time-scale", "1000", "--speed", "100", "--confirm-motion", digest)
+    done = run_cell("scan", other, "--resolution", "2", *word, cwd=other)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_moves(other: Path) -> None:
+    """One sentence with the move, the axis, the angle and the range."""
+    motion = run_reader.motion(open_run(other))
+    axis = int(np.argmax(motion.via_q.max(axis=0) - motion.via_q[0]))
+    farthest, narrow = motion.via_q[:, axis].max(), motion.limits.upper.copy()
+    narrow[axis] = farthest - np.radians(0.1)
+    start = ",".join(f"{angle:.4f}" for angle in np.degrees(motion.via_q[0]))
+    driver = open_driver(f"sim://?start={start}", Context(Limits.from_rad(replace(motion.limits, upper=narrow))))
+    with driver, pytest.raises(DriverFailureError) as refused:
+        execute.require_drivable(legs_of(motion), driver, 1.0)
+    sentence = str(refused.value)
+    assert re.match(r"the controller refuses move \d+ \(to view \d+\): via point \d+ has A\d at ", sentence)
+    bounds = f"{LOWER[axis]:.4f} to {np.degrees(narrow[axis]):.1f}"
+    assert f"A{axis + 1} at {np.degrees(farthest):.4f} deg; it must lie in {bounds}" in sentence
+    assert sentence.endswith("nothing was moved")
+
+
+def test_the_dynamic_arm_is_that_of_a_file_with_drives_and_masses(other: Path) -> None:
+    """The torque limits are the file's; one without drives or without masses is told, and what moves without."""
+    run = open_run(other)
+    plant = factory.of_run(run)["mujoco"](robot.home(robot.load()))
+    assert isinstance(plant, MujocoPlant)
+    assert plant.model.actuator_forcerange[:, 1].tolist() == TORQUES
+    bare = robot.spec()
+    for body in bare.bodies:
+        body.mass, body.explicitinertial = 0.0, False
+    for geom in bare.geoms:
+        geom.density, geom.mass = 0.0, 0.0
+    without = robot.spec()
+    without.delete(without.numeric("axis_torque_limit_Nm"))
+    for spec, words in ((bare, "mass and inertia"), (without, "no <numeric> named axis_torque_limit_Nm")):
+        with pytest.raises(FileError, match=f"{words}.*let the ideal arm move: sim://"):
+            MujocoPlant(np.zeros(6), spec=spec)
+
+
+def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
+    """Another's program is a table without status and turn."""
+
+    class Mirrored:
+        """The same arm with A1 turning the other way."""
+
+        limits = robot.limits(robot.load())
+        _kuka = Kr16Kinematics.load()
+
+        def forward(self, q: np.ndarray) -> np.ndarray:
+            return self._kuka.forward(q * [-1, 1, 1, 1, 1, 1])
+
+        inverse = _kuka.inverse  # never asked
+
+    motion, told = run_reader.motion(open_run(other)), Told("name", "part", "run", "digest", 1.0, 1.0, np.nan, "")
+    program = of_motion(motion, Mirrored(), np.eye(4), np.eye(4), told)
+    with pytest.raises(UsageError, match=r"axes are not KUKA's.*--format csv or json"):
+        krl.source(program, KrlOptions(20, 30, Signals()))
+    points = json.loads(tables.as_json(program))["via_points"]
+    assert [(point["status"], point["turn"]) for point in points] == [(None, None)] * len(motion.via_q)
+    assert all(line.endswith(",,") for line in tables.csv(program).decode().splitlines()[1:])
+    at = Kr16Kinematics.load().forward(motion.via_q[-1:] * [-1, 1, 1, 1, 1, 1])[0, :3, 3] * 1000
+    assert points[-1]["flange_xyz_mm_abc_deg"][:3] == pytest.approx(at, abs=1e-6)
