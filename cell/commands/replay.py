@@ -16,7 +16,7 @@ EPILOG = (
     "cell replay sim_runs/trial --tightest --picture tight.png\n\n"
     "cell replay sim_runs/trial --picture tour.png --size 1600x1200 --camera -60,20 --hide post\n\n"
     "Keys: space pause, left and right step from view to view, up and down speed, home start, end tightest moment.\n\n"
-    "Exit codes: 0 done, 2 usage (also: no display and no EGL or OSMesa), 6 files or run folder, 70 bug, 130 Ctrl-C."
+    "Exit codes: 0 done, 2 usage (also: no display for the viewer), 6 files or run folder, 70 bug, 130 Ctrl-C."
 )
 
 
@@ -37,7 +37,6 @@ def replay(
         Path | None, typer.Option(metavar="DIR", help="Draw PNG frames into a folder; needs no display.")
     ] = None,
     fps: Annotated[float, typer.Option(help="Frames for each second of film.")] = 25.0,
-    every: Annotated[int, typer.Option(metavar="N", help="Draw only each N-th frame.")] = 1,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw one still of the whole tour; needs no display.")
     ] = None,
@@ -59,7 +58,7 @@ def replay(
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise UsageError(f"--size {size} must be width x height in pixels, for instance --size 960x720")
     wanted = ReplayOptions(
-        execution, view, tightest, speed, frames, picture, fps, every, (int(width), int(height)), once,
+        execution, view, tightest, speed, frames, picture, fps, (int(width), int(height)), once,
         None if camera is None else _angles(camera), tuple(hide or ()),
     )  # fmt: skip
     made = run_replay(run, wanted, Terminal())

@@ -14,6 +14,7 @@ import numpy as np
 from cell.replay import marks
 from cell.run.plan_json import PlanFile
 from cell.run.timeline import Timeline
+from cell.view import rays
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
@@ -85,36 +86,35 @@ def add_closest(scene: mujoco.MjvScene, closest: Closest) -> None:
     marks.add_label(scene, closest.points.mean(axis=0), "   " + closest.sentence)  # beside the line, not on it
 
 
-def close_camera(model: mujoco.MjModel, data: mujoco.MjData, closest: Closest) -> mujoco.MjvCamera:
+def near_camera(model: mujoco.MjModel, data: mujoco.MjData, closest: Closest, size: tuple[int, int]) -> rays.Camera:
     """A camera near the two points, across the line between them, from where most of both is to be seen.
 
     Args:
         model: what is looked at.
         data: the state at the tightest moment.
         closest: the two points.
+        size: (width, height) of the picture [pixels].
     """
     import mujoco
 
-    camera = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(model, camera)
-    middle = closest.points.mean(axis=0)
-    camera.lookat[:], camera.distance = middle, max(_NEAREST, 6.0 * closest.distance)
+    middle, distance = closest.points.mean(axis=0), max(_NEAREST, 6.0 * closest.distance)
     way = closest.points[1] - closest.points[0]
     way = way / max(float(np.linalg.norm(way)), 1e-9)
     shown = np.array([1, 1, 1, 1, 0, 0], dtype=np.uint8)
-    best = -1.0
+    best, forward = -1.0, np.zeros(3)
     for elevation in _ELEVATIONS_DEG:
         for azimuth in np.arange(0.0, 360.0, 15.0):
-            a, e = np.radians([azimuth, elevation])
-            forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-            eye = middle - camera.distance * forward
+            looks = rays.direction(azimuth, elevation)
+            eye = middle - distance * looks
             seen = 0
             for point in (*closest.points, middle):
                 ray = point - eye
                 length = float(np.linalg.norm(ray))
                 hit = mujoco.mj_ray(model, data, eye, ray / length, shown, True, -1, np.zeros(1, dtype=np.int32))
                 seen += hit < 0 or hit > length - _SKIN
-            score = seen + float(np.linalg.norm(np.cross(way, forward)))
+            score = seen + float(np.linalg.norm(np.cross(way, looks)))
             if score > best + 1e-9:
-                best, camera.azimuth, camera.elevation = score, float(azimuth), elevation
-    return camera
+                best, forward = score, looks
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    half = np.tan(np.radians(model.vis.global_.fovy) / 2) * np.array([size[0] / size[1], 1.0])
+    return rays.Camera(middle - distance * forward, forward, right / np.linalg.norm(right), half, size, False)

@@ -51,7 +51,7 @@ def part_pieces(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
     return [geom for geom in spec.body("object").geoms if _IS_PART.fullmatch(geom.name)]
 
 
-def light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
+def light(spec: mujoco.MjSpec, centre: Floats) -> None:
     """Sky, patterned floor, a key light that casts shadows and a fill light from the other side."""
     import mujoco
 
@@ -108,7 +108,6 @@ def light(spec: mujoco.MjSpec, centre: Floats, size: tuple[int, int]) -> None:
             specular=[specular] * 3,
             castshadow=shadows,
         )
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.shadowsize = 4096
     spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = 0.01, 30.0, 1.2
     spec.visual.rgba.haze = [0.93, 0.95, 0.97, 1.0]

@@ -83,7 +83,6 @@ def dress(
     scene: ResolvedScene,
     reference: TriangleMesh,
     clouds: Sequence[Floats] = (),
-    size: tuple[int, int] = (960, 720),
 ) -> Theatre:
     """Make the model that is looked at.
 
@@ -92,7 +91,6 @@ def dress(
         scene: its scene.
         reference: the part, object frame [m].
         clouds: points of each scan, (P, 3) object frame [m].
-        size: (width, height) of the largest picture [pixels].
 
     Raises:
         FileError: if cell.xml is missing, changed, or is no model of this robot.
@@ -108,7 +106,7 @@ def dress(
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
     entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)
-    light(spec, centre, size)
+    light(spec, centre)
     radius = reference.diagonal / 2
     show_surface(spec, "surface", reference, part_pieces(spec))
     exact = [fixture for fixture in scene.fixtures if fixture.collision == "exact"]

@@ -14,16 +14,15 @@ import numpy as np
 from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.replay.closest import of_plan
-from cell.replay.frames import require_empty, write_frames
 from cell.replay.model import dress
-from cell.replay.offscreen import require_backend
 from cell.replay.show import Show
-from cell.replay.still import Still, write_picture
+from cell.replay.still import Still, require_empty, write_frames, write_picture
 from cell.run import reader as run_reader
 from cell.run import timeline as replay_timeline
 from cell.run.executions import read_execution
 from cell.run.record import RunRecord, open_run
 from cell.run.timeline import Timeline
+from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
 
 
@@ -41,7 +40,6 @@ class ReplayOptions:
         camera: azimuth and elevation of its camera as seen from the part [deg]; None is beside part and arm.
         hide: names of what it leaves out.
         fps: frames for each second of film.
-        every: of so many frames one is drawn.
         size: (width, height) of pictures [pixels].
         once: close the viewer at the end.
     """
@@ -53,7 +51,6 @@ class ReplayOptions:
     frames: Path | None = None
     picture: Path | None = None
     fps: float = 25.0
-    every: int = 1
     size: tuple[int, int] = (960, 720)
     once: bool = False
     camera: tuple[float, float] | None = None
@@ -87,7 +84,6 @@ def replay(
     _check(options)
     drawing = options.frames is not None or options.picture is not None
     if options.frames is not None:  # asked before the work, which takes seconds
-        require_backend()
         require_empty(options.frames)
     if not drawing:
         from cell.replay.viewer import play, require_display
@@ -95,34 +91,36 @@ def replay(
         require_display()
     with narrator.stage("set up the replay"):
         run = open_run(folder)
-        show = load_show(run, options.execution, options.size, narrator)
+        show = load_show(run, options.execution, narrator)
+        still = _still(run, show, options.execution)
     start = _tightest(show) if options.tightest else _start(show.timeline, options.view)
     made, chosen = [], options.view is not None or options.tightest
     if options.picture is not None:
         with narrator.stage("draw the picture"):
             moment = start if chosen else None
-            still = _still(run, show, options.execution)
             write_picture(still, options.picture, options.size, moment, options.camera, options.hide)
         made.append(f"picture in {options.picture}")
     if options.frames is not None:
         with narrator.stage("draw the frames") as progress:
             count = write_frames(
-                show, options.frames, options.size, start=start, fps=options.fps, speed=options.speed,
-                every=options.every, progress=progress,
+                still, options.frames, options.size, start=start, fps=options.fps, speed=options.speed,
+                progress=progress,
             )  # fmt: skip
         made.append(f"{count} frames in {options.frames}")
     if not drawing:
-        play(show, clock=clock, wait=wait, speed=options.speed, start=start, once=options.once)
+        half = float(np.tan(np.radians(show.theatre.model.vis.global_.fovy) / 2))
+        poses = [show.timeline.at(t) for t in (0.0, *(stop.begin for stop in show.timeline.stops))]
+        camera = tour_camera(still.cell, still.part, poses, show.path, (4, 3), half)
+        play(show, camera, clock=clock, wait=wait, speed=options.speed, start=start, once=options.once)
     return "; ".join(made)
 
 
-def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narrator: Narrator) -> Show:
+def load_show(run: RunRecord, execution: str | None, narrator: Narrator) -> Show:
     """What there is to show of a run.
 
     Args:
         run: the opened run.
         execution: id of an execution, or "latest"; None for the plan.
-        size: (width, height) of pictures [pixels].
         narrator: is told what is missing.
 
     Raises:
@@ -139,7 +137,7 @@ def load_show(run: RunRecord, execution: str | None, size: tuple[int, int], narr
     if recorded is not None and not recorded.scans:
         narrator.note(f"{recorded.folder} holds no scan that can be read")
     clouds = [scan.points for scan in recorded.scans] if recorded is not None else []
-    theatre = dress(run, scene, run_reader.mesh(run, "reference.ply"), clouds, size)
+    theatre = dress(run, scene, run_reader.mesh(run, "reference.ply"), clouds)
     planned = run_reader.motion(run) if run.has("motion.npz") else None
     if recorded is not None:
         timeline = replay_timeline.of_execution(recorded, planned, theatre.home)
@@ -203,8 +201,6 @@ def _check(options: ReplayOptions) -> None:
         raise UsageError(f"--fps {options.fps:g} must be above 0 and at most 240")
     if options.tightest and options.view is not None:
         raise UsageError("--tightest and --view both say where to begin; give one of them")
-    if options.every < 1:
-        raise UsageError(f"--every {options.every} must be 1 (each frame) or more")
     if options.picture is None and (options.camera is not None or options.hide):
         raise UsageError("--camera and --hide are for a still; give --picture FILE.png as well")
     if options.picture is not None and options.picture.suffix.lower() != ".png":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -130,66 +129,6 @@ class Show:
         tight = [f"tightest: {self.closest.sentence}"] if self.closest is not None and self.closest.shown_at(t) else []
         return "   ".join([text, *tight, *(touch.sentence for touch in touching)])
 
-    def camera(self, aspect: float, times: Sequence[float] | None = None) -> mujoco.MjvCamera:
-        """A free camera beside the part that has robot, part and path in the picture.
-
-        Args:
-            aspect: width over height.
-            times: moments [s] at which the whole arm must be in it; None takes each stop and both ends.
-        """
-        import mujoco
-
-        camera = mujoco.MjvCamera()
-        mujoco.mjv_defaultFreeCamera(self.theatre.model, camera)
-        x, y, _ = self.theatre.centre
-        camera.azimuth = float(np.degrees(np.arctan2(y, x))) + _BESIDE_DEG
-        camera.elevation = _FROM_ABOVE_DEG
-        azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
-        forward = np.array(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-        )
-        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        up = np.cross(right, forward)
-        seen = self._extent(times)
-        along = np.stack([seen @ right, seen @ up, seen @ forward], axis=1)
-        middle = (along.min(axis=0) + along.max(axis=0)) / 2
-        tangent = np.tan(np.radians(self.theatre.model.vis.global_.fovy) / 2) * np.array([aspect, 1.0]) / _MARGIN
-        for _ in range(4):  # the middle of the picture depends on the distance, a little
-            depth = along[:, 2] - middle[2]
-            distance = float((np.abs(along[:, :2] - middle[:2]) / tangent - depth[:, None]).max())
-            seen_at = (along[:, :2] - middle[:2]) / (distance + depth)[:, None]
-            middle[:2] += distance * (seen_at.min(axis=0) + seen_at.max(axis=0)) / 2
-        camera.lookat[:] = middle[0] * right + middle[1] * up + middle[2] * forward
-        camera.distance = distance
-        return camera
-
-    def _extent(self, times: Sequence[float] | None) -> Floats:
-        """(N, 3) points that belong in the picture: the robot's shapes at each stop, the part, the path."""
-        model, points = self.theatre.model, [self.path]
-        radius = self.theatre.part_radius
-        points.append(self.theatre.centre + radius * np.concatenate([np.eye(3), -np.eye(3)]))
-        shapes = [
-            i
-            for i in range(model.ngeom)
-            if self.theatre.entities[i] in (*robot.LINKS, "housing")
-            and model.geom_contype[i] | model.geom_conaffinity[i]
-        ]
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        boxes = model.geom_aabb[shapes, None, :3] + signs * model.geom_aabb[shapes, None, 3:]
-        if times is None:
-            times = [0.0, *(stop.begin for stop in self.timeline.stops), self.timeline.duration]
-        for t in times:
-            self.pose(t)
-            turned = np.einsum("gij,gcj->gci", self.data.geom_xmat[shapes].reshape(-1, 3, 3), boxes)
-            points.append((self.data.geom_xpos[shapes, None] + turned).reshape(-1, 3))
-        self.pose(0.0)
-        if self.T_base_candidate.size:
-            points.append(self.T_base_candidate[:, :3, 3])
-        floor = model.geom("floor").pos[2]
-        feet = [[0.3, 0.3, floor], [-0.3, -0.3, floor], [0.3, -0.3, floor], [-0.3, 0.3, floor]]
-        points.append(np.array([*feet, [*self.theatre.centre[:2], floor]]))
-        return np.concatenate(points)
-
     def _scanner(self, q: Floats) -> Floats:
         """(4, 4) pose of the scanner at joint angles [m]."""
         import mujoco
@@ -204,11 +143,6 @@ class Show:
         T[:3, 3] = self.data.site_xpos[self._flange]
         T_base_scanner: Floats = T @ self.theatre.T_flange_scanner
         return T_base_scanner
-
-
-_BESIDE_DEG = 127.0  # from the side of the part, a little from the front: arm and part next to each other
-_FROM_ABOVE_DEG = -20.0
-_MARGIN = 1.06
 
 
 def show_what_is_seen(option: mujoco.MjvOption) -> None:

@@ -10,11 +10,18 @@ import queue
 import threading
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from cell.errors import UsageError
 from cell.replay.show import Show, show_what_is_seen
 from cell.run.timeline import Timeline
+from cell.view import rays
+from planner.values import Floats
+
+if TYPE_CHECKING:
+    import mujoco
 
 REFRESH = 1 / 60
 """Pause between two pictures [s]."""
@@ -86,6 +93,7 @@ class Player:
 
 def play(
     show: Show,
+    camera: rays.Camera,
     *,
     clock: Callable[[], float],
     wait: Callable[[float], None],
@@ -97,6 +105,7 @@ def play(
 
     Args:
         show: what is played.
+        camera: where the eye is first; its openings are MuJoCo's.
         clock: seconds, rising.
         wait: lets seconds pass.
         speed: seconds of the show for each second of the clock.
@@ -119,10 +128,8 @@ def play(
         model, data, key_callback=keys.put, show_left_ui=False, show_right_ui=False
     ) as window:
         threads = [thread for thread in threading.enumerate() if thread not in others]
-        camera = show.camera(4 / 3)
         with window.lock():
-            window.cam.azimuth, window.cam.elevation = camera.azimuth, camera.elevation
-            window.cam.distance, window.cam.lookat[:] = camera.distance, camera.lookat
+            place(window.cam, camera, show.theatre.centre)
             show_what_is_seen(window.opt)
             show.draw_still(window.user_scn)
         still = window.user_scn.ngeom
@@ -145,6 +152,14 @@ def play(
     # The window is taken down on the viewer's own threads; the program ending under them would abort.
     for thread in threads:
         thread.join(_CLOSING)
+
+
+def place(free: mujoco.MjvCamera, camera: rays.Camera, centre: Floats) -> None:
+    """Put MuJoCo's free camera where a camera of pictures stands; it turns about a point as far away as the part."""
+    forward = camera.forward
+    free.azimuth, free.elevation = np.degrees([np.arctan2(forward[1], forward[0]), np.arcsin(forward[2])])
+    free.distance = float((centre - camera.eye) @ forward)
+    free.lookat[:] = camera.eye + free.distance * forward
 
 
 def require_display() -> None:

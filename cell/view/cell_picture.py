@@ -74,10 +74,8 @@ def draw_cell(
     subject = [piece for piece in pieces if piece.name in ("robot", "scanner", "part")] or pieces
     marks = rays.pyramids(views, _SHARE * cell.frustum)
     if not isinstance(camera, rays.Camera):
-        middle = stands.vertices.mean(axis=0)
-        beside = float(np.degrees(np.arctan2(middle[1], middle[0]))) + _BESIDE_DEG
         fit = np.concatenate([*(piece.vertices for piece in subject), marks.reshape(-1, 3), way])
-        camera = rays.fitted(fit, rays.direction(*(camera or (beside, _ABOVE_DEG))), size, parallel=False)
+        camera = rays.fitted(fit, rays.direction(*(camera or _beside(stands.vertices))), size, parallel=False)
     known = ("robot", "scanner", "part", "points", "post", "pedestal", "floor")
     glass = _in_front(camera, subject, [piece for piece in pieces if piece.name not in known])
     solid = _Lit(camera.eye, [piece for piece in pieces if piece.name not in glass])
@@ -101,6 +99,31 @@ def draw_cell(
     return drawn, seen
 
 
+def tour_camera(
+    cell: Cell,
+    part: TriangleMesh,
+    poses: Sequence[Floats],
+    way: Floats,
+    size: tuple[int, int],
+    half: float | None = None,
+) -> rays.Camera:
+    """A camera beside part and arm that has both in its picture at every one of some poses.
+
+    Args:
+        cell: robot and surroundings.
+        part: object frame.
+        poses: (6,) joint angles of each [rad].
+        way: (M, 3) places of the scanner's source.
+        size: (width, height) [pixels].
+        half: tangent of half its smaller opening; None is that of pictures.
+    """
+    T, arm = cell.T_base_object, [piece for piece in cell.pieces if piece.name in ("robot", "scanner")]
+    stands = part.vertices @ T[:3, :3].T + T[:3, 3]
+    moved = [piece.vertices for q in poses for piece in placed(arm, cell.arm.links(q))]
+    toward = rays.direction(*_beside(stands))
+    return rays.fitted(np.concatenate([*moved, stands, way]), toward, size, parallel=False, half=half)
+
+
 def best_view(cell: Cell, part: TriangleMesh, views: Floats) -> int:
     """The view at which a picture shows the arm beside the part: the one farthest to the side and up; -1: no view.
 
@@ -116,6 +139,12 @@ def best_view(cell: Cell, part: TriangleMesh, views: Floats) -> int:
     azimuth = np.arctan2(middle[1], middle[0]) + np.radians(_BESIDE_DEG)
     off = views[:, :3, 3] - middle
     return int(np.argmax(np.abs(off @ [-np.sin(azimuth), np.cos(azimuth), 0.0]) + off[:, 2]))
+
+
+def _beside(part: Floats) -> tuple[float, float]:
+    """Azimuth and elevation of a camera [deg] as seen from the part, by its (V, 3) vertices."""
+    middle = part.mean(axis=0)
+    return float(np.degrees(np.arctan2(middle[1], middle[0]))) + _BESIDE_DEG, _ABOVE_DEG
 
 
 class _Lit:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from ctypes.util import find_library
 from pathlib import Path
 
 import mujoco
@@ -18,33 +19,67 @@ from PIL import Image
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay import marks
-from cell.replay.offscreen import PACKAGES, OffScreen, backend
 from cell.replay.replay import ReplayOptions, load_show, replay
 from cell.replay.show import Show, show_what_is_seen
+from cell.replay.viewer import place
 from cell.run import reader as run_reader
 from cell.run.record import open_run
+from cell.view.cell_picture import tour_camera
+from cell.view.pieces import cell_of_run
 from planner.values import Floats
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
-Start = Callable[..., "subprocess.Popen[str]"]
 _SIZE = (480, 360)
 _PLACED_AT = np.array([1.1, 0.4, 0.1])  # --place of the fixture's plan
 
-draws = pytest.mark.skipif(backend() is None, reason=f"neither EGL nor OSMesa can be loaded; install {PACKAGES}")
+_NO_EGL = "EGL cannot be loaded; install libegl1 libegl-mesa0 libgl1-mesa-dri"
+draws = pytest.mark.skipif(find_library("EGL") is None, reason=_NO_EGL)
+
+
+class OffScreen:
+    """MuJoCo's own renderer shows what its viewer would."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        model.vis.global_.offwidth, model.vis.global_.offheight = _SIZE
+        model.vis.quality.offsamples = 4
+        self.renderer, self.option = mujoco.Renderer(model, _SIZE[1], _SIZE[0], 20_000), mujoco.MjvOption()
+        show_what_is_seen(self.option)
+
+    def picture(
+        self, data: mujoco.MjData, camera: mujoco.MjvCamera, decorate: Callable[[mujoco.MjvScene], None] | None = None
+    ) -> NDArray[np.uint8]:
+        """(height, width, 3) as MuJoCo draws it."""
+        self.renderer.update_scene(data, camera, self.option)
+        if decorate:
+            decorate(self.renderer.scene)
+        picture: NDArray[np.uint8] = self.renderer.render()
+        return picture
+
+
+def _beside(planned: Path, show: Show) -> mujoco.MjvCamera:
+    """Where the viewer's eye is first."""
+    run = open_run(planned)
+    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
+    half = np.tan(np.radians(show.theatre.model.vis.global_.fovy) / 2)
+    poses = [show.timeline.at(stop.begin) for stop in show.timeline.stops]
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(show.theatre.model, camera)
+    place(camera, tour_camera(cell, part, poses, show.path, _SIZE, half), show.theatre.centre)
+    return camera
 
 
 @pytest.fixture(scope="module")
 def show(planned: Path) -> Show:
     """The finished run, ready to be drawn."""
-    return load_show(open_run(planned), None, _SIZE, Terminal())
+    return load_show(open_run(planned), None, Terminal())
 
 
 @pytest.fixture(scope="module")
 def screen(show: Show) -> Iterator[OffScreen]:
     """An off-screen renderer of it."""
-    with OffScreen(show.theatre.model, _SIZE) as opened:
-        show_what_is_seen(opened.option)
-        yield opened
+    opened = OffScreen(show.theatre.model)
+    yield opened
+    opened.renderer.close()
 
 
 def _project(camera: mujoco.MjvCamera, fovy_deg: float, points: Floats) -> Floats:
@@ -78,7 +113,7 @@ def _geoms(screen: OffScreen, data: mujoco.MjData, camera: mujoco.MjvCamera) -> 
 def test_the_part_is_where_the_plan_says(planned: Path, show: Show, screen: OffScreen) -> None:
     """The outline of the part, seen from near, is that of the reference mesh placed and projected by hand (1 mm)."""
     show.pose(0.0)
-    camera = show.camera(_SIZE[0] / _SIZE[1])
+    camera = _beside(planned, show)
     assert (_geoms(screen, show.data, camera) == show.theatre.model.geom("surface").id).sum() > 150
     camera.lookat[:] = _PLACED_AT + np.array([0.02, -0.03, 0.01])
     camera.distance = 0.45
@@ -102,7 +137,7 @@ def test_the_part_is_where_the_plan_says(planned: Path, show: Show, screen: OffS
 @draws
 def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, screen: OffScreen) -> None:
     """At each stop the housing is drawn where plan.json puts it, or hidden by something nearer; never where it was."""
-    camera, model = show.camera(_SIZE[0] / _SIZE[1]), show.theatre.model
+    camera, model = _beside(planned, show), show.theatre.model
     fovy, housing = model.vis.global_.fovy, model.geom("housing").id
     resolved = json.loads((planned / "scene.resolved.json").read_text())
     T_flange_housing = np.array(resolved["housing"]["T_flange_housing"])
@@ -128,23 +163,20 @@ def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, scr
 
 
 @draws
-def test_marks_are_drawn_over_the_model(show: Show, screen: OffScreen) -> None:
-    """Path, frustum and the caption change pixels; the frustum is translucent teal over the part."""
+def test_marks_are_drawn_over_the_model(planned: Path, show: Show, screen: OffScreen) -> None:
+    """Path and frustum change pixels; the frustum is translucent teal over the part."""
     stop = show.timeline.stops[0]
     show.pose(stop.begin)
-    camera = show.camera(_SIZE[0] / _SIZE[1])
+    camera = _beside(planned, show)
     bare = screen.picture(show.data, camera).astype(int)
     still = screen.picture(show.data, camera, show.draw_still).astype(int)
     beam = screen.picture(show.data, camera, lambda scene: show.draw_moment(scene, stop.begin)).astype(int)
     blue = (still != bare).any(axis=2)
     assert blue.sum() > 100
-    assert (still[blue][:, 2] > still[blue][:, 0]).mean() > 0.9
+    assert (still[blue][:, 2] > still[blue][:, 0]).mean() > 0.8  # the rest are its edges before the orange arm
     tinted = (beam - bare)[(beam != bare).any(axis=2)]
     assert len(tinted) > 2000
     assert (tinted[:, 0] < tinted[:, 1]).mean() > 0.9  # red goes down most
-    captioned = screen.picture(show.data, camera, None, "view 1").astype(int)
-    assert (captioned != bare).any(axis=2)[:40].sum() > 200
-    assert (captioned == bare).all(axis=2)[60:].all()
 
 
 def test_dressing_leaves_what_was_checked(planned: Path, show: Show) -> None:
@@ -181,10 +213,12 @@ def test_a_contact_is_named_and_marked(show: Show) -> None:
     show.pose(0.0)
 
 
-@draws
-def test_frames_through_the_command_line(planned: Path, tmp_path: Path, run_cell: Run) -> None:
-    """Frames are numbered PNGs of the asked size that differ; a folder with frames is refused."""
-    arguments = ("replay", str(planned), "--frames", "film", "--every", "90", "--size", "320x240")
+def test_frames_through_the_command_line(
+    planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames are numbered PNGs of the asked size that differ, without OpenGL; a folder with frames is refused."""
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    arguments = ("replay", str(planned), "--frames", "film", "--fps", "0.3", "--size", "320x240")
     done = run_cell(*arguments, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
     frames = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "film").glob("frame_*.png"))]
@@ -233,21 +267,21 @@ def test_an_execution_shows_its_points(
             scans / f"{number:04d}.npz", view=view.id, q_commanded=view.q, q_reported=view.q + 1e-3, points=points
         )
     (scans / "0003.npz").write_bytes((scans / "0003.npz").read_bytes()[:500])
-    executed = load_show(run, "latest", _SIZE, Terminal())
+    executed = load_show(run, "latest", Terminal())
     assert "0003.npz is damaged or cut short" in capsys.readouterr().err
     assert len(executed.timeline.stops) == 2
     np.testing.assert_allclose(
         executed.timeline.at(executed.timeline.stops[1].begin), run_reader.plan(run).views[1].q + 1e-3
     )
-    camera = show.camera(_SIZE[0] / _SIZE[1])
-    with OffScreen(executed.theatre.model, _SIZE) as drawn:
-        show_what_is_seen(drawn.option)
-        executed.pose(0.0)
-        part = _geoms(drawn, executed.data, camera) == executed.theatre.model.geom("surface").id
-        bare = drawn.picture(executed.data, camera).astype(int)
-        with_points = drawn.picture(
-            executed.data, camera, lambda scene: marks.add_clouds(scene, executed.theatre, [0, 1], 1)
-        ).astype(int)
+    camera = _beside(planned, show)
+    drawn = OffScreen(executed.theatre.model)
+    executed.pose(0.0)
+    part = _geoms(drawn, executed.data, camera) == executed.theatre.model.geom("surface").id
+    bare = drawn.picture(executed.data, camera).astype(int)
+    with_points = drawn.picture(
+        executed.data, camera, lambda scene: marks.add_clouds(scene, executed.theatre, [0, 1], 1)
+    ).astype(int)
+    drawn.renderer.close()
     changed = np.argwhere((np.abs(with_points - bare) > 25).any(axis=2))
     assert len(changed) > 0.3 * part.sum()
     rows, columns = np.nonzero(part)
@@ -281,23 +315,15 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
         replay(tmp_path / "run", options, Terminal())
 
 
-def test_without_a_display_and_without_a_renderer_a_sentence_says_what_to_do(
-    planned: Path, tmp_path: Path, run_cell: Run, start_cell: Start, monkeypatch: pytest.MonkeyPatch
+def test_without_a_display_a_sentence_says_what_to_do(
+    planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No display: --frames is named. No EGL and no OSMesa: the packages are named. Both exit with 2."""
+    """--frames and --picture are named; exit code 2."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     done = run_cell("replay", planned, cwd=tmp_path)
-    monkeypatch.setenv("MUJOCO_GL", "off")  # read once in a process
-    process = start_cell("replay", planned, "--frames", "film", cwd=tmp_path)
-    _, errors = process.communicate(timeout=60)
-    for code, told, words in (
-        (done.returncode, done.stderr, "--frames DIR"),
-        (process.returncode, errors, "libegl1 libegl-mesa0 libgl1-mesa-dri"),
-    ):
-        assert code == 2, told
-        assert words in told
-        assert told.count("\n") == 1
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "--frames DIR or --picture" in done.stderr
 
 
 _WATCH = """
