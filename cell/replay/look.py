@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -156,12 +156,7 @@ def _chamfer(spec: mujoco.MjSpec, box: mujoco.MjsGeom) -> None:
     cut = min(0.022, 0.4 * float(half.min()))
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = np.concatenate([signs * (half - cut * (1 - np.eye(3)[axis])) for axis in range(3)])
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(corners)
-    outward = np.einsum("ij,ij->i", hull.equations[:, :3], _facing(corners, hull.simplices)) > 0
-    faces = np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
-    add_mesh(spec, f"{box.name}_look", TriangleMesh(corners, faces))
+    spec.add_mesh(name=f"{box.name}_look", uservert=corners.ravel())
     box.parent.add_geom(
         name=f"{box.name}_look",
         type=mujoco.mjtGeom.mjGEOM_MESH,
@@ -174,9 +169,3 @@ def _chamfer(spec: mujoco.MjSpec, box: mujoco.MjsGeom) -> None:
         conaffinity=0,
     )
     box.group = _HIDDEN_GROUP
-
-
-def _facing(vertices: Floats, faces: np.ndarray[Any, np.dtype[np.int32]]) -> Floats:
-    """(F, 3) normals by the order of the corners, not of unit length."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    return np.cross(b - a, c - a)

@@ -20,6 +20,7 @@ from cell.robot import model as robot
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
+from cell.view.rays import frustum
 from cell.world.trees import trees_of
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, readonly
@@ -102,7 +103,8 @@ def dress(
             f"{run.folder / 'cell.xml'} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again"
         )
     centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
-    corners = frustum(*np.radians(scene.scanner.opening_deg), *(np.array(scene.scanner.drawn_range_mm) / 1000.0))
+    opening, (nearest, farthest) = scene.scanner.opening_deg, np.array(scene.scanner.drawn_range_mm) / 1000.0
+    corners = np.concatenate([frustum(opening, nearest), frustum(opening, farthest)])
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
     entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)
@@ -115,8 +117,8 @@ def dress(
         show_surface(spec, f"{name}_surface", mesh, [spec.geom(name)])
     if scene.plan.collision == "exact":
         checked["part"] = reference
-    add_mesh(spec, "frustum", corners)
-    add_mesh(spec, "glyph", _pyramid(GLYPH_SHARE * corners.vertices[4:]))
+    for name, tips in (("frustum", corners), ("glyph", np.concatenate([np.zeros((1, 3)), GLYPH_SHARE * corners[4:]]))):
+        spec.add_mesh(name=name, uservert=tips.ravel())
     for number, points in enumerate(clouds):
         if len(points):
             add_mesh(spec, f"cloud_{number}", specks(points, 0.010 * radius))
@@ -132,39 +134,12 @@ def dress(
         part_radius=radius,
         frustum_mesh=mesh_of["frustum"],
         glyph_mesh=mesh_of["glyph"],
-        frustum_corners=corners.vertices,
+        frustum_corners=corners,
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
         trees=trees_of(model, checked),
     )
-
-
-def frustum(fov_h: float, fov_v: float, nearest: float, farthest: float) -> TriangleMesh:
-    """The volume in which the scanner measures: both angles of the field of view, range as plane depth on the axis.
-
-    The farthest face is drawn flat through the middle of the range's end, as drawings of sensors do.
-
-    Args:
-        fov_h: full angle about the scanner's y, along the baseline [rad].
-        fov_v: full angle about the scanner's x [rad].
-        nearest: smallest range [m].
-        farthest: largest range [m].
-
-    Returns:
-        Eight corners (near four, far four), scanner frame [m].
-    """
-    x, y = np.tan(fov_h / 2), np.tan(fov_v / 2)
-    square = np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
-    sides = [[i, (i + 1) % 4, (i + 1) % 4 + 4] for i in range(4)] + [[i, (i + 1) % 4 + 4, i + 4] for i in range(4)]
-    ends = [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]]
-    return TriangleMesh(np.concatenate([square * nearest, square * farthest]), np.array(sides + ends))
-
-
-def _pyramid(base: Floats) -> TriangleMesh:
-    """Tip in the origin, over a base of four corners (4, 3)."""
-    faces = [[0, 1 + (i + 1) % 4, 1 + i] for i in range(4)] + [[1, 2, 3], [1, 3, 4]]
-    return TriangleMesh(np.concatenate([np.zeros((1, 3)), base]), np.array(faces))
 
 
 def specks(points: Floats, size: float) -> TriangleMesh:
