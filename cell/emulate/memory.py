@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cell import caches
 from cell.errors import FileError, UsageError
 from drivers.contract import RobotState
 from drivers.emulated.endpoint import Entry
@@ -74,10 +75,9 @@ class Memory:
         if content == self._written:
             return
         text = json.dumps({"schema": SCHEMA, "axes": content[0], "boot": boot, "ended_in_order": ended_in_order})
-        temporary = self._state.with_name(self._state.name + ".part")
         try:
-            temporary.write_text(text + "\n", encoding="utf-8")
-            temporary.replace(self._state)
+            with caches.whole(self._state) as part:
+                part.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
             raise FileError(f"{self._state} cannot be written: {error.strerror}; choose another --state") from error
         self._written = content

@@ -1,12 +1,12 @@
 """`cell export`: the motion of a finished run as a program for a controller, or as a table for another program."""
 
-import os
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
 from pydantic import Field
 
+from cell import caches
 from cell.errors import FileError
 from cell.export import krl, program, tables
 from cell.export.krl import KrlOptions, Signals
@@ -124,9 +124,8 @@ def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[
                     "--name"
                 )
         for path, content in files.items():
-            temporary = path.with_name(path.name + f".{os.getpid()}.tmp")
-            temporary.write_bytes(content)
-            temporary.replace(path)
+            with caches.whole(path) as part:
+                part.write_bytes(content)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(f"{folder} cannot be written: {reason}; choose a writable --out") from error

@@ -1,10 +1,9 @@
 """The page of an execution, made from its report.json, and its table for a terminal. It holds no clock value."""
 
 import html
-from collections.abc import Sequence
 
 from cell.acquisition import SIMULATED
-from cell.run.execution_json import ExecutedCoverage, ExecutionReport
+from cell.run.execution_json import ExecutionReport
 
 _COARSE = 0.02  # of the part's diagonal: a surface that reaches farther from its points is called interpolated
 
@@ -65,16 +64,12 @@ def table(summary: ExecutionReport) -> list[tuple[str, str]]:
     rows = [
         ("views", f"{summary.n_views} of {summary.n_views_planned}{missing}"),
         ("points", f"{summary.n_points:,}, {short(summary.source)}"),
-        (
-            "visible coverage",
-            f"{_percent(coverage.visible)} of the surface, predicted {_percent(coverage.predicted)}",
-        ),
-        (
-            "sampled coverage",
-            f"{_percent(coverage.sampled)} within {coverage.sampled_radius_mm:.3g} mm of a point",
-        ),
-        *_dense(coverage),
+        ("visible coverage", f"{_percent(coverage.visible)} of the surface, predicted {_percent(coverage.predicted)}"),
+        ("sampled coverage", f"{_percent(coverage.sampled)} within {coverage.sampled_radius_mm:.3g} mm of a point"),
     ]
+    if coverage.dense is not None:
+        near = "measured and with a point within 1.5 x the planned spacing"
+        rows.append(("dense coverage", f"{_percent(coverage.dense)} {near}"))
     if registration is not None and cloud.rms_to_reference_mm is not None:
         residuals = (
             f"points to reference {cloud.rms_to_reference_as_reported_mm:.4f} mm rms as reported, "
@@ -124,20 +119,17 @@ def left_as_reported(summary: ExecutionReport) -> str:
 
 
 def _missing(summary: ExecutionReport) -> str:
-    parts = []
-    if summary.missing_views:
-        views = ", ".join(str(stop) for stop in summary.missing_views)
-        parts.append(f"No usable scan of view {views}.")
-        parts.append(_again(summary.missing_views))
+    parts, views = [], summary.missing_views
+    if views:
+        again = (
+            f"view {views[0]} again (`cell scan RUN --view {views[0]}`)"
+            if len(views) == 1
+            else "again (`cell scan RUN`)"
+        )
+        parts.append(f"No usable scan of view {', '.join(map(str, views))}. Scan {again}.")
     if summary.left_out:
         parts.append("Left out: " + "; ".join(summary.left_out) + ".")
     return " ".join(parts)
-
-
-def _again(views: Sequence[int]) -> str:
-    if len(views) == 1:
-        return f"Scan view {views[0]} again (`cell scan RUN --view {views[0]}`)."
-    return "Scan again (`cell scan RUN`)."
 
 
 def _table(summary: ExecutionReport) -> list[str]:
@@ -164,15 +156,6 @@ def _table(summary: ExecutionReport) -> list[str]:
     ]
 
 
-def _dense(coverage: ExecutedCoverage) -> list[tuple[str, str]]:
-    """Dense coverage, where it is known."""
-    if coverage.dense is None:
-        return []
-    return [
-        ("dense coverage", f"{_percent(coverage.dense)} measured and with a point within 1.5 x the planned spacing")
-    ]
-
-
 def _coverage(summary: ExecutionReport) -> list[str]:
     coverage = summary.coverage
     model = "" if coverage.kind == "simulated" else " (computed by the model from the registered poses)"
@@ -184,13 +167,10 @@ def _coverage(summary: ExecutionReport) -> list[str]:
         f"| visible{model}, of the surface | {_percent(coverage.visible)} | {_percent(coverage.predicted)} |",
         f"| visible, of what reachable candidates can measure | {_percent(coverage.visible_of_coverable)} | |",
         f"| sampled, radius {coverage.sampled_radius_mm:.3g} mm | {_percent(coverage.sampled)} | |",
-        *(
-            [f"| dense: a point within 1.5 x the planned spacing | {_percent(coverage.dense)} | |"]
-            if coverage.dense is not None
-            else []
-        ),
-        "",
     ]
+    if coverage.dense is not None:
+        lines.append(f"| dense: a point within 1.5 x the planned spacing | {_percent(coverage.dense)} | |")
+    lines.append("")
     if coverage.predicted != coverage.predicted_all_views:
         lines += [
             f"The prediction is for the views that were scanned; for all views of the plan it is "

@@ -23,7 +23,9 @@ from cell.run.execution_json import (
     SurfaceDeviation,
 )
 from cell.run.plan_json import PlanFile
-from cell.scan.execution_results import Achieved, ExecutedScan, Merged, counts_by_reason, source_of
+from cell.scan.achieved import Achieved
+from cell.scan.executed_scans import ExecutedScan, counts_by_reason, source_of
+from cell.scan.merging import Merged
 from cell.scan.pose_error import difference
 
 

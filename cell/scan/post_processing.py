@@ -25,20 +25,13 @@ from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, open_finished, understood
 from cell.scan import causes, execution_page
+from cell.scan.achieved import achieved
+from cell.scan.executed_scans import ExecutedScan, scan_name, source_of, usable
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.execution_page import short
-from cell.scan.execution_results import (
-    ExecutedScan,
-    achieved,
-    executed_poses,
-    merged,
-    scan_name,
-    sigma_of,
-    source_of,
-    usable,
-)
 from cell.scan.execution_summary import Results, execution_report, settings_of
 from cell.scan.legs import legs_of
+from cell.scan.merging import executed_poses, merged, sigma_of
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome, Work
 from cell.view import contents

@@ -24,8 +24,8 @@ from cell.run.executions import RecordedExecution, read_execution
 from cell.run.record import RunRecord, read_manifest, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, lock, resources, safety
+from cell.scan.executed_scans import usable
 from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
-from cell.scan.execution_results import usable
 from cell.scan.legs import Legs, legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.post_processing import exit_code_of, results
