@@ -1,13 +1,13 @@
 """`cell replay` as the command line gives it: options in, a table or one JSON object out."""
 
-import math
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.errors import UsageError
+from cell.commands.options import from_fields
+from cell.replay.options import ReplayOptions
 
 EPILOG = (
     "Examples:\n\n"
@@ -20,59 +20,17 @@ EPILOG = (
 )
 
 
+@from_fields
 def replay(
+    *,
     run: Annotated[Path, typer.Argument(help="Run folder of cell plan; a failed one (.part) too.")],
-    execution: Annotated[
-        str | None, typer.Option(metavar="ID", help="Replay an execution of it: an id, or latest. Default: the plan.")
-    ] = None,
-    view: Annotated[
-        int | None, typer.Option(metavar="N", help="Begin at this view, counted from 1 in visiting order.")
-    ] = None,
-    tightest: Annotated[
-        bool, typer.Option("--tightest", help="Begin at the moment at which two things are nearest.")
-    ] = False,
-    speed: Annotated[float, typer.Option(help="Seconds of the motion for each second.")] = 1.0,
-    once: Annotated[bool, typer.Option("--once", help="Close the viewer at the end.")] = False,
-    frames: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Draw PNG frames into a folder; needs no display.")
-    ] = None,
-    fps: Annotated[float, typer.Option(help="Frames for each second of film.")] = 25.0,
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw one still of the whole tour; needs no display.")
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(metavar="AZ,EL", help="With --picture: camera's azimuth and elevation from the part, deg."),
-    ] = None,
-    hide: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="With --picture: leave out robot, post, a fixture, ...")
-    ] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Size of frames and picture in pixels.")] = "960x720",
+    options: ReplayOptions,
 ) -> None:
     """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
     from cell.commands.terminal import Terminal
-    from cell.replay.replay import ReplayOptions
     from cell.replay.replay import replay as run_replay
 
-    width, cross, height = size.lower().partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
-        raise UsageError(f"--size {size} must be width x height in pixels, for instance --size 960x720")
-    wanted = ReplayOptions(
-        execution, view, tightest, speed, frames, picture, fps, (int(width), int(height)), once,
-        None if camera is None else _angles(camera), tuple(hide or ()),
-    )  # fmt: skip
-    made = run_replay(run, wanted, Terminal())
+    made = run_replay(run, options, Terminal())
     if made:
         sys.stdout.write(made + "\n")
-    Terminal(quiet_stdout=True).then(("cell", "scan" if execution is None else "why", run))
-
-
-def _angles(text: str) -> tuple[float, float]:
-    """Azimuth and elevation of `--camera`."""
-    try:
-        azimuth, elevation = (float(angle) for angle in text.split(","))
-    except ValueError:
-        azimuth = elevation = math.nan
-    if not (abs(azimuth) <= 360 and abs(elevation) <= 89):
-        raise UsageError(f"--camera {text} must be azimuth,elevation in degrees, for instance --camera -60,20")
-    return azimuth, elevation
+    Terminal(quiet_stdout=True).then(("cell", "scan" if options.execution is None else "why", run))

@@ -6,7 +6,6 @@ cell shows the arm at home and the candidate viewpoints, coloured by what was fo
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.replay.closest import of_plan
 from cell.replay.model import dress
+from cell.replay.options import ReplayOptions
 from cell.replay.show import Show
 from cell.replay.still import Still, require_empty, write_frames, write_picture
 from cell.run import reader as run_reader
@@ -24,37 +24,6 @@ from cell.run.record import RunRecord, open_run
 from cell.run.timeline import Timeline
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayOptions:
-    """What is wanted.
-
-    Attributes:
-        execution: id of an execution, or "latest"; None replays the plan.
-        view: number of the view, in visiting order from 1, at which the show begins; None is its start.
-        tightest: begin at the tightest moment of the motion.
-        speed: seconds of the show for each second.
-        frames: folder for numbered pictures; None opens the viewer.
-        picture: file for one still of the whole tour; None draws none.
-        camera: azimuth and elevation of its camera as seen from the part [deg]; None is beside part and arm.
-        hide: names of what it leaves out.
-        fps: frames for each second of film.
-        size: (width, height) of pictures [pixels].
-        once: close the viewer at the end.
-    """
-
-    execution: str | None = None
-    view: int | None = None
-    tightest: bool = False
-    speed: float = 1.0
-    frames: Path | None = None
-    picture: Path | None = None
-    fps: float = 25.0
-    size: tuple[int, int] = (960, 720)
-    once: bool = False
-    camera: tuple[float, float] | None = None
-    hide: tuple[str, ...] = ()
 
 
 def replay(
@@ -78,10 +47,9 @@ def replay(
         One sentence about what was made; "" after the viewer.
 
     Raises:
-        UsageError: for an impossible option, or where nothing can be drawn on.
+        UsageError: if there is no such view or moment, or nothing can be drawn on.
         FileError: if the run folder cannot be read.
     """
-    _check(options)
     drawing = options.frames is not None or options.picture is not None
     if options.frames is not None:  # asked before the work, which takes seconds
         require_empty(options.frames)
@@ -98,7 +66,7 @@ def replay(
     if options.picture is not None:
         with narrator.stage("draw the picture"):
             moment = start if chosen else None
-            write_picture(still, options.picture, options.size, moment, options.camera, options.hide)
+            write_picture(still, options.picture, options.size, moment, options.camera_deg, options.hide)
         made.append(f"picture in {options.picture}")
     if options.frames is not None:
         with narrator.stage("draw the frames") as progress:
@@ -189,19 +157,3 @@ def _tightest(show: Show) -> float:
             "version, or a motion that is far from everything; leave it out"
         )
     return show.closest.time
-
-
-def _check(options: ReplayOptions) -> None:
-    width, height = options.size
-    if not (64 <= width <= 4096 and 64 <= height <= 4096):
-        raise UsageError(f"--size {width}x{height} must be between 64x64 and 4096x4096 pixels")
-    if not 0 < options.speed <= 1000:
-        raise UsageError(f"--speed {options.speed:g} must be above 0 and at most 1000")
-    if not 0 < options.fps <= 240:
-        raise UsageError(f"--fps {options.fps:g} must be above 0 and at most 240")
-    if options.tightest and options.view is not None:
-        raise UsageError("--tightest and --view both say where to begin; give one of them")
-    if options.picture is None and (options.camera is not None or options.hide):
-        raise UsageError("--camera and --hide are for a still; give --picture FILE.png as well")
-    if options.picture is not None and options.picture.suffix.lower() != ".png":
-        raise UsageError(f"--picture {options.picture} must end in .png")

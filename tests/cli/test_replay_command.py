@@ -19,7 +19,8 @@ from PIL import Image
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay import marks
-from cell.replay.replay import ReplayOptions, load_show, replay
+from cell.replay.options import ReplayOptions
+from cell.replay.replay import load_show, replay
 from cell.replay.show import Show, show_what_is_seen
 from cell.replay.viewer import place
 from cell.run import reader as run_reader
@@ -288,7 +289,7 @@ def test_an_execution_shows_its_points(
     assert (changed >= [rows.min() - 2, columns.min() - 2]).all()
     assert (changed <= [rows.max() + 2, columns.max() + 2]).all()
     with pytest.raises(UsageError, match="--view 3 is no view of this run; valid are 1 to 2, in visiting order"):
-        replay(folder, ReplayOptions("latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Terminal())
+        replay(folder, ReplayOptions(execution="latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Terminal())
 
 
 def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, run_cell: Run) -> None:
@@ -332,7 +333,8 @@ from pathlib import Path
 import numpy as np
 from PIL import ImageGrab
 from cell.commands.terminal import Terminal
-from cell.replay.replay import ReplayOptions, replay
+from cell.replay.options import ReplayOptions
+from cell.replay.replay import replay
 
 ticks, oranges, places, shown = [0.0], [], [], []
 

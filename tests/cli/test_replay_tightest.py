@@ -13,7 +13,8 @@ from PIL import Image
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay.closest import near_camera
-from cell.replay.replay import ReplayOptions, load_show, replay
+from cell.replay.options import ReplayOptions
+from cell.replay.replay import load_show, replay
 from cell.replay.show import Show
 from cell.replay.still import Still, write_picture
 from cell.replay.viewer import Player
@@ -103,7 +104,7 @@ def test_the_command_draws_it(planned: Path, tmp_path: Path, run_cell: Run) -> N
     assert (np.abs(pictures[0] - pictures[1]) > 25).any(axis=2).mean() > 0.2
     done = run_cell("replay", planned, "--tightest", "--view", "1", "--picture", "x.png", cwd=tmp_path)
     assert done.returncode == 2
-    assert "--tightest and --view both say where to begin" in done.stderr
+    assert "--tightest says where to begin, and so does the view" in done.stderr
 
 
 def test_a_run_that_does_not_know_it_says_so(planned: Path, tmp_path: Path) -> None:

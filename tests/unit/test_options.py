@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from cell.cli import app
 from cell.commands import options
 from cell.errors import SceneError, UsageError
+from cell.replay.options import ReplayOptions
 from cell.scan.options import ScanOptions
 from cell.scene.option import flag, offers, read
 from cell.scene.options import scene_of, tables
@@ -29,7 +30,7 @@ FILE_ONLY = {
     "settle_s": "a fact of the arm, which no plan changes",
     "ensemble": "more of it changes seconds, hardly a plan",
 }
-MODELS = (Scene, ScanOptions, PlaceRange, StudyRun)
+MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions)
 ROOT: Any = typer.main.get_command(app)
 
 

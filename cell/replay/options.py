@@ -1,0 +1,75 @@
+"""What `cell replay` can be asked for, checked."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from cell.scene.fields import Table
+from cell.scene.option import Option
+
+_Elevation = Annotated[float, Field(ge=-89, le=89)]
+_Pixels = Annotated[int, Field(ge=64, le=4096)]
+
+
+def _names(texts: Sequence[str]) -> list[str]:
+    return [each for text in texts for each in text.split(",")]
+
+
+class ReplayOptions(Table):
+    """What is wanted; without `frames` and `picture` the viewer opens."""
+
+    execution: Annotated[
+        str | None, Option("Replay an execution of it: an id, or latest. Default: the plan.", metavar="ID")
+    ] = None
+    view: Annotated[int | None, Option("Begin at this view, counted from 1 in visiting order.")] = None
+    tightest: Annotated[bool, Option("Begin at the moment at which two things are nearest.")] = False
+    speed: Annotated[float, Field(gt=0, le=1000), Option("Seconds of the motion for each second.")] = 1.0
+    once: Annotated[bool, Option("Close the viewer at the end.")] = False
+    frames: Annotated[
+        Path | None, Field(strict=False), Option("Draw PNG frames into a folder; needs no display.", metavar="DIR")
+    ] = None
+    fps: Annotated[float, Field(gt=0, le=240), Option("Frames for each second of film.")] = 25.0
+    picture: Annotated[
+        Path | None,
+        Field(strict=False),
+        Option("Draw one still of the whole tour; needs no display.", metavar="FILE.png"),
+    ] = None
+    camera_deg: Annotated[
+        tuple[Annotated[float, Field(ge=-360, le=360)], _Elevation] | None,
+        Field(strict=False),
+        Option(
+            "With --picture: camera's azimuth and elevation from the part, deg.", metavar="AZ,EL",
+            form="azimuth,elevation in degrees", examples=("-60,20",), counts=(2,),
+        ),
+    ] = None  # fmt: skip
+    hide: Annotated[
+        tuple[str, ...],
+        Field(strict=False),
+        Option("With --picture: leave out robot, post, a fixture, ...", metavar="NAME", made=_names),
+    ] = ()
+    size: Annotated[
+        tuple[_Pixels, _Pixels],
+        Field(strict=False),
+        Option(
+            "Size of frames and picture in pixels.", metavar="WxH", form="width x height in pixels",
+            examples=("960x720",), counts=(2,), separator="x",
+        ),
+    ] = (960, 720)  # fmt: skip
+
+    @field_validator("picture")
+    @classmethod
+    def _a_png(cls, path: Path | None) -> Path | None:
+        if path is not None and path.suffix.lower() != ".png":
+            raise ValueError(f"is {path}; it must end in .png")
+        return path
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Self:
+        if self.tightest and self.view is not None:
+            raise ValueError(".tightest says where to begin, and so does the view that was given; give one of them")
+        for key in ("camera_deg", "hide"):
+            if self.picture is None and getattr(self, key):
+                raise ValueError(f".{key} is for a still; ask for a picture as well")
+        return self
