@@ -7,10 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson
-from cell.errors import UsageError
-
-_KRL, _CELL = "KRL", "The cell as it is now"
+from cell.commands.options import AsJson, from_fields
+from cell.export.options import ExportOptions
 
 EPILOG = (
     "Examples:\n\n"
@@ -22,92 +20,20 @@ EPILOG = (
 )
 
 
+@from_fields
 def export(
+    *,
     run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
-    kind: Annotated[str, typer.Option("--format", metavar="krl|csv|json", help="What to write.")] = "krl",
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the files. Default: export/ in the run folder.")
-    ] = None,
-    name: Annotated[
-        str | None,
-        typer.Option(
-            help="Name of program and files, at most 24 characters. Default: the run folder's, if KRL takes it."
-        ),
-    ] = None,
-    speed: Annotated[
-        int | None,
-        typer.Option(
-            metavar="PERCENT",
-            help="Of the axis speeds, 1 to 100; sweeps slow down alike. Default: 20, or the plan's if slower.",
-            rich_help_panel=_KRL,
-        ),
-    ] = None,
-    acceleration: Annotated[
-        int | None,
-        typer.Option(
-            metavar="PERCENT",
-            help="Of the axis accelerations. Default: 30, or the plan's if slower.",
-            rich_help_panel=_KRL,
-        ),
-    ] = None,
-    trigger_output: Annotated[
-        int, typer.Option(metavar="N", help="$OUT that starts a scan.", rich_help_panel=_KRL)
-    ] = 1,
-    gate_output: Annotated[
-        int, typer.Option(metavar="N", help="$OUT that is on while a sweep is driven.", rich_help_panel=_KRL)
-    ] = 2,
-    done_input: Annotated[
-        int, typer.Option(metavar="M", help="$IN by which the scanner says that it is done.", rich_help_panel=_KRL)
-    ] = 1,
-    timer: Annotated[
-        int, typer.Option(metavar="K", help="$TIMER that measures the time-out.", rich_help_panel=_KRL)
-    ] = 1,
-    settle: Annotated[
-        float, typer.Option(metavar="S", help="Standstill before each scan.", rich_help_panel=_KRL)
-    ] = 0.2,
-    timeout: Annotated[
-        float, typer.Option(metavar="S", help="Longest wait for the scanner.", rich_help_panel=_KRL)
-    ] = 10.0,
-    scene: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Scene file that describes the cell now. Default: the one that was planned with.",
-            rich_help_panel=_CELL,
-        ),
-    ] = None,
-    part: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Mesh file of the part now. Default: the one that was planned with.",
-            rich_help_panel=_CELL,
-        ),
-    ] = None,
-    accept_changed_scene: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME[,NAME...]",
-            help="Export although this differs from the plan: names as the refusal gives them.",
-            rich_help_panel=_CELL,
-        ),
-    ] = None,
+    options: ExportOptions,
     as_json: AsJson = False,
 ) -> None:
     """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
     from cell.commands.terminal import Terminal
-    from cell.export.export import Format, Wanted
     from cell.export.export import export as run_export
-    from cell.export.krl import Signals
-    from cell.proof.files_now import FilesNow
 
-    if kind not in list(Format):
-        raise UsageError(f"--format {kind} is not known; it must be one of {', '.join(Format)}")
-    signals = Signals(trigger_output, gate_output, done_input, timer, settle, timeout)
     terminal = Terminal(quiet_stdout=as_json)
-    now = FilesNow(scene, part, tuple(each.strip() for each in (accept_changed_scene or "").split(",")))
-    outcome = run_export(run, Wanted(Format(kind), out, name, speed, acceleration, signals, now), terminal)
-    if Format(kind) is Format.KRL:
+    outcome = run_export(run, options, terminal)
+    if options.kind == "krl":
         terminal.note(
             "before this program runs on a robot, check tool, base, signals and cell as docs/export.md says, and run "
             "it in T1 first"

@@ -1,7 +1,5 @@
 """`cell export`: the motion of a finished run as a program for a controller, or as a table for another program."""
 
-from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 
 from pydantic import Field
@@ -9,10 +7,10 @@ from pydantic import Field
 from cell import caches
 from cell.errors import FileError
 from cell.export import krl, program, tables
-from cell.export.krl import KrlOptions, Signals
+from cell.export.krl import KrlOptions
+from cell.export.options import ExportOptions
 from cell.export.program import Program
 from cell.narrator import Narrator
-from cell.proof.files_now import AS_PLANNED, FilesNow
 from cell.run.json_table import JsonTable
 
 FOLDER = "export"
@@ -20,14 +18,6 @@ FOLDER = "export"
 
 SPEED_PERCENT, ACCELERATION_PERCENT = 20, 30
 """Of the controller's axis speeds and accelerations where nothing is asked for; less where the plan is slower."""
-
-
-class Format(StrEnum):
-    """What is written."""
-
-    KRL = "krl"
-    CSV = "csv"
-    JSON = "json"
 
 
 class ExportOutcome(JsonTable):
@@ -42,30 +32,7 @@ class ExportOutcome(JsonTable):
     acceleration_percent: int = Field(description="of the axis accelerations")
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What was asked for.
-
-    Attributes:
-        kind: of the files.
-        out: folder for them; None takes `export/` of the run folder.
-        name: of the program; None makes one.
-        speed_percent: of the axis speeds; None takes `SPEED_PERCENT`, or that of the plan where it is slower.
-        acceleration_percent: the same of the accelerations, with `ACCELERATION_PERCENT`.
-        signals: between controller and scanner.
-        now: where the cell is described now.
-    """
-
-    kind: Format
-    out: Path | None
-    name: str | None
-    speed_percent: int | None
-    acceleration_percent: int | None
-    signals: Signals
-    now: FilesNow = AS_PLANNED
-
-
-def export(run_folder: Path, wanted: Wanted, narrator: Narrator | None = None) -> ExportOutcome:
+def export(run_folder: Path, wanted: ExportOptions, narrator: Narrator | None = None) -> ExportOutcome:
     """Write the program of a finished run.
 
     Args:
@@ -74,20 +41,20 @@ def export(run_folder: Path, wanted: Wanted, narrator: Narrator | None = None) -
         narrator: is told which files of the plan are gone; None: nobody.
 
     Raises:
-        UsageError: if the name is none in KRL, or a number is not possible.
+        UsageError: if the name is none in KRL, or KRL cannot drive it.
         FileError: if the run has no finished motion, a file of it is damaged, or the files cannot be written.
     """
     loaded = program.load(run_folder, wanted.name, wanted.now, narrator)
     options = KrlOptions(
         percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
         percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
-        wanted.signals,
+        wanted,
     )
     contents = _contents(loaded, options, wanted.kind)
     folder = wanted.out if wanted.out is not None else run_folder / FOLDER
     files = _write(folder, contents, replace=wanted.out is None)
     return ExportOutcome(
-        format=wanted.kind.value,
+        format=wanted.kind,
         name=loaded.told.name,
         files=tuple(str(path) for path in files),
         via_points=len(loaded.q),
@@ -97,12 +64,12 @@ def export(run_folder: Path, wanted: Wanted, narrator: Narrator | None = None) -
     )
 
 
-def _contents(loaded: Program, options: KrlOptions, kind: Format) -> dict[str, bytes]:
+def _contents(loaded: Program, options: KrlOptions, kind: str) -> dict[str, bytes]:
     """Content by file name."""
     name = loaded.told.name
-    if kind is Format.KRL:
+    if kind == "krl":
         return {f"{name}.src": krl.source(loaded, options), f"{name}.dat": krl.data(loaded, options)}
-    if kind is Format.CSV:
+    if kind == "csv":
         return {f"{name}.csv": tables.csv(loaded)}
     return {f"{name}.json": tables.as_json(loaded)}
 

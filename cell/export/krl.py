@@ -30,6 +30,7 @@ import numpy as np
 
 from cell.errors import UsageError
 from cell.export.krl_routines import BEGIN, ROUTINES
+from cell.export.options import ExportOptions
 from cell.export.program import Kind, Program, Sweep, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
 from planner.path.sweeps.line import rotation_vectors
@@ -41,44 +42,6 @@ _AT_STOP_DEG = 0.1  # an axis farther from the last stop is not there: the progr
 _TURNS_DEG = 0.001  # a line that turns by less is straight: set-points of 1e-4 deg turn it by up to 0.0006
 _LEAST_SPEED = 0.001  # of a line that has no length: KRL takes no speed 0 [m/s]
 _LONGEST_LINE = 400  # characters; KRL's own limit is 471 on a KR C2 (from memory)
-_HIGHEST_SIGNAL, _HIGHEST_TIMER = 4096, 32  # of $IN and $OUT, and of $TIMER, on a KR C4
-
-
-@dataclass(frozen=True, slots=True)
-class Signals:
-    """What stands between controller and scanner.
-
-    Attributes:
-        trigger_output: number of $OUT that tells the scanner to scan.
-        gate_output: number of $OUT that is on while a sweep is driven.
-        done_input: number of $IN by which the scanner says that it has.
-        timer: number of $TIMER that measures the time-out.
-        settle: standstill before a scan [s].
-        timeout: longest wait for the scanner [s].
-    """
-
-    trigger_output: int = 1
-    gate_output: int = 2
-    done_input: int = 1
-    timer: int = 1
-    settle: float = 0.2
-    timeout: float = 10.0
-
-    def __post_init__(self) -> None:
-        for name, value, most in (
-            ("--trigger-output", self.trigger_output, _HIGHEST_SIGNAL),
-            ("--gate-output", self.gate_output, _HIGHEST_SIGNAL),
-            ("--done-input", self.done_input, _HIGHEST_SIGNAL),
-            ("--timer", self.timer, _HIGHEST_TIMER),
-        ):
-            _require_number(name, value, most)
-        for name, seconds, least in (("--settle", self.settle, 0.0), ("--timeout", self.timeout, 0.1)):
-            if not least <= seconds <= 3600:
-                raise UsageError(f"{name} {seconds:g} is not possible; it must be from {least:g} to 3600 s")
-        if self.gate_output == self.trigger_output:
-            raise UsageError(
-                f"--trigger-output and --gate-output are both {self.gate_output}; a sweep needs two outputs of its own"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +56,7 @@ class KrlOptions:
 
     speed_percent: int
     acceleration_percent: int
-    signals: Signals
-
-    def __post_init__(self) -> None:
-        _require_number("--speed", self.speed_percent, 100)
-        _require_number("--acceleration", self.acceleration_percent, 100)
-
-
-def _require_number(name: str, value: int, most: int) -> None:
-    if not 1 <= value <= most:
-        raise UsageError(f"{name} {value} is not possible; it must be a whole number from 1 to {most}")
+    signals: ExportOptions
 
 
 def source(program: Program, options: KrlOptions) -> bytes:

@@ -15,7 +15,8 @@ import pytest
 from cell.emulate.emulator import arm_of
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.export import krl, tables
-from cell.export.krl import KrlOptions, Signals
+from cell.export.krl import KrlOptions
+from cell.export.options import ExportOptions
 from cell.export.program import Told, of_motion
 from cell.plant import factory
 from cell.plant.mujoco_plant import MujocoPlant
@@ -140,7 +141,7 @@ def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
     motion, told = run_reader.motion(open_run(other)), Told("name", "part", "run", "digest", 1.0, 1.0, np.nan, "")
     program = of_motion(motion, Mirrored(), np.eye(4), np.eye(4), told)
     with pytest.raises(UsageError, match=r"axes are not KUKA's.*--format csv or json"):
-        krl.source(program, KrlOptions(20, 30, Signals()))
+        krl.source(program, KrlOptions(20, 30, ExportOptions()))
     points = json.loads(tables.as_json(program))["via_points"]
     assert [(point["status"], point["turn"]) for point in points] == [(None, None)] * len(motion.via_q)
     assert all(line.endswith(",,") for line in tables.csv(program).decode().splitlines()[1:])

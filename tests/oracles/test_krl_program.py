@@ -423,6 +423,7 @@ def _sweeping(
 ) -> tuple[bytes, bytes, Any]:
     """A program of two sweeps, the second of them turned where asked [rad], with a stop between, and its motion."""
     from cell.export import krl
+    from cell.export.options import ExportOptions
     from cell.export.program import Told, of_motion
     from cell.robot.kinematics import Kr16Kinematics
     from planner.path.sweeps.motion import sweeps_of
@@ -453,7 +454,7 @@ def _sweeping(
         np.eye(4),
         Told("SWEEPS", "plate", "run", "0" * 64, planned_speed, 1.0, float("nan"), ""),
     )
-    options = krl.KrlOptions(speed_percent, 100, krl.Signals(trigger_output=7, gate_output=9, done_input=8))
+    options = krl.KrlOptions(speed_percent, 100, ExportOptions(trigger_output=7, gate_output=9, done_input=8))
     return krl.source(program, options), krl.data(program, options), (motion, paths, kinematics, mount)
 
 

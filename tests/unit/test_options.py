@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from cell.cli import app
 from cell.commands import options
 from cell.errors import SceneError, UsageError
+from cell.export.options import ExportOptions
 from cell.replay.options import ReplayOptions
 from cell.scan.options import ScanOptions
 from cell.scene.option import flag, offers, read
@@ -30,7 +31,7 @@ FILE_ONLY = {
     "settle_s": "a fact of the arm, which no plan changes",
     "ensemble": "more of it changes seconds, hardly a plan",
 }
-MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions)
+MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions)
 ROOT: Any = typer.main.get_command(app)
 
 

@@ -1,0 +1,77 @@
+"""What `cell export` can be asked for, checked."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from cell.proof.files_now import FilesNow
+from cell.scene.fields import Table
+from cell.scene.option import Option
+
+_KRL, _CELL = "KRL", "The cell as it is now"
+_Signal = Annotated[int, Field(ge=1, le=4096)]  # of $IN and $OUT on a KR C4
+_Percent = Annotated[int, Field(ge=1, le=100)]
+
+
+class ExportOptions(Table):
+    """What is written, how fast it moves, what stands between controller and scanner."""
+
+    kind: Annotated[Literal["krl", "csv", "json"], Option("What to write: krl, csv or json.", name="format")] = "krl"
+    out: Annotated[
+        Path | None,
+        Field(strict=False),
+        Option("Folder for the files. Default: export/ in the run folder.", metavar="DIR"),
+    ] = None
+    name: Annotated[
+        str | None,
+        Option("Name of program and files, at most 24 characters. Default: the run folder's, if KRL takes it."),
+    ] = None
+    speed_percent: Annotated[
+        _Percent | None,
+        Option("Of the axis speeds, 1 to 100; sweeps slow down alike. Default: 20, or the plan's if slower.", _KRL),
+    ] = None
+    acceleration_percent: Annotated[
+        _Percent | None, Option("Of the axis accelerations, 1 to 100. Default: 30, or the plan's if slower.", _KRL)
+    ] = None
+    trigger_output: Annotated[_Signal, Option("$OUT that starts a scan.", _KRL)] = 1
+    gate_output: Annotated[_Signal, Option("$OUT that is on while a sweep is driven.", _KRL)] = 2
+    done_input: Annotated[_Signal, Option("$IN by which the scanner says that it is done.", _KRL, metavar="M")] = 1
+    timer: Annotated[int, Field(ge=1, le=32), Option("$TIMER that measures the time-out.", _KRL, metavar="K")] = 1
+    settle: Annotated[float, Field(ge=0, le=3600), Option("Standstill before each scan.", _KRL, metavar="S")] = 0.2
+    timeout: Annotated[float, Field(ge=0.1, le=3600), Option("Longest wait for the scanner.", _KRL, metavar="S")] = 10.0
+    scene: Annotated[
+        Path | None,
+        Field(strict=False),
+        Option(
+            "Scene file that describes the cell now. Default: the one that was planned with.", _CELL, metavar="FILE"
+        ),
+    ] = None
+    part: Annotated[
+        str | None,
+        Option("Mesh file of the part now. Default: the one that was planned with.", _CELL, metavar="FILE"),
+    ] = None
+    accept_changed_scene: Annotated[
+        tuple[str, ...],
+        Field(strict=False),
+        Option("Export although this differs from the plan: names as the refusal gives them.", _CELL),
+    ] = ()
+
+    @field_validator("accept_changed_scene", mode="before")
+    @classmethod
+    def _one_by_one(cls, names: Sequence[str]) -> tuple[str, ...]:
+        return tuple(name.strip() for text in names for name in text.split(","))
+
+    @model_validator(mode="after")
+    def _outputs_of_their_own(self) -> Self:
+        if self.gate_output == self.trigger_output:
+            raise ValueError(
+                f".gate_output is {self.gate_output}, and so is the trigger's; a sweep needs two of its own"
+            )
+        return self
+
+    @property
+    def now(self) -> FilesNow:
+        """Where the cell is described now."""
+        return FilesNow(self.scene, self.part, self.accept_changed_scene)
