@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.emulate.memory import Memory
+from cell.emulate.options import EmulateOptions
 from cell.errors import DriverFailureError, UsageError
 from cell.plant import factory
 from cell.robot import model as robot
@@ -28,39 +29,6 @@ from drivers.setpoints import Floats, from_rad, to_rad
 PROTOCOLS = ("serial", "modbus", "modbus-rtu")
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What is emulated.
-
-    Attributes:
-        protocol: one of `PROTOCOLS`.
-        port: TCP port; 0: a free one.
-        link: symbolic link to the pseudo-terminal; None: none.
-        baud: speed of the pseudo-terminal.
-        unit: Modbus device address.
-        faults: list of faults, see `drivers.emulated.wire_faults`.
-        seed: of the faults.
-        time_scale: seconds of the arm per second.
-        state: file of the arm's position; None: it is forgotten.
-        log: file of the journal; None: none.
-        start: where the arm stands on the first start, counts of 1e-4 deg; None: at home.
-        seconds: ends by itself after this time [s]; None: never.
-    """
-
-    protocol: str
-    port: int
-    link: Path | None
-    baud: int
-    unit: int
-    faults: str
-    seed: int
-    time_scale: float
-    state: Path | None
-    log: Path | None
-    start: tuple[int, ...] | None
-    seconds: float | None = None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
     """Whose controller is emulated.
@@ -76,39 +44,40 @@ class Arm:
     plant: PlantFactory
 
 
-def emulate(settings: Settings, arm: Arm, announce: Callable[[str], None]) -> None:
+def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable[[str], None]) -> None:
     """Serve until Ctrl-C; then the arm brakes, and its position is kept.
 
     Args:
-        settings: what.
+        protocol: one of `PROTOCOLS`.
+        options: behind which line, and what goes wrong.
         arm: whose controller.
         announce: is given the driver URL, once clients can come.
 
     Raises:
-        UsageError: if a setting cannot be.
+        UsageError: if a fault cannot be.
         DriverFailureError: if the line cannot be taken, or the controller cannot start.
         FileError: if a file cannot be read or written.
     """
     try:
-        injector = Injector(parse(settings.faults), np.random.default_rng(settings.seed)) if settings.faults else None
+        injector = Injector(parse(options.faults), np.random.default_rng(options.seed)) if options.faults else None
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
-    memory = Memory(settings.state, settings.log)
-    first = from_rad(arm.home) if settings.start is None else np.array(settings.start, dtype=np.int32)
-    axes = first if memory.axes is None else memory.axes
+    memory = Memory(options.state, options.log)
+    home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     wire_clock = RealTimeClock()
     try:
+        axes = from_rad(home) if memory.axes is None else memory.axes
         endpoint = Endpoint(
-            arm.plant(to_rad(axes)), arm.limits, RealTimeClock(settings.time_scale), wire_clock, memory,
-            boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, time_scale=settings.time_scale,
+            arm.plant(to_rad(axes)), arm.limits, RealTimeClock(options.time_scale), wire_clock, memory,
+            boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, time_scale=options.time_scale,
         )  # fmt: skip
-        line, url = _line(settings)
+        line, url = _line(protocol, options)
     except DriverError as error:
         raise DriverFailureError(str(error)) from error
-    server = Server(_station(settings, endpoint), line, wire_clock, injector, settings.time_scale)
+    server = Server(_station(protocol, options, endpoint), line, wire_clock, injector, options.time_scale)
     try:
         announce(url)
-        server.serve(lambda: settings.seconds is not None and wire_clock.now() >= settings.seconds)
+        server.serve(lambda: options.seconds is not None and wire_clock.now() >= options.seconds)
     except KeyboardInterrupt:
         pass  # the usual end
     finally:
@@ -139,17 +108,17 @@ def arm_of(run_folder: Path | None, plant: str) -> Arm:
     return Arm(Limits.from_rad(robot.limits(model)), robot.home(model), plants[plant])
 
 
-def _line(settings: Settings) -> tuple[Line, str]:
-    if settings.protocol == "modbus":
-        tcp = TcpLine(settings.port)
-        return tcp, f"modbus://{tcp.name}?unit={settings.unit}"
-    pty = PtyLine(settings.link.absolute() if settings.link else None, settings.baud)
-    if settings.protocol == "serial":
-        return pty, f"serial://{pty.name}?baud={settings.baud}"
-    return pty, f"modbus+rtu://{pty.name}?baud={settings.baud}&unit={settings.unit}"
+def _line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:
+    if protocol == "modbus":
+        tcp = TcpLine(options.port)
+        return tcp, f"modbus://{tcp.name}?unit={options.unit}"
+    pty = PtyLine(options.link.absolute() if options.link else None, options.baud)
+    if protocol == "serial":
+        return pty, f"serial://{pty.name}?baud={options.baud}"
+    return pty, f"modbus+rtu://{pty.name}?baud={options.baud}&unit={options.unit}"
 
 
-def _station(settings: Settings, endpoint: Endpoint) -> Station:
-    if settings.protocol == "serial":
+def _station(protocol: str, options: EmulateOptions, endpoint: Endpoint) -> Station:
+    if protocol == "serial":
         return SerialStation(endpoint)
-    return ModbusStation(endpoint, unit=settings.unit, rtu=settings.protocol == "modbus-rtu")
+    return ModbusStation(endpoint, unit=options.unit, rtu=protocol == "modbus-rtu")

@@ -15,6 +15,7 @@ from pydantic import BaseModel
 
 from cell.cli import app
 from cell.commands import options
+from cell.emulate.options import EmulateOptions
 from cell.errors import SceneError, UsageError
 from cell.export.options import ExportOptions
 from cell.replay.options import ReplayOptions
@@ -31,7 +32,7 @@ FILE_ONLY = {
     "settle_s": "a fact of the arm, which no plan changes",
     "ensemble": "more of it changes seconds, hardly a plan",
 }
-MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions)
+MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions, EmulateOptions)
 ROOT: Any = typer.main.get_command(app)
 
 
