@@ -58,7 +58,6 @@ class ControllerClient:
         clock: with which it waits.
         limits: what the arm can do at most, by which moves are refused and arrivals judged.
         say: told what is waited for where nothing happens.
-        session: its number, 1 to 65535; None: random.
     """
 
     def __init__(
@@ -68,12 +67,11 @@ class ControllerClient:
         limits: Limits,
         *,
         say: Callable[[str], None] | None = None,
-        session: int | None = None,
     ) -> None:
         self._link, self._clock = link, clock
         self._limits, self._say = limits, say
         self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
-        self._account = Account(link, session or secrets.randbelow(65535) + 1, self._read)
+        self._account = Account(link, secrets.randbelow(65535) + 1, self._read)
         self._capabilities: Capabilities | None = None
         self._beat: int | None = None  # its last heartbeat
         self._leaving = False  # told to end: no second stop is tried

@@ -53,8 +53,8 @@ class ReopeningLink(ABC):
         self.say: Callable[[str], None] | None = None  # told what is waited for
 
     @abstractmethod
-    def _ask_for(self, session: int) -> int:
-        """Take a session, once; the answer's result."""
+    def _ask_for(self) -> int:
+        """Take the session, once; the answer's result."""
 
     @abstractmethod
     def _give_back(self) -> None:
@@ -75,9 +75,12 @@ class ReopeningLink(ABC):
 
     def take(self, session: int) -> int:
         """Take a session; asking twice is asking once, so a lost answer is asked for again."""
-        result = self._again(lambda: self._ask_for(session))
-        if result == Result.OK:
-            self.session = session
+        before, self.session, result = self.session, session, -1
+        try:
+            result = self._again(self._ask_for)
+        finally:
+            if result != Result.OK:
+                self.session = before
         return result
 
     def give(self) -> None:

@@ -1,6 +1,6 @@
 """Where two tables of a run folder differ: the key of the first difference, numbers to within rounding."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 
 from pydantic import JsonValue
 
@@ -12,25 +12,23 @@ _NEAR = 1e-7
 
 def difference(found: JsonTable, due: JsonTable) -> str:
     """Key of the first difference between a table that was read and one that was made again; "" where there is none."""
-    return _difference(found.as_json(), due.as_json())
+    ours, theirs = dict(_leaves(found.as_json())), dict(_leaves(due.as_json()))
+    for key in {**theirs, **ours}:
+        if key not in ours or key not in theirs or not _same(ours[key], theirs[key]):
+            return key
+    return ""
 
 
-def _difference(found: JsonValue, due: JsonValue) -> str:
-    if isinstance(found, Mapping) and isinstance(due, Mapping):
-        for key in dict.fromkeys((*due, *found)):
-            if key not in found or key not in due:
-                return key
-            if inner := _difference(found[key], due[key]):
-                return key + ("" if inner == "." else inner if inner.startswith("[") else f".{inner}")
-        return ""
-    if isinstance(found, list) and isinstance(due, list):
-        if len(found) != len(due):
-            return "."
-        for number, (one, other) in enumerate(zip(found, due, strict=True)):
-            if inner := _difference(one, other):
-                return f"[{number}]" + ("" if inner == "." else inner if inner.startswith("[") else f".{inner}")
-        return ""
-    return "" if _same(found, due) else "."
+def _leaves(value: JsonValue, key: str = "") -> Iterator[tuple[str, JsonValue]]:
+    """Every number, word and empty container with its key: "views[3].q_deg[0]"."""
+    if isinstance(value, dict) and value:
+        for name, each in value.items():
+            yield from _leaves(each, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and value:
+        for number, each in enumerate(value):
+            yield from _leaves(each, f"{key}[{number}]")
+    else:
+        yield key, value
 
 
 def _same(found: JsonValue, due: JsonValue) -> bool:

@@ -85,22 +85,20 @@ def add_frustum(scene: mujoco.MjvScene, theatre: Theatre, T_base_scanner: Floats
         add_segment(scene, near[i], near[(i + 1) % 4], 0.0016, BEAM_EDGE)
 
 
-def add_glyph(
-    scene: mujoco.MjvScene, theatre: Theatre, T_base_scanner: Floats, rgba: Colour = GLYPH, edge: Colour = BEAM_EDGE
-) -> None:
+def add_glyph(scene: mujoco.MjvScene, theatre: Theatre, T_base_scanner: Floats) -> None:
     """A view among many: the first part of its frustum, a small pyramid with its tip in the laser's source."""
-    add_mesh(scene, theatre.model, theatre.glyph_mesh, T_base_scanner, rgba)
+    add_mesh(scene, theatre.model, theatre.glyph_mesh, T_base_scanner, GLYPH)
     far = GLYPH_SHARE * theatre.frustum_corners[4:] @ T_base_scanner[:3, :3].T + T_base_scanner[:3, 3]
     for i in range(4):
-        add_segment(scene, T_base_scanner[:3, 3], far[i], 0.0012, edge)
-        add_segment(scene, far[i], far[(i + 1) % 4], 0.0012, edge)
+        add_segment(scene, T_base_scanner[:3, 3], far[i], 0.0012, BEAM_EDGE)
+        add_segment(scene, far[i], far[(i + 1) % 4], 0.0012, BEAM_EDGE)
 
 
-def add_path(scene: mujoco.MjvScene, points: Floats, radius: float, rgba: Colour = PATH) -> None:
+def add_path(scene: mujoco.MjvScene, points: Floats, radius: float) -> None:
     """A polyline through (N, 3) points as thin rods; repeated points are left out."""
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
     for start, end in itertools.pairwise(points[np.concatenate([[True], apart])]):
-        add_segment(scene, start, end, radius, rgba)
+        add_segment(scene, start, end, radius, PATH)
 
 
 def add_segment(scene: mujoco.MjvScene, start: Floats, end: Floats, radius: float, rgba: Colour) -> None:

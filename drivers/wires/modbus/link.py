@@ -94,13 +94,9 @@ class ModbusLink(ReopeningLink):
     def _size(self, axes: int) -> None:
         self._block_of = {block.name: block.of(axes) for block in registers.BLOCKS}
 
-    def _ask_for(self, session: int) -> int:
-        before, self.session = self.session, session
-        try:
-            take = {"command": registers.TAKE, "watchdog_ms": self._patience.watchdog_ms}
-            return int(self._command(session, take).result)
-        finally:
-            self.session = before
+    def _ask_for(self) -> int:
+        take = {"command": registers.TAKE, "watchdog_ms": self._patience.watchdog_ms}
+        return int(self._command(self.session, take).result)
 
     def _give_back(self) -> None:
         self._command(self.session, {"command": registers.GIVE})

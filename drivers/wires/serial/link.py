@@ -105,13 +105,9 @@ class SerialLink(ReopeningLink):
         require_taken(answer)
         return answer
 
-    def _ask_for(self, session: int) -> int:
-        before, self.session = self.session, session
-        try:
-            take = Take(self._patience.watchdog_ms)
-            return int(self._ask(self._next_question(), take, partial(answer_of, kind="TAKE")).result)
-        finally:
-            self.session = before
+    def _ask_for(self) -> int:
+        take = Take(self._patience.watchdog_ms)
+        return int(self._ask(self._next_question(), take, partial(answer_of, kind="TAKE")).result)
 
     def _give_back(self) -> None:
         self._ask(self._next_question(), Give(), partial(answer_of, kind="GIVE"))
