@@ -6,8 +6,6 @@
 | `realtime` | off | wait as long as the arm would; else time jumps to the end of each move |
 | `time_scale` | 1 | with `realtime`: simulated seconds per real second |
 | `start` | 0,-90,90,0,90,0 | axes at which the arm stands first [deg] |
-| `max_speed` | the limits' | largest speed fraction that the controller takes |
-| `max_step_deg` | the limits' | largest step of an axis between via points [deg] |
 
 It has everything that a wire has, numbering and refusals on both sides included, except that nothing can get lost.
 """
@@ -26,7 +24,7 @@ from drivers.controller import Controller
 from drivers.errors import DriverUrlError
 from drivers.plant import IdealPlant
 from drivers.registry import Context
-from drivers.setpoints import PER_DEGREE, from_rad, to_rad
+from drivers.setpoints import from_rad, to_rad
 from drivers.url import DriverUrl
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
@@ -100,8 +98,6 @@ class SimDriver(ControllerClient):
         realtime = url.flag("realtime")
         time_scale = url.number("time_scale", 0.0, above=0.0)
         start = from_rad(np.radians(url.numbers("start", HOME_DEG)))
-        max_speed = url.number("max_speed", context.limits.max_speed, above=0.0, at_most=1.0)
-        max_step_deg = url.number("max_step_deg", 0.0, above=0.0, at_most=2**31 / PER_DEGREE - 1.0)
         url.finish()
         if url.host or url.path not in ("", "/"):
             raise DriverUrlError(
@@ -113,11 +109,7 @@ class SimDriver(ControllerClient):
             raise DriverUrlError(
                 f"'{url.text}' has time_scale without realtime; add &realtime, or leave time_scale away"
             )
-        limits = dataclasses.replace(context.limits, max_speed=max_speed)
-        if max_step_deg:
-            limits = dataclasses.replace(
-                limits, max_step=np.full(6, max(1, int(max_step_deg * PER_DEGREE + 0.5)), np.int32)
-            )
+        limits = context.limits
         if ((start < limits.lower) | (start > limits.upper)).any():
             raise DriverUrlError(
                 f"'{url.text}' starts the arm outside the axis limits; start= takes A1 to A6 in degrees"

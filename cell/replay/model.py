@@ -1,7 +1,7 @@
 """The model that is looked at: the checked cell of a run folder, dressed for the eye.
 
 Made from the run's `cell.xml`, whose shapes, poses, joints and collision pairs stay as they were checked: colours,
-light, floor pattern and sky are added, the true surfaces of part (`reference.ply`) and mesh fixtures stand where their
+light and sky are added, the true surfaces of part (`reference.ply`) and mesh fixtures stand where their
 hulls stand, and all that is added takes no part in collisions. The hulls move to a hidden group (key 4 in the viewer
 shows it). World frame = base frame, metres.
 """

@@ -65,20 +65,19 @@ STAND_INS = {
 NAMES = tuple(STAND_INS)
 
 
-def build(name: str, *, cache: bool = True) -> TriangleMesh:
+def build(name: str) -> TriangleMesh:
     """A built-in part, metres; it stands on z = 0 with x and y about the origin.
 
     Args:
         name: one of `NAMES`.
-        cache: whether the cache folder may be read and written; the mesh is the same, byte for byte.
 
     Raises:
         UsageError: if there is no such part.
     """
     if name not in STAND_INS:
         raise UsageError(f"there is no built-in part '{name}'; there are {', '.join(NAMES)}")
-    path = _cache_path(name) if cache else None
-    mesh = _read(path, STAND_INS[name]) if path is not None else None
+    path = _cache_path(name)
+    mesh = None if path is None else _read(path, STAND_INS[name])
     if mesh is None:
         mesh = _make(name)
         if path is not None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.stand_ins import NAMES, STAND_INS, build
+from cell.stand_ins import NAMES, STAND_INS, _make
 from planner.surface.mesh import TriangleMesh
 
 # Area [mm^2], volume [mm^3] and centre of the surface [mm], as first built. Another version of a library may change the
@@ -26,7 +26,7 @@ EACH = [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for n
 @cache
 def built(name: str) -> TriangleMesh:
     """The part, built anew once a session."""
-    return build(name, cache=False)
+    return _make(name)
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -74,6 +74,6 @@ def test_the_genus_is_the_one_that_the_printed_counts_imply(name: str) -> None:
 
 def test_building_twice_gives_the_same_bytes() -> None:
     """Nothing but the seed decides."""
-    again = build("mug", cache=False)
+    again = _make("mug")
     assert again.vertices.tobytes() == built("mug").vertices.tobytes()
     assert again.faces.tobytes() == built("mug").faces.tobytes()

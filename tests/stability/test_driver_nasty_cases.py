@@ -1,6 +1,7 @@
 """Named nasty cases of the simulated controller and its profile."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -349,7 +350,7 @@ def test_an_arm_outside_the_limits_has_no_controller() -> None:
 
 def test_a_step_one_count_too_large_is_refused_anywhere() -> None:
     """From where the arm stands, and between two via points; the allowed step itself is taken."""
-    driver = SimDriver.from_url(DriverUrl("sim://?max_step_deg=5"), Context(KR16))
+    driver = SimDriver.from_url(DriverUrl("sim://"), Context(replace(KR16, max_step=np.full(6, 50_000))))
     with driver:
         driver.move(turned(5.0, 10.0), 1.0)
         robot = driver.controller

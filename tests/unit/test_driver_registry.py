@@ -100,8 +100,6 @@ def test_nothing_is_imported_to_list_the_schemes(distribution: Path) -> None:
         ("sim://?realtime&time_scale=nan", "time_scale=nan; it must be"),
         ("sim://?realtime&time_scale=inf", "time_scale=inf; it must be"),
         ("sim://?time_scale=2", "without realtime"),
-        ("sim://?max_speed=1.01", "above 0 and at most 1"),
-        ("sim://?max_step_deg=-1", "max_step_deg=-1"),
         ("sim://?start=1,2,3", "6 numbers joined by commas"),
         ("sim://?start=1,2,3,4,5,x", "6 numbers joined by commas"),
         ("sim://?start=0,-90,90,0,130.0001,0", "outside the axis limits"),
@@ -126,11 +124,9 @@ def test_a_wrong_url_gets_one_sentence(url: str, words: str) -> None:
 
 
 def test_options_reach_the_controller() -> None:
-    """Start, speed and step limits, and those of the arm where nothing is said."""
-    with sim("sim://?start=1,-80,70,5,50,9.1234&max_speed=0.25&max_step_deg=3") as driver:
+    """Where the arm stands first, and whether time is real; limits are the arm's."""
+    with sim("sim://?start=1,-80,70,5,50,9.1234") as driver:
         assert to_deg(driver.state().axes).tolist() == [1, -80, 70, 5, 50, 9.1234]
-        assert driver.capabilities.max_speed == 0.25
-        assert driver.capabilities.max_step.tolist() == [30_000] * 6
         assert driver.capabilities.simulated_time
         assert not driver.capabilities.hardware
     with sim("sim://") as driver:

@@ -98,14 +98,6 @@ def test_a_full_disk_leaves_no_half_file(cache: list[str], tmp_path: Path, monke
     assert files(tmp_path) == []
 
 
-def test_without_the_cache_nothing_is_read_or_written(cache: list[str], tmp_path: Path) -> None:
-    """cache=False builds each time and leaves no file."""
-    stand_ins.build("mug", cache=False)
-    stand_ins.build("mug", cache=False)
-    assert cache == ["mug", "mug"]
-    assert files(tmp_path) == []
-
-
 @pytest.mark.parametrize(
     ("field", "inside", "volume"),
     [
