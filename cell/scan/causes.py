@@ -5,7 +5,7 @@ median of each view, averaged over the views. The cause that leaves least is tol
 is left as the points are given. Simulated points are not asked. Object frame, metres.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,9 @@ def doubts(scans: Sequence[ExecutedScan], cell: RunCell, nearest: NearestSurface
     given = [scan.points[np.linspace(0, len(scan.points) - 1, _SAMPLES).astype(np.int64)] for scan in scans]
     left = _left(given, nearest, diagonal)
     if left.mean() > _SMALLEST * diagonal:
-        guesses = [*_units(given, scans, cell, units), *_mirrored(given, scans, cell), *_frames(given, scans, cell)]
         found = [
             (float(_left(points, nearest, diagonal).mean()), why)
-            for why, points in guesses
+            for why, points in _guesses(given, scans, cell, units)
             if np.median([np.linalg.norm(np.ptp(view, axis=0)) for view in points]) > _SPOT * diagonal
         ]
         found += _swapped(given, scans, nearest, diagonal)
@@ -90,43 +89,28 @@ def _moved(T: NDArray[np.floating[Any]], points: Floats) -> Floats:
     return np.asarray(points @ T[:3, :3].T + T[:3, 3], dtype=np.float64)
 
 
-def _raw(given: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell) -> list[tuple[Floats, Floats]]:
-    """Of each view the frame that its points came in, and the points in it."""
+def _guesses(
+    given: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell, units: str | None
+) -> Iterator[Guess]:
+    """What may be wrong with all views alike: their unit, a mirrored frame, another frame."""
     frames = [_T_object(scan, scan.frame, cell) for scan in scans]
-    return [(T, _moved(np.linalg.inv(T), points)) for T, points in zip(frames, given, strict=True)]
+    raw = [_moved(np.linalg.inv(T), points) for T, points in zip(frames, given, strict=True)]
 
+    def scaled(factor: Floats) -> list[Floats]:
+        return [_moved(T, points * factor) for T, points in zip(frames, raw, strict=True)]
 
-def _units(given: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell, units: str | None) -> list[Guess]:
-    said = UNITS.get(units or "m", 1.0)
-    raw = _raw(given, scans, cell)
-    return [
-        (f"their unit is {name}, not {units}", [_moved(T, points * metres / said) for T, points in raw])
-        for name, metres in UNITS.items()
-        if name != units
-    ]
-
-
-def _mirrored(given: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell) -> list[Guess]:
-    raw = _raw(given, scans, cell)
-    return [
-        (
-            f"their frame is mirrored in {axis} (a left-handed frame, or a wrong sign)",
-            [_moved(T, points * np.where(np.arange(3) == k, -1.0, 1.0)) for T, points in raw],
-        )
-        for k, axis in enumerate("xyz")
-    ]
-
-
-def _frames(given: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell) -> list[Guess]:
-    raw, said = _raw(given, scans, cell), scans[0].frame
-    return [
-        (
-            f"they are in the {frame} frame, not in the {said} frame",
-            [_moved(_T_object(scan, frame, cell), points) for scan, (_, points) in zip(scans, raw, strict=True)],
-        )
-        for frame in FRAMES
-        if frame != said
-    ]
+    said, frame_said = UNITS.get(units or "m", 1.0), scans[0].frame
+    for name, metres in UNITS.items():
+        if name != units:
+            yield f"their unit is {name}, not {units}", scaled(np.full(3, metres / said))
+    for k, axis in enumerate("xyz"):
+        why = f"their frame is mirrored in {axis} (a left-handed frame, or a wrong sign)"
+        yield why, scaled(np.where(np.arange(3) == k, -1.0, 1.0))
+    for frame in FRAMES:
+        if frame != frame_said:
+            there = [_T_object(scan, frame, cell) for scan in scans]
+            moved = [_moved(T, points) for T, points in zip(there, raw, strict=True)]
+            yield f"they are in the {frame} frame, not in the {frame_said} frame", moved
 
 
 def _swapped(

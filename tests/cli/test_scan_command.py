@@ -488,7 +488,7 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
         (("scan", "."), 6, "manifest.json"),
         (("scan", "run", "--view", "99"), 2, "views 1 to"),
         (("scan", "run", "--driver", "sym://"), 5, "sim://"),
-        (("scan", "run", "--driver", "sim://?speed=2"), 5, "max_speed"),
+        (("scan", "run", "--driver", "sim://?speed=2"), 5, "no option 'speed'"),
         (("scan", "run", "--driver", "sim://?start=0,-80,90,0,90,0"), 5, "nothing was moved"),
         (("scan", "run", "--pose-error", "0.5"), 2, "mm and deg"),
         (("scan", "run", "--range-noise", "-1"), 2, "--range-noise"),
