@@ -1,16 +1,15 @@
 """What `cell export` can be asked for, checked."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from cell.proof.files_now import FilesNow
+from cell.proof.files_now import Accepted, FilesNow, PartNow, SceneNow
 from cell.scene.fields import Table
 from cell.scene.option import Option
 
-_KRL, _CELL = "KRL", "The cell as it is now"
+_KRL = "KRL"
 _Signal = Annotated[int, Field(ge=1, le=4096)]  # of $IN and $OUT on a KR C4
 _Percent = Annotated[int, Field(ge=1, le=100)]
 
@@ -41,27 +40,9 @@ class ExportOptions(Table):
     timer: Annotated[int, Field(ge=1, le=32), Option("$TIMER that measures the time-out.", _KRL, metavar="K")] = 1
     settle: Annotated[float, Field(ge=0, le=3600), Option("Standstill before each scan.", _KRL, metavar="S")] = 0.2
     timeout: Annotated[float, Field(ge=0.1, le=3600), Option("Longest wait for the scanner.", _KRL, metavar="S")] = 10.0
-    scene: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option(
-            "Scene file that describes the cell now. Default: the one that was planned with.", _CELL, metavar="FILE"
-        ),
-    ] = None
-    part: Annotated[
-        str | None,
-        Option("Mesh file of the part now. Default: the one that was planned with.", _CELL, metavar="FILE"),
-    ] = None
-    accept_changed_scene: Annotated[
-        tuple[str, ...],
-        Field(strict=False),
-        Option("Export although this differs from the plan: names as the refusal gives them.", _CELL),
-    ] = ()
-
-    @field_validator("accept_changed_scene", mode="before")
-    @classmethod
-    def _one_by_one(cls, names: Sequence[str]) -> tuple[str, ...]:
-        return tuple(name.strip() for text in names for name in text.split(","))
+    scene: SceneNow = None
+    part: PartNow = None
+    accept_changed_scene: Accepted = ()
 
     @model_validator(mode="after")
     def _outputs_of_their_own(self) -> Self:

@@ -1,21 +1,20 @@
 """What `cell scan` can be asked for, checked."""
 
 import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
 from cell.acquisition import SIMULATED
-from cell.proof.files_now import FilesNow
+from cell.proof.files_now import Accepted, FilesNow, PartNow, SceneNow
 from cell.run.digest import SHOWN
 from cell.scene.fields import NotNegative, Positive, Table, Units
 from cell.scene.option import Option
 from cell.scene.problems import sentences
 from planner.errors import PlannerError
 
-_ERRORS, STEEL, _CELL = "Errors of the execution", "Real controllers", "The cell as it is now"
+_ERRORS, STEEL = "Errors of the execution", "Real controllers"
 _POINTS = "Where points come from"
 _POSE_ERROR = Option(
     "Error of the executed pose, one sigma along and about each axis: the scanner stands off what the controller "
@@ -116,26 +115,9 @@ class ScanOptions(Table):
             metavar="N",
         ),
     ] = None
-    scene: Annotated[
-        str | None,
-        Option(
-            "Scene file that describes the cell now. Default: the one that was planned with.", _CELL, metavar="FILE"
-        ),
-    ] = None
-    part: Annotated[
-        str | None,
-        Option("Mesh file of the part now. Default: the one that was planned with.", _CELL, metavar="FILE"),
-    ] = None
-    accept_changed_scene: Annotated[
-        tuple[str, ...],
-        Field(strict=False),
-        Option("Drive although this differs from the plan: names as the refusal gives them.", _CELL),
-    ] = ()
-
-    @field_validator("accept_changed_scene", mode="before")
-    @classmethod
-    def _one_by_one(cls, names: Sequence[str]) -> tuple[str, ...]:
-        return tuple(name.strip() for text in names for name in text.split(","))
+    scene: SceneNow = None
+    part: PartNow = None
+    accept_changed_scene: Accepted = ()
 
     @model_validator(mode="after")
     def _errors_are_simulated(self) -> Self:
@@ -154,7 +136,7 @@ class ScanOptions(Table):
     @property
     def files_now(self) -> FilesNow:
         """Where the cell is described now."""
-        return FilesNow(None if self.scene is None else Path(self.scene), self.part, self.accept_changed_scene)
+        return FilesNow(self.scene, self.part, self.accept_changed_scene)
 
     @property
     def registers(self) -> bool:
