@@ -19,6 +19,7 @@ from cell.run.described import limits_deg, standing_fixtures
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene
 from cell.world.model import World
+from cell.world.shapes import quaternion
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -76,7 +77,11 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
     for number in range(again.nbody):
         one, two = checked.body(number), again.body(number)
         pos = at.get(two.name, two.pos)  # mocap bodies stand at their placement in the file
-        turned = _quaternion(world.T_base_object) if two.name == "object" else _at_reference(checked, again, number)
+        turned = (
+            np.asarray(quaternion(world.T_base_object[:3, :3]))
+            if two.name == "object"
+            else _at_reference(checked, again, number)
+        )
         if one.name != two.name or one.parentid != two.parentid or _apart(one.pos, pos) or _turned(one.quat, turned):
             return f"the body '{two.name}' is elsewhere"
     for number in range(again.njnt):
@@ -118,12 +123,6 @@ def _at_reference(checked: mujoco.MjModel, again: mujoco.MjModel, body: int) -> 
         mujoco.mju_mulQuat(turned, quat, turn)
         quat = turned
     return quat
-
-
-def _quaternion(T: Floats) -> Floats:
-    from cell.world.shapes import quaternion
-
-    return np.asarray(quaternion(T[:3, :3]))
 
 
 def _support(model: mujoco.MjModel, geom: int) -> Floats:
