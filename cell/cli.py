@@ -21,6 +21,7 @@ from cell.commands import (
     edit,
     emulate,
     export,
+    part,
     place,
     plan,
     replay,
@@ -44,6 +45,7 @@ app = typer.Typer(
 app.command(epilog=plan.EPILOG)(plan.plan)
 app.command(epilog=check.EPILOG)(check.check)
 app.command(epilog=sensors.EPILOG)(sensors.sensors)
+app.command(epilog=part.EPILOG)(part.part)
 app.command(epilog=view.EPILOG)(view.view)
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=scan.EPILOG)(scan.scan)

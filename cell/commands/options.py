@@ -16,7 +16,8 @@ from cell.scene.scene import PART, Scene
 Part = Annotated[
     str | None,
     typer.Argument(
-        help=f"Mesh file (STL, OBJ, PLY, OFF, GLB) or a built-in part: {', '.join(BUILT_IN)}. Default: the scene's.",
+        help=f"Mesh file (STL, OBJ, PLY, OFF, GLB), STEP file or a built-in part: {', '.join(BUILT_IN)}. Default: the "
+        "scene's.",
         show_default=False,
     ),
 ]

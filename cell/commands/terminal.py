@@ -106,12 +106,18 @@ class Terminal:
             table.add_row(name, escape(value))
         self._results.print(table)
 
-    def grid(self, columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
-        """A result of rows and columns; a title makes lines between the rows.
+    def grid(
+        self,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[str]],
+        title: str | None = None,
+        at_most: int = _ROWS_SHOWN,
+    ) -> None:
+        """A result of rows and columns, no more than `at_most` of them; a title makes lines between the rows.
 
         Nothing is cut: columns that do not fit beside each other stand below, the first one in front of them again.
         """
-        shown_rows = rows[:_ROWS_SHOWN]
+        shown_rows = rows[:at_most]
         cells = [[column, *(row[i] for row in shown_rows)] for i, column in enumerate(columns)]
         least = [max((cell_len(word) for cell in each for word in cell.split()), default=0) for each in cells]
         most = [max(cell_len(line) for cell in each for line in cell.split("\n")) for each in cells]
@@ -130,8 +136,8 @@ class Terminal:
             for row in shown_rows:
                 table.add_row(*(escape(row[column]) for column in shown))
             self._results.print(table)
-        if len(rows) > _ROWS_SHOWN:
-            self.say(f"... and {len(rows) - _ROWS_SHOWN} rows more")
+        if len(rows) > at_most:
+            self.say(f"... and {len(rows) - at_most} rows more")
 
     def _bars(self, *columns: ProgressColumn, spinner: bool = False) -> Bars:
         first = (SpinnerColumn(),) if spinner else ()

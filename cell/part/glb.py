@@ -8,7 +8,8 @@ glTF 2.0 specification (ISO/IEC 12113).
 
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,8 +32,43 @@ class BrokenGlbError(Exception):
     """What is wrong with the file, in words of ours that follow "it"."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Primitive:
+    """One surface of the scene, placed.
+
+    Attributes:
+        T: (4, 4) of its node.
+        vertices: (V, 3) placed, in the file's own numbers.
+        faces: (F, 3).
+        extensions: what writers add to it beyond glTF's own.
+        numbers: (N,) whole numbers of the accessor that an extension names.
+    """
+
+    T: Floats
+    vertices: Floats
+    faces: Ints
+    extensions: Mapping[str, Any]
+    numbers: Callable[[Any], Ints]
+
+
 def triangles(content: bytes) -> tuple[Floats, Ints]:
     """Vertices (V, 3) and triangles (F, 3) of a GLB, in the file's own numbers.
+
+    Raises:
+        BrokenGlbError: in words, if it is broken, or uses what is not supported.
+    """
+    vertices: list[Floats] = [np.zeros((0, 3))]
+    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
+    begin = 0
+    for primitive in primitives(content):
+        vertices.append(primitive.vertices)
+        faces.append(primitive.faces + begin)
+        begin += len(primitive.vertices)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def primitives(content: bytes) -> Iterator[Primitive]:
+    """The surfaces of a GLB one by one; points and lines are passed over.
 
     Raises:
         BrokenGlbError: in words, if it is broken, or uses what is not supported.
@@ -42,9 +78,11 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
     for name in required if isinstance(required, list) else ():
         if "compression" in str(name) or "quantization" in str(name):
             raise BrokenGlbError(f"is compressed ({str(name)[:60]}), which is not supported: export without it")
-    vertices: list[Floats] = [np.zeros((0, 3))]
-    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
     begin = count = 0
+
+    def numbers(accessor: Any) -> Ints:
+        return _accessor(described, data, accessor, None, "SCALAR").astype(np.int64).ravel()
+
     for T, mesh in _placed(described):
         for primitive in _list(mesh, "primitives"):
             found = _primitive(described, data, primitive)
@@ -53,13 +91,18 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
             count += len(found[1]) + _EACH
             if count > len(content):
                 raise BrokenGlbError("unfolds to more triangles than it has bytes: export each body once")
-            vertices.append(found[0] @ T[:3, :3].T + T[:3, 3])
-            mirrored = np.linalg.det(T[:3, :3]) < 0  # turns the winding round (3.7.4)
-            faces.append(found[1][:, :: -1 if mirrored else 1] + begin)
             begin += len(found[0])
             if begin > 3 * len(content):
                 raise BrokenGlbError("unfolds to more vertices than it can hold: export each body once")
-    return np.concatenate(vertices), np.concatenate(faces)
+            mirrored = np.linalg.det(T[:3, :3]) < 0  # turns the winding round (3.7.4)
+            extensions = primitive.get("extensions")
+            yield Primitive(
+                T,
+                found[0] @ T[:3, :3].T + T[:3, 3],
+                found[1][:, :: -1 if mirrored else 1],
+                extensions if isinstance(extensions, dict) else {},
+                numbers,
+            )
 
 
 def _chunks(content: bytes) -> tuple[Mapping[str, Any], bytes]:

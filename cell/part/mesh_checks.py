@@ -33,6 +33,7 @@ class Kind(StrEnum):
     OPEN = "open"
     NON_MANIFOLD = "non_manifold"
     BODIES = "several_bodies"
+    NO_SOLID = "no_solid"
     UNITS = "units"
     FLAT = "flat"
     FAR = "far_from_origin"
@@ -53,7 +54,7 @@ class Finding:
     severity: Severity
 
 
-def repair(vertices: Floats, faces: Ints) -> tuple[Ints, tuple[Finding, ...]]:
+def repair(vertices: Floats, faces: Ints) -> tuple[Ints, Ints, tuple[Finding, ...]]:
     """Faces without area and duplicates dropped, winding made consistent and outward; every change is said.
 
     Args:
@@ -61,35 +62,44 @@ def repair(vertices: Floats, faces: Ints) -> tuple[Ints, tuple[Finding, ...]]:
         faces: (F, 3).
 
     Returns:
-        The faces that remain (none where no face has an area) and the findings, in the order of the checks.
+        The faces that remain (none where no face has an area), which of the given ones they are, and the findings, in
+        the order of the checks.
     """
     findings: list[Finding] = []
-    collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    faces, n_collapsed = faces[~collapsed], int(collapsed.sum())
-    faces, n_twice = _unique_faces(faces)
+    kept = np.flatnonzero(~collapsed(faces))
+    n_collapsed = len(faces) - len(kept)
+    once = _first_of_equals(faces[kept])
+    n_twice = len(kept) - len(once)
+    kept = kept[once]
+    faces = faces[kept]
     if len(faces):
         faces, more = _orient(vertices, faces)
         findings += more
         # Slivers go last: three different corners on a line still hold their neighbours together.
-        sliver = _double_areas(vertices, faces) <= 1e-14 * float(np.ptp(vertices, axis=0).max()) ** 2
-        faces, n_collapsed = faces[~sliver], n_collapsed + int(sliver.sum())
+        sliver = double_areas(vertices, faces) <= 1e-14 * float(np.ptp(vertices, axis=0).max()) ** 2
+        faces, kept, n_collapsed = faces[~sliver], kept[~sliver], n_collapsed + int(sliver.sum())
     if n_twice:
         sentence = f"{_count(n_twice, 'face was', 'faces were')} there twice; one of each was dropped"
         findings.insert(0, Finding(Kind.DUPLICATE, sentence, Severity.NOTE))
     if n_collapsed:
         sentence = f"{_count(n_collapsed, 'face has no area and was', 'faces have no area and were')} dropped"
         findings.insert(0, Finding(Kind.ZERO_AREA, sentence, Severity.NOTE))
-    return faces, tuple(findings)
+    return faces, kept, tuple(findings)
+
+
+def collapsed(faces: Ints) -> NDArray[np.bool_]:
+    """(F,) which faces have a corner twice."""
+    return np.asarray((faces == np.roll(faces, 1, axis=1)).any(axis=1))
 
 
 def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
     """Consistent, outward winding, and what the edges say about the surface."""
-    edge, other, against, uses = _neighbours(faces)
+    edge, other, against, uses = neighbours(faces)
     findings: list[Finding] = []
     flip, one_sided = _consistent_flips(len(faces), edge, other, against)
-    body, n_bodies = _bodies(len(faces), edge, other)
+    body, n_bodies = bodies(len(faces), edge, other)
     # A body keeps the winding of the larger part of its area.
-    areas = _double_areas(vertices, faces)
+    areas = double_areas(vertices, faces)
     turned = np.bincount(body, weights=areas * flip, minlength=n_bodies)
     whole = np.bincount(body, weights=areas, minlength=n_bodies)
     flip ^= (turned > whole / 2)[body]
@@ -141,7 +151,7 @@ def _edge_keys(faces: Ints) -> Ints:
     return keys
 
 
-def _neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
+def neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
     """Pairs of faces that share an edge with nobody else.
 
     Returns:
@@ -181,7 +191,7 @@ def _consistent_flips(n_faces: int, one: Ints, two: Ints, against: NDArray[np.bo
     return as_is > turned, bool((as_is == turned).any())
 
 
-def _bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
+def bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
     """(F,) body of each face, and how many bodies there are."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -236,19 +246,20 @@ def encloses(triangles: Floats, point: Floats) -> bool:
     return bool(abs(2 * np.arctan2(volume, spread).sum()) > 2 * np.pi)
 
 
-def _unique_faces(faces: Ints) -> tuple[Ints, int]:
-    """The faces without those whose three corners an earlier one has, and how many those were."""
+def _first_of_equals(faces: Ints) -> Ints:
+    """The faces without those whose three corners an earlier one has, by their indices."""
     if not len(faces):
-        return faces, 0
+        return np.arange(0)
     corners = np.sort(faces, axis=1)
     order = np.lexsort(corners.T[::-1])
     same = (corners[order][1:] == corners[order][:-1]).all(axis=1)
     keep = np.ones(len(faces), bool)
     keep[order[1:][same]] = False  # lexsort is stable, so that the first of equals stays
-    return faces[keep], int(same.sum())
+    return np.flatnonzero(keep)
 
 
-def _double_areas(vertices: Floats, faces: Ints) -> Floats:
+def double_areas(vertices: Floats, faces: Ints) -> Floats:
+    """(F,) twice the area of each face."""
     corners = vertices[faces]
     doubled: Floats = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     return doubled

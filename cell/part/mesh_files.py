@@ -1,8 +1,9 @@
-"""From the bytes of a mesh file to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB.
+"""From the bytes of a file of geometry to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, STEP.
 
 trimesh parses OBJ, PLY, OFF and binary STL; GLB and ASCII STL are read here, because what they announce has to be held
-against what they hold. One sentence says what is wrong, in our words. Coordinates stay in the file's numbers.
-Vertices at exactly the same place become one, because STL repeats a corner in each face and the others at seams.
+against what they hold; STEP is read by `cell.part.step`. One sentence says what is wrong, in our words. Coordinates
+stay in the file's numbers. Vertices at exactly the same place become one, because STL repeats a corner in each face and
+the others at seams.
 """
 
 import io
@@ -16,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from cell.errors import FileError
-from cell.part import glb
+from cell.part import glb, step
+from cell.part.formats import STEP
 from planner.values import Floats, Ints
 
-SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", *STEP)
 
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
@@ -65,6 +67,9 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         FileError: if the content is not a mesh of that kind, has no faces, or a face has a corner that is no number.
     """
     suffix = path.suffix.lower()
+    if suffix in STEP:
+        solids = step.read(str(path), content)
+        return checked(str(path), solids.vertices, solids.faces)
     if suffix == ".glb":
         try:
             return checked(str(path), *glb.triangles(content))

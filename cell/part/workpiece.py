@@ -6,7 +6,7 @@ The reference mesh keeps the file's own axes and origin (the object frame) and i
 
 import difflib
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
-from cell.part.formats import units_of
+from cell.part.cad import CadModel
+from cell.part.formats import STEP, units_of, wrong_units
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, freeze
@@ -42,6 +43,7 @@ class Workpiece(Value):
         reference: the mesh, metres, object frame.
         sha256: of the file's bytes; of the arrays for a built-in part.
         findings: what the checks found and did, in plain sentences.
+        cad: the CAD faces that the triangles stand for; None of a part that is a mesh.
         bounds: (2, 3) lowest and highest corner of the bounding box [m], object frame.
         centre: (3,) middle of the bounding box [m], object frame.
         T_object_centre: (4, 4) the centre as a frame, axes parallel to the object's.
@@ -51,6 +53,7 @@ class Workpiece(Value):
     reference: TriangleMesh
     sha256: str
     findings: tuple[Finding, ...] = ()
+    cad: CadModel | None = None
     bounds: Annotated[Floats, "2 3"] = field(init=False)
     centre: Annotated[Floats, "3"] = field(init=False)
     T_object_centre: Annotated[Floats, "4 4"] = field(init=False)
@@ -73,15 +76,15 @@ class Workpiece(Value):
 
 
 def load(source: str | Path, units: str | None = None) -> Workpiece:
-    """A part from a mesh file, or a built-in one by its name.
+    """A part from a mesh or STEP file, or a built-in one by its name.
 
     Args:
-        source: a mesh file (.stl, .obj, .ply, .off, .glb) or the name of a built-in part.
-        units: what the file's numbers are in: m, cm, mm, um or in. Never guessed; not given for a built-in part; a GLB
-            has metres where nothing else is said.
+        source: a mesh file (.stl, .obj, .ply, .off, .glb), a STEP file (.stp, .step) or the name of a built-in part.
+        units: what the file's numbers are in: m, cm, mm, um or in. Never guessed; not given for a built-in part or a
+            STEP file; a GLB has metres where nothing else is said.
 
     Raises:
-        UsageError: if the units are missing for another file, unknown, or given for a built-in part.
+        UsageError: if the units are missing for another file, unknown, or given for a built-in part or a STEP file.
         FileError: if the file cannot be used, in one sentence.
     """
     from cell import stand_ins
@@ -97,9 +100,18 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     path = Path(source)
     _check_name(path, stand_ins.NAMES)
     content = mesh_files.read_bytes(path)
+    if why := wrong_units(path.name, units):
+        raise UsageError(f"{path} {why}")
     units = _known(str(path), units_of(path.name) if units is None else units)
-    vertices, faces = mesh_files.parse(path, content)
-    return from_mesh(path.stem, vertices, faces, units, hashlib.sha256(content).hexdigest())
+    sha256 = hashlib.sha256(content).hexdigest()
+    if path.suffix.lower() in STEP:
+        from cell.part import step
+
+        solids = step.read(str(path), content)
+        merged = mesh_files.checked(str(path), solids.vertices, solids.faces)
+        part = from_mesh(path.stem, *merged, units, sha256, solids.cad)
+        return replace(part, findings=(*solids.findings, *part.findings))
+    return from_mesh(path.stem, *mesh_files.parse(path, content), units, sha256)
 
 
 def from_arrays(name: str, vertices: Floats, faces: NDArray[np.integer], units: str | None) -> Workpiece:
@@ -134,7 +146,9 @@ def _known(source: str, units: str | None) -> str:
     return units
 
 
-def from_mesh(name: str, vertices: Floats, faces: NDArray[np.integer], units: str, sha256: str) -> Workpiece:
+def from_mesh(
+    name: str, vertices: Floats, faces: NDArray[np.integer], units: str, sha256: str, cad: CadModel | None = None
+) -> Workpiece:
     """A checked part from arrays in the given units.
 
     Args:
@@ -143,18 +157,21 @@ def from_mesh(name: str, vertices: Floats, faces: NDArray[np.integer], units: st
         faces: (F, 3).
         units: a key of `UNITS`.
         sha256: of where the arrays come from.
+        cad: which CAD face each of the faces belongs to; None of a mesh.
 
     Raises:
         FileError: if no face has an area.
     """
-    faces, findings = repair(vertices, faces.astype(np.int64))
+    faces, kept, findings = repair(vertices, faces.astype(np.int64))
     if not len(faces):
         raise FileError(f"every face of {name} has zero area; export the mesh again, or check its scale")
     used, compact = np.unique(faces, return_inverse=True)
     metres = vertices[used] * UNITS[units]
     mesh = TriangleMesh(metres, compact.reshape(-1, 3).astype(np.int32))
+    given = units if cad is None else None
+    findings = (*findings, *size_findings(np.ptp(metres, axis=0), given), *_place_findings(metres))
     return Workpiece(
-        name, mesh, sha256, (*findings, *size_findings(np.ptp(metres, axis=0), units), *_place_findings(metres))
+        name, mesh, sha256, findings, None if cad is None else replace(cad, of_triangle=cad.of_triangle[kept])
     )
 
 
@@ -167,17 +184,21 @@ def _check_name(path: Path, names: tuple[str, ...]) -> None:
     raise FileError(f"'{path}' is neither a file nor a built-in part; {hint}Built in are {', '.join(names)}")
 
 
-def size_findings(size: Floats, units: str, name: str = "the part") -> list[Finding]:
+def size_findings(size: Floats, units: str | None, name: str = "the part") -> list[Finding]:
     """Doubts about the units, and about a lack of thickness.
 
     Args:
         size: (3,) sides of the bounding box [m].
-        units: what the file was read in.
+        units: what the file was read in; None where it names its own.
         name: what a sentence calls it.
     """
     findings = []
     longest = float(size.max())
-    if not PLAUSIBLE_M[0] <= longest <= PLAUSIBLE_M[1]:
+    plausible = PLAUSIBLE_M[0] <= longest <= PLAUSIBLE_M[1]
+    if not plausible and units is None:
+        sentence = f"{name} is {_length(longest)} long; is the unit that the file names right?"
+        findings.append(Finding(Kind.UNITS, sentence, Severity.WARNING))
+    elif not plausible and units is not None:
         in_file = longest / UNITS[units]
         fitting = [
             f"{_length(in_file * metres)} in {unit}"

@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from cell.errors import SceneError
-from cell.part.formats import units_of
+from cell.part.formats import units_of, wrong_units
 from cell.scene import scene_file
 from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
 from cell.scene.option import Option
@@ -189,7 +189,7 @@ class Housing(Table):
 
 
 class Part(Table):
-    """The part: a built-in one by `name`, or a mesh file and its units."""
+    """The part: a built-in one by `name`, or a file and its units, where the file does not say them itself."""
 
     name: Literal["mseke", "mug", "robinet", "petanque", "humerus", "st-jean"] = "mseke"
     path: str | None = None
@@ -208,6 +208,8 @@ class Part(Table):
     @classmethod
     def _given_for_a_file(cls, units: str | None, info: ValidationInfo) -> str | None:
         path = info.data.get("path", "given, but wrong")
+        if path is not None and (why := wrong_units(path, units)):
+            raise ValueError(f"is given for {path}, which {why}")
         if path is not None and units is None:
             if (own := units_of(path)) is not None:
                 return own

@@ -1,0 +1,171 @@
+"""The solids of a STEP file (ISO 10303-21) as triangles, each with the CAD face that it stands for.
+
+Open CASCADE reads and triangulates the file, through `cascadio`, an optional dependency; it hands over a GLB in metres
+whatever unit the file is in, with the number and the surface of each triangle's face in an extension
+(`TM_brep_faces`). A surface that bounds no solid is left out: construction geometry and datum targets lie beside the
+part and falsify its box.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError
+from cell.part import glb
+from cell.part.cad import CadFace, CadModel, SurfaceKind
+from cell.part.mesh_checks import Finding, Kind, Severity, bodies, collapsed, double_areas, neighbours
+from planner.values import Floats, Ints
+
+DEVIATION_MM = 0.02
+"""How far triangles may lie off the surface that they stand for: of the order of what a scanner is sure to."""
+
+TURN_RAD = 0.2
+"""Angle between the normals of neighbouring triangles at most: their tilt counts in the angle of incidence."""
+
+_POINTS = ("origin", "center", "apex")
+_AXES = ("normal", "axis")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solids:
+    """What a STEP file holds.
+
+    Attributes:
+        vertices: (V, 3) [m], those of neighbouring faces not yet merged.
+        faces: (F, 3).
+        cad: the faces of the solids, and which of them each triangle belongs to.
+        findings: what was left out.
+    """
+
+    vertices: Floats
+    faces: Ints
+    cad: CadModel
+    findings: tuple[Finding, ...]
+
+
+def read(source: str, content: bytes) -> Solids:
+    """The solids of a STEP file.
+
+    Args:
+        source: what the sentences call it.
+        content: of the file.
+
+    Raises:
+        FileError: if `cascadio` is not installed, or the file is broken or holds no surface.
+    """
+    try:
+        import cascadio  # an optional dependency of 104 MB
+    except ImportError as error:
+        raise FileError(
+            f"{source} is a STEP file, which takes cascadio to read: pip install 'scan-cell[step]', or export a mesh"
+        ) from error
+    if b"ISO-10303-21" not in content[:2000]:
+        raise FileError(f"{source} is no STEP file (ISO 10303-21); export it again")
+    made = cascadio.load(
+        content, file_type="step", tol_linear=DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False, include_brep=True
+    )
+    try:
+        return _solids(list(_bodies(made))) if made else _nothing(source)
+    except (glb.BrokenGlbError, KeyError, TypeError, ValueError) as error:
+        raise FileError(f"{source} cannot be read as STEP; it is broken or cut short, export it again") from error
+
+
+def _nothing(source: str) -> Solids:
+    raise FileError(f"{source} holds no surface that Open CASCADE can read; export its solids again")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Body:
+    """One surface of the file: a solid, several of them, or none."""
+
+    vertices: Floats
+    faces: Ints
+    face_of: Ints
+    cad: tuple[CadFace, ...]
+    solid: NDArray[np.bool_]
+
+
+def _bodies(made: bytes) -> Iterator[_Body]:
+    """The surfaces with their CAD faces, numbered through."""
+    count = 0
+    for primitive in glb.primitives(made):
+        told = primitive.extensions.get("TM_brep_faces")
+        described = told.get("faces", []) if isinstance(told, Mapping) else [None]
+        face_of = primitive.numbers(told["faceIndices"]) if told else np.zeros(len(primitive.faces), np.int64)
+        if len(face_of) != len(primitive.faces):
+            raise ValueError("a face number for each triangle")
+        described = described or [None] * (int(face_of.max(initial=-1)) + 1)
+        cad = tuple(cad_face(count + k + 1, each or {}, primitive.T) for k, each in enumerate(described))
+        yield _Body(primitive.vertices, primitive.faces, face_of, cad, _bounds_solid(primitive))
+        count += len(cad)
+
+
+def cad_face(number: int, described: Mapping[str, Any], T: Floats) -> CadFace:
+    """A face as the extension describes it, placed by its node.
+
+    Args:
+        number: of the face.
+        described: "type" and the parameters of the surface [m, rad]; none of them for a surface without.
+        T: (4, 4) of the node.
+    """
+    kind = described.get("type")
+    if kind not in set(SurfaceKind) - {SurfaceKind.OTHER}:
+        return CadFace(number, SurfaceKind.OTHER)
+    point = next(np.array(described[key], dtype=np.float64) for key in _POINTS if key in described)
+    axis = next((np.array(described[key], dtype=np.float64) for key in _AXES if key in described), None)
+    torus, cone = kind == SurfaceKind.TORUS, kind == SurfaceKind.CONE
+    return CadFace(
+        number,
+        SurfaceKind(kind),
+        point @ T[:3, :3].T + T[:3, 3],
+        None if axis is None else axis @ T[:3, :3].T,
+        radius=described["minor_radius"] if torus else described.get("radius"),
+        centre_radius=described["major_radius"] if torus else None,
+        half_angle=abs(described["semi_angle"]) if cone else None,
+    )
+
+
+def _bounds_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
+    """(F,) whether each triangle belongs to a closed surface; those without area belong where their face does."""
+    _, place = np.unique(primitive.vertices, axis=0, return_inverse=True)
+    faces = place.ravel()[primitive.faces]
+    whole = ~collapsed(faces)
+    closed = np.ones(len(faces), dtype=np.bool_)
+    if whole.any():
+        one, two, _, uses = neighbours(faces[whole])
+        body, count = bodies(int(whole.sum()), one, two)
+        rim = np.zeros(count, dtype=np.bool_)
+        rim[body[(uses == 1).reshape(3, -1).any(axis=0)]] = True
+        closed[whole] = ~rim[body]
+    return closed
+
+
+def _solids(found: list[_Body]) -> Solids:
+    """One surface of all solids; of all surfaces where nothing is a solid, which the mesh check then says."""
+    some = any(body.solid.any() for body in found)
+    vertices: list[Floats] = [np.zeros((0, 3))]
+    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
+    index: list[Ints] = [np.zeros(0, np.int64)]
+    every: list[CadFace] = []
+    begin, left_out = 0, 0.0
+    for body in found:
+        kept = body.solid if some else np.ones(len(body.faces), dtype=np.bool_)
+        left_out += float(double_areas(body.vertices, body.faces[~kept]).sum()) / 2
+        vertices.append(body.vertices)
+        faces.append(body.faces[kept] + begin)
+        index.append(body.face_of[kept] + len(every))
+        every += body.cad
+        begin += len(body.vertices)
+    there, of_triangle = np.unique(np.concatenate(index), return_inverse=True)
+    cad = CadModel(tuple(every[k] for k in there.tolist()), of_triangle.astype(np.int32))
+    findings: tuple[Finding, ...] = ()
+    if left_out:
+        sentence = (
+            f"surfaces of {1e6 * left_out:.4g} mm² bound no solid and were left out; if they are the part's, close "
+            "them in the CAD program"
+        )
+        findings = (Finding(Kind.NO_SOLID, sentence, Severity.WARNING),)
+    return Solids(np.concatenate(vertices), np.concatenate(faces), cad, findings)

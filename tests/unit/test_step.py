@@ -1,0 +1,157 @@
+"""STEP files: unit, solids alone, faces with their kinds and parameters, each triangle on its own face."""
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.errors import CellError, FileError, UsageError
+from cell.part.cad import CadFace, SurfaceKind
+from cell.part.described import volume
+from cell.part.mesh_checks import Kind
+from cell.part.step import DEVIATION_MM, cad_face
+from cell.part.workpiece import Workpiece, load
+from cell.scene.scene import load_scene
+from tests.step_files import BLOCK_VOLUME, StepFile, bored_block
+
+needs_cascadio = pytest.mark.skipif(
+    importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed: pip install 'scan-cell[step]'"
+)
+
+
+def written(folder: Path, text: str, name: str = "part.stp") -> Path:
+    """The text as a file."""
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def distances(face: CadFace, points: np.ndarray) -> np.ndarray:
+    """(N,) how far points are from the surface that a face is said to be a piece of [m]."""
+    off = points - face.point
+    if face.kind is SurfaceKind.SPHERE:
+        return np.abs(np.linalg.norm(off, axis=1) - face.radius)
+    along = off @ face.axis
+    across = np.linalg.norm(off - along[:, None] * face.axis, axis=1)
+    if face.kind is SurfaceKind.PLANE:
+        return np.abs(along)
+    if face.kind is SurfaceKind.CONE:
+        return np.abs(across * math.cos(face.half_angle) - np.abs(along) * math.sin(face.half_angle))
+    if face.kind is SurfaceKind.TORUS:
+        return np.abs(np.hypot(across - face.centre_radius, along) - face.radius)
+    return np.abs(across - face.radius)
+
+
+def check_faces(part: Workpiece) -> None:
+    """Every corner of every triangle lies on the surface of its face, to the float32 of the file in between."""
+    for index, face in enumerate(part.cad.faces):
+        corners = part.reference.vertices[part.reference.faces[part.cad.of_triangle == index]].reshape(-1, 3)
+        assert len(corners)
+        if face.kind is not SurfaceKind.OTHER:
+            assert distances(face, corners).max() < 1e-6
+
+
+@needs_cascadio
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("in", 25.4e-3)])
+def test_a_bored_block_has_its_size_volume_and_seven_faces(tmp_path: Path, unit: str, metres: float) -> None:
+    """Six planes and a cylinder, in metres whatever the unit, closed, the volume to the tessellation's deviation."""
+    part = load(written(tmp_path, bored_block(unit), f"part.{'STEP' if unit == 'in' else 'stp'}"))
+    assert part.bounds == pytest.approx(np.array([[0, 0, 0], [60, 40, 30]]) * metres, abs=1e-7)
+    wall = 2 * math.pi * 8 * 30 * metres**2
+    assert volume(part) == pytest.approx(BLOCK_VOLUME * metres**3, abs=wall * DEVIATION_MM / 1000)
+    doubts = [finding.sentence for finding in part.findings]
+    assert doubts == ([] if unit == "mm" else ["the part is 1.52 m long; is the unit that the file names right?"])
+    assert part.cad.counts() == {"plane": 6, "cylinder": 1}
+    assert [face.number for face in part.cad.faces] == [1, 2, 3, 4, 5, 6, 7]
+    bore = next(face for face in part.cad.faces if face.kind is SurfaceKind.CYLINDER)
+    assert bore.radius == pytest.approx(8 * metres, rel=1e-9)
+    assert np.abs(bore.axis) == pytest.approx([0, 0, 1], abs=1e-9)
+    check_faces(part)
+
+
+@needs_cascadio
+def test_triangles_of_a_bore_look_at_its_axis(tmp_path: Path) -> None:
+    """The surface is outward: the normals of the bore point away from the material, to its axis."""
+    part = load(written(tmp_path, bored_block()))
+    index = next(k for k, face in enumerate(part.cad.faces) if face.kind is SurfaceKind.CYLINDER)
+    own = part.cad.of_triangle == index
+    middle = part.reference.vertices[part.reference.faces[own]].mean(axis=1)
+    to_axis = np.array([0.030, 0.020]) - middle[:, :2]
+    facing = np.einsum("fj,fj->f", part.reference.normals[own, :2], to_axis)
+    assert (facing > 0.99 * np.linalg.norm(to_axis, axis=1)).all()
+    assert part.cad.areas(part.reference)[index] == pytest.approx(2 * math.pi * 8 * 30 * 1e-6, rel=2e-3)
+
+
+@needs_cascadio
+def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
+    """A datum target far away changes neither box nor faces; two solids are numbered through."""
+    made = StepFile()
+    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    made.block((80, 0, 0), (100, 20, 20), None)
+    made.open_sheet((500, 500, 0), 10)
+    part = load(written(tmp_path, made.text()))
+    assert part.size == pytest.approx([0.1, 0.04, 0.03], abs=1e-7)
+    assert [finding.kind for finding in part.findings] == [Kind.NO_SOLID, Kind.BODIES]
+    assert "100 mm²" in part.findings[0].sentence
+    assert part.cad.counts() == {"plane": 12, "cylinder": 1}
+    assert sorted({face.number for face in part.cad.faces}) == list(range(1, 14))
+    check_faces(part)
+
+
+@needs_cascadio
+def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
+    """Where nothing is a solid the surfaces are the part, as those of an open mesh are."""
+    made = StepFile()
+    made.open_sheet((0, 0, 0), 50)
+    part = load(written(tmp_path, made.text()))
+    assert part.cad.counts() == {"plane": 1}
+    assert Kind.OPEN in [finding.kind for finding in part.findings]
+
+
+@needs_cascadio
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("solid x\n", "is no STEP file"),
+        ("ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "no surface"),
+        (bored_block()[:3000], "no surface"),
+    ],
+    ids=["another format", "empty", "cut short"],
+)
+def test_broken_files_are_one_sentence(tmp_path: Path, content: str, said: str) -> None:
+    """What Open CASCADE cannot read is a sentence with what to do."""
+    with pytest.raises(FileError, match=said):
+        load(written(tmp_path, content))
+
+
+def test_without_cascadio_a_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The optional dependency is named with its extra."""
+    monkeypatch.setitem(sys.modules, "cascadio", None)
+    with pytest.raises(FileError, match=r"pip install 'scan-cell\[step\]'"):
+        load(written(tmp_path, bored_block()))
+
+
+def test_units_are_the_files(tmp_path: Path) -> None:
+    """Units for a STEP file are refused by the part and by the scene; the scene knows metres of itself."""
+    path = written(tmp_path, bored_block())
+    with pytest.raises(UsageError, match="says its own unit"):
+        load(path, "mm")
+    with pytest.raises(CellError, match="says its own unit"):
+        load_scene(None, {"part": {"path": str(path), "units": "in"}})
+    assert load_scene(None, {"part": {"path": str(path)}}).part.units == "m"
+
+
+def test_faces_are_placed_by_their_node() -> None:
+    """Parameters go where the node puts the triangles: points are moved, directions turned; splines have none."""
+    T = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    torus = {"type": "torus", "center": [1, 0, 0], "axis": [1, 0, 0], "major_radius": 0.2, "minor_radius": 0.05}
+    face = cad_face(7, torus, T)
+    assert (face.number, face.kind, face.radius, face.centre_radius) == (7, SurfaceKind.TORUS, 0.05, 0.2)
+    assert face.point == pytest.approx([1, 3, 3])
+    assert face.axis == pytest.approx([0, 1, 0])
+    cone = cad_face(1, {"type": "cone", "apex": [0, 0, 0], "axis": [0, 0, 1], "semi_angle": -0.5}, np.eye(4))
+    assert cone.half_angle == 0.5
+    assert cad_face(2, {}, T).kind is SurfaceKind.OTHER
