@@ -12,6 +12,7 @@ from cell.part.workpiece import Workpiece
 from cell.robot.model import AXES, dimensions
 from cell.scanners import ScannerPlugin
 from cell.scene import devices
+from cell.scene.part_regions import with_regions
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
@@ -165,7 +166,7 @@ def compiled(scene: Scene) -> Compiled:
         FileError: if the part or a fixture cannot be read.
         SceneError: if there is nothing to compile.
     """
-    part = workpiece.load(scene.part.source, scene.part.units)
+    part = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
     scene = devices.by_part(scene, part)
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)

@@ -10,6 +10,7 @@ from cell.plan.candidates import arm_of
 from cell.plan.problem import Problem
 from cell.run.report_json import Attainable
 from planner.measurability.coverage import Coverage
+from planner.surface.sample import pick_samples
 from planner.viewpoints.attainable import ASKED, attainable
 from planner.viewpoints.lines_of_sight import Targets
 
@@ -31,7 +32,8 @@ def of_plan(problem: Problem, visible: Coverage, rng: np.random.Generator) -> At
     known = np.asarray(prediction.coverable.covered | visible.covered)
     rest = np.flatnonzero(~known)
     asked = np.sort(rng.permutation(rest)[:ASKED])
-    found = attainable(Targets.of(samples.points[asked], samples.normals[asked]), arm)
+    some = pick_samples(samples, asked)
+    found = attainable(Targets.of(some.points, some.normals, some.region), arm)
     total = float(samples.areas.sum())
     left = float(samples.areas[rest].sum()) / total
     share, out_of_reach = (

@@ -7,17 +7,17 @@ a column by its pose, has them the next time.
 """
 
 from collections.abc import Sequence
-from typing import cast
 
 import numpy as np
 
 from cell.part.workpiece import Workpiece
+from cell.scene.regions import complete
+from cell.scene.regions import limited as with_limits
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
 from cell.world.model import World
 from planner.measurability import coverage
-from planner.measurability.quality import Limited
-from planner.ports import CollisionChecker, Kinematics, Progress, RayCaster, Scanner, SigmaScanner
+from planner.ports import CollisionChecker, Kinematics, Progress, RayCaster, Scanner
 from planner.reach import reach
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -41,11 +41,9 @@ def first(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleM
 
 
 def limited(scene: Scene, scanner: Scanner) -> Scanner:
-    """The scanner's law with the scene's limit on sigma; who does not know its sigma is refused where M is made."""
-    limit = scene.plan.max_sigma_mm
-    if limit is None or not callable(getattr(scanner, "sigma", None)):
-        return scanner
-    return Limited(cast(SigmaScanner, scanner), limit / 1000)
+    """The scanner's law with the scene's limits; who does not know its sigma is refused where M is made."""
+    known = callable(getattr(scanner, "sigma", None))
+    return with_limits(scanner, scene.plan.max_sigma_mm if known else None, complete(scene.region))
 
 
 def arm_of(
@@ -90,7 +88,7 @@ def grow(
     Returns:
         The new ones alone.
     """
-    targets = Targets.of(scouts.points, scouts.normals)
+    targets = Targets.of(scouts.points, scouts.normals, scouts.region)
     poses = candidates.T_object_scanner[usable] @ arm.T_view_scanner
     seen = coverage.visible(poses, scouts, arm.scanner, arm.casters).covered
     found = growth.grow(targets, seen, arm, progress=progress)

@@ -7,6 +7,7 @@ measures; all fresh samples of the planning faces with such ones become rows, an
 """
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from cell.rays.matrix import PartSurface
 from planner.measurability import quality
 from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.measurability.quality import Limited
 from planner.measurability.rows import add_rows
+from planner.ports import SigmaScanner
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.viewpoints.viewpoints import pick_viewpoints
 
@@ -90,6 +91,6 @@ def _rows(problem: Problem, features: SurfaceSamples) -> Measurability:
     candidates, scanner = pick_viewpoints(problem.candidates, usable), problem.prediction.scanner
     part, others = problem.prediction.casters
     M = occlude(fill(candidates, features, scanner, part), candidates, scanner, others, ray_caster=part)
-    if isinstance(scanner, Limited):
-        M = quality.sigma_layer(M, candidates, scanner.scanner, casters=(part, others))
+    if problem.M.sigma is not None:
+        M = quality.sigma_layer(M, candidates, cast(SigmaScanner, scanner), casters=(part, others))
     return spread_measurability(M, usable, len(problem.candidates))

@@ -22,9 +22,11 @@ from cell.run.scene_json import (
     ResolvedHousing,
     ResolvedPart,
     ResolvedPlan,
+    ResolvedRegion,
     ResolvedScene,
     ScannerKeys,
 )
+from cell.scene.regions import complete
 from cell.scene.resolve import Settings
 from cell.scene.scene import MeshFixture, Scene
 from cell.world.clearance import MotionClearance
@@ -40,7 +42,10 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
     """sha256 of what the plan depends on: the part and everything that the scene says (paths by their content)."""
-    content = scene.model_dump(mode="json")
+    content = scene.model_dump(mode="json", exclude=None if scene.region else {"region"})
+    for region in content.get("region", ()):
+        if region["painted"] is not None:
+            region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()
     content["part"] = {"sha256": part.sha256, "units": scene.part.units}
     for fixture in content["fixtures"]:
         if "path" in fixture:
@@ -127,6 +132,7 @@ def write_cell(
                 "sphere_radius_mm": mm(settings.sphere_radius),
             }
         ),
+        regions=tuple(ResolvedRegion.model_validate(dict(region)) for region in complete(scene.region)) or None,
     )
     folder.write_json("scene.resolved.json", resolved.as_json())
     for name in write_mjcf(world, folder.path):
@@ -160,6 +166,7 @@ def write_measurability(folder: RunFolder, M: Measurability) -> None:
         face=features.face,
         planning_face=features.planning_face,
         **({} if M.sigma is None else {"sigma": M.sigma}),
+        **({} if features.region is None else {"region": features.region}),
     )
 
 

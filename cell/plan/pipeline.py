@@ -28,6 +28,7 @@ from cell.plan.view_plan import ConnectedPlan
 from cell.run.folder import RunFolder
 from cell.run.report_json import Report
 from cell.scene import devices, doubts
+from cell.scene.part_regions import with_regions
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 from planner.surface.mesh import TriangleMesh
@@ -67,6 +68,7 @@ def plan(
     with picture_process.beside() as drawing:
         with narrator.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
+            part = with_regions(part, scene)
         doubtful = (*doubts.of_scene(scene), *devices.notes(scene, part))
         for sentence in (*(finding.sentence for finding in part.findings), *doubtful):
             narrator.note(sentence)

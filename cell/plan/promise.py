@@ -22,7 +22,7 @@ from planner.measurability.pose_ensemble import (
 )
 from planner.ports import Progress, RayCaster, Scanner
 from planner.reach.reach import Reach
-from planner.surface.sample import SurfaceSamples
+from planner.surface.sample import pick_samples
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -84,9 +84,7 @@ def simulate(
     """
     every = prediction.samples
     some = np.sort(rng.permutation(len(every))[:SAMPLES])
-    samples = SurfaceSamples(
-        every.points[some], every.normals[some], every.areas[some], every.face[some], every.planning_face[some]
-    )
+    samples = pick_samples(every, some)
     area = samples.areas / samples.areas.sum()
     error, n = pose_error(plan), len(T_object_poses)
 

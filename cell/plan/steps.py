@@ -213,11 +213,12 @@ def columns(
     M = part_matrix(
         job.scene, job.settings, surface, views, narrator=run.narrator, use_cache=run.use_cache, progress=progress
     )
-    M = matrix.occlude(M, views, job.scanner, casters[1], ray_caster=casters[0], progress=progress)
-    limit = job.scene.plan.max_sigma_mm
-    if limit is None:
-        return M, job.scanner
-    return limit_sigma(M, views, job.scanner, limit, casters, may_be_empty=may_be_empty)
+    law = limited(job.scene, job.scanner)
+    keeps = law if job.scene.region else job.scanner
+    M = matrix.occlude(M, views, keeps, casters[1], ray_caster=casters[0], progress=progress)
+    if (limit := job.scene.plan.max_sigma_mm) is not None:
+        M = limit_sigma(M, views, job.scanner, limit, casters, may_be_empty=may_be_empty)
+    return M, law
 
 
 def casters_of(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:

@@ -1,7 +1,7 @@
 """Step 5 with its cache: the part-only measurability matrix, calculated once per part, candidates and scanner."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -21,12 +21,15 @@ from planner.measurability.matrix import Measurability, fill
 from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
 from planner.surface.closest import closest_face
 from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, face_features, sample
+from planner.surface.sample import SurfaceSamples, face_features, join_samples, sample
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 CACHE_LIMIT_BYTES = 1_000_000_000
 """Above this the oldest matrices are removed; one of the default plan has some 6 MB."""
 
+
+REGION_ROWS = 400
+"""Rows of the matrix that a region has at least: 0.25 points of its coverage each."""
 
 _KEPT = 4
 """A file holds at most this many times the columns that one run asks for; beyond, it is begun anew with these."""
@@ -57,10 +60,23 @@ class PartSurface:
 def surface_features(
     scene: Scene, reference: TriangleMesh, planning: TriangleMesh, rng: np.random.Generator
 ) -> SurfaceSamples:
-    """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`)."""
+    """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`).
+
+    A region, however small, has at least `REGION_ROWS` of them, each standing for less area then.
+    """
     if scene.plan.fill == "rays":
         return face_features(reference, planning)
-    return sample(reference, planning, scene.plan.samples_per_face * len(planning.faces), rng)
+    count = scene.plan.samples_per_face * len(planning.faces)
+    if (region := reference.region) is None:
+        return sample(reference, planning, count, rng)
+    areas = np.bincount(region[region >= 0], weights=reference.areas[region >= 0])
+    each = np.maximum(np.rint(count * areas / areas.sum()), REGION_ROWS).astype(np.int64)
+    return join_samples(
+        [
+            sample(replace(reference, region=np.where(region == k, region, -1)), planning, int(each[k]), rng)
+            for k in np.flatnonzero(areas > 0)
+        ]
+    )
 
 
 def part_matrix(
@@ -85,6 +101,10 @@ def part_matrix(
         progress: called with (poses done, poses in all).
     """
     method, reference, planning, features = scene.plan.fill, surface.reference, surface.planning, surface.features
+    if features.region is not None:  # what is asked of a region is applied afterwards; the cache knows of none
+        whole = replace(surface, features=replace(features, region=None))
+        M = part_matrix(scene, settings, whole, candidates, narrator=narrator, use_cache=use_cache, progress=progress)
+        return replace(M, features=features)
     scanner = scanners.make(scene.scanner.type, settings.planning_scanner if method == "rays" else settings.scanner)
     parameters = scanners.identity(scene.scanner.type, scanner)
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
@@ -170,8 +190,8 @@ def limit_sigma(
     casters: Sequence[RayCaster],
     *,
     may_be_empty: bool = False,
-) -> tuple[Measurability, Scanner]:
-    """Only what is measured precisely enough: the matrix with its layer of sigma, and the scanner that keeps the limit.
+) -> Measurability:
+    """Only what is measured precisely enough: the matrix with its layer of sigma.
 
     Args:
         M: the matrix with occluders applied.
@@ -199,4 +219,4 @@ def limit_sigma(
             f"has an expected standard deviation of {best:.3g} mm; a longer baseline, a smaller standoff or a smaller "
             "scanner.sigma_angle_mdeg makes it less"
         )
-    return kept, quality.Limited(precise, max_sigma_mm / 1000)
+    return kept

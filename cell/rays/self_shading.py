@@ -66,7 +66,7 @@ class OwnArm:
         self.reasons: dict[int, str] = {}
         self._reached, self._candidates, self._world, self._scanner = reached, candidates, world, scanner
         self._left: dict[int, Floats] = {}
-        self._targets = Targets.of(M.features.points, M.features.normals)
+        self._targets = Targets.of(M.features.points, M.features.normals, M.features.region)
 
     def configurations(self, view: int) -> Floats:
         """(m, 6) joint solutions of a candidate that are left [rad]."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,11 +24,11 @@ from cell.run.record import RunRecord, artefact, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
 from cell.scene.options import BUILT_IN
 from cell.scene.plan_settings import PlanKeys
+from cell.scene.regions import Region, limited
 from cell.scene.scene import Scene
 from cell.world import shapes
 from cell.world.model import World, compile_world
 from cell.world.travel import TravelBound
-from planner.measurability.quality import Limited
 from planner.ports import Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
@@ -140,9 +140,7 @@ def scanner_of(scene: ResolvedScene, keys: ScannerKeys) -> Scanner:
     Raises:
         SceneError: if the keys are not possible.
     """
-    scanner: Any = scanners.make(keys.type, keys.own)
-    limit = scene.plan.max_sigma_mm
-    return scanner if limit is None else Limited(scanner, limit / 1000)
+    return limited(scanners.make(keys.type, keys.own), scene.plan.max_sigma_mm, scene.regions or ())
 
 
 def _occluders(run: RunRecord, scene: ResolvedScene, model: mujoco.MjModel) -> tuple[Occluder, ...]:
@@ -225,6 +223,8 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
             "part": scene.part.model_copy(update={"units": resolved.part.units}),
             "scanner": scene.scanner.model_copy(update=asked),
             "plan": scene.plan.model_copy(update={"percent_kept": resolved.plan.percent_kept}),
+            # What they select by is in the run's mesh.
+            "region": tuple(Region.model_construct(**dict(region)) for region in resolved.regions or ()),
         }
     )
 

@@ -147,17 +147,22 @@ class RunFolder:
         self.adopt(name)
 
     def write_mesh(self, name: str, mesh: TriangleMesh) -> None:
-        """Write a mesh as binary PLY in millimetres.
+        """Write a mesh as binary PLY in millimetres, with the region of each face where it has such.
 
         Vertices are doubles, so that the file holds exactly what was used; trimesh's writer would round to float32.
         """
         vertices = np.ascontiguousarray(mesh.vertices * 1000.0, dtype="<f8")
-        faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3)])
+        regions = mesh.region is not None
+        faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3), *[("region", "<i4")] * regions])
         faces["n"], faces["v"] = 3, mesh.faces
+        if mesh.region is not None:
+            faces["region"] = mesh.region
         header = (
             "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres\n"
             f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
-            f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+            f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
+            + "property int region\n" * regions
+            + "end_header\n"
         )
         self._write(name, header.encode() + vertices.tobytes() + faces.tobytes())
 

@@ -19,7 +19,9 @@ def mesh(content: bytes) -> TriangleMesh:
         PlannerError: if the content is not a whole PLY.
     """
     read = elements(content)
-    return TriangleMesh(places(read["vertex"]), read["face"]["vertex_indices"])
+    faces = read["face"]
+    region = faces["region"] if faces.dtype.names and "region" in faces.dtype.names else None
+    return TriangleMesh(places(read["vertex"]), faces["vertex_indices"], region)
 
 
 def places(vertices: NDArray[np.void]) -> Floats:

@@ -134,7 +134,10 @@ def measurability(run: RunRecord) -> Measurability:
     """
     stored = arrays(run, "measurability.npz")
     with understood(run.folder / "measurability.npz"):
-        features = SurfaceSamples(*(stored[name] for name in ("points", "normals", "areas", "face", "planning_face")))
+        named: tuple[str, ...] = ("points", "normals", "areas", "face", "planning_face")
+        features = SurfaceSamples(
+            *(stored[name] for name in named), *([stored["region"]] if "region" in stored else [])
+        )
         return Measurability(
             stored["indptr"], stored["indices"], features, int(stored["shape"][1]), stored.get("sigma")
         )

@@ -6,6 +6,7 @@ from pydantic import ConfigDict, Field
 
 from cell.run.json_table import JsonTable, OpenTable, Transform, Triple, optional
 from cell.scene.plan_settings import PlanKeys
+from cell.scene.regions import RegionWishes
 
 
 class ResolvedPart(JsonTable):
@@ -73,6 +74,12 @@ class ResolvedPlan(PlanKeys):
     sphere_radius_mm: float | None = Field(default=None, description="of the view sphere")
 
 
+class ResolvedRegion(RegionWishes):
+    """What was asked of a region; faces of reference.ply have its number, from 0, as `region` (-1: nobody cares)."""
+
+    model_config = ConfigDict(extra="ignore", defer_build=True)
+
+
 class ResolvedScene(JsonTable):
     """The file."""
 
@@ -100,3 +107,4 @@ class ResolvedScene(JsonTable):
         "how far any point of arm or tool may stand from where a move ends; else a tenth of the clearance, 1 at most"
     )
     plan: ResolvedPlan
+    regions: tuple[ResolvedRegion, ...] | None = optional()

@@ -26,6 +26,7 @@ from cell.scene import scene_file
 from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
 from cell.scene.option import Option
 from cell.scene.plan_settings import PlanSettings
+from cell.scene.regions import Region, beside_plan, contradiction
 
 if TYPE_CHECKING:
     import numpy as np
@@ -323,6 +324,7 @@ class Scene(Table):
     post: Post = Field(default_factory=Post)
     fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
     plan: PlanSettings = Field(default_factory=PlanSettings)
+    region: Annotated[tuple[Region, ...], Field(strict=False)] = ()
     picture: Picture = Field(default_factory=Picture)
 
     @field_validator("fixtures")
@@ -333,6 +335,14 @@ class Scene(Table):
         if twice:
             raise ValueError(f"hold the name '{twice[0]}' more than once; every fixture needs its own name")
         return fixtures
+
+    @field_validator("region")
+    @classmethod
+    def _go_together(cls, regions: tuple[Region, ...], info: ValidationInfo) -> tuple[Region, ...]:
+        plan = info.data.get("plan")
+        if problem := contradiction(regions) or (plan and regions and beside_plan(regions, plan)):
+            raise ValueError(problem)
+        return regions
 
     @field_validator("picture")
     @classmethod

@@ -22,6 +22,7 @@ from cell.rays.matrix import PartSurface, part_matrix, surface_features
 from cell.rays.prediction import held_out
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene import devices
+from cell.scene.part_regions import with_regions
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
@@ -87,7 +88,7 @@ class Bench:
     """
 
     def __init__(self, scene: Scene, *, samples: int = coverage.SAMPLES) -> None:
-        self.part: Workpiece = workpiece.load(scene.part.source, scene.part.units)
+        self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
         self.scene = scene = devices.by_part(scene, self.part)
         settings = resolve(scene, self.part)
         self.scanner: Scanner = scanners.make(scene.scanner.type, settings.scanner)

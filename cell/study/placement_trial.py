@@ -107,7 +107,7 @@ def _grown(
     views, reached, M = known
     scanner, features, world = bench.scanner, M.features, bench.world
     arm = arm_of(world, bench.kinematics, checker, scanner, casters, T_base_object)
-    found = growth.grow(Targets.of(features.points, features.normals), np.diff(M.indptr) > 0, arm)
+    found = growth.grow(Targets.of(features.points, features.normals, features.region), np.diff(M.indptr) > 0, arm)
     if not len(found):
         return known
     added = standing_at(found.T_object_scanner, features.points[found.row], features.planning_face[found.row])

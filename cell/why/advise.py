@@ -23,7 +23,7 @@ from cell.run.record import RunRecord
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.measurability.matrix import measured
-from planner.surface.sample import SurfaceSamples
+from planner.surface.sample import SurfaceSamples, pick_samples
 from planner.values import Floats, Ints
 from planner.viewpoints.attainable import ASKED, attainable
 from planner.viewpoints.growth import Arm
@@ -106,7 +106,8 @@ def _share(samples: SurfaceSamples, rows: Ints, arm: Arm | None) -> tuple[float,
     """Share of the rows that any pose measures, and its standard error; nothing where home itself is not free."""
     if arm is None or not len(rows):
         return 0.0, 0.0
-    share = float(attainable(Targets.of(samples.points[rows], samples.normals[rows]), arm).measured.mean())
+    some = pick_samples(samples, rows)
+    share = float(attainable(Targets.of(some.points, some.normals, some.region), arm).measured.mean())
     return share, float(np.sqrt(share * (1 - share) / len(rows)))
 
 

@@ -82,7 +82,7 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with narrator.stage("what stays open"):
         samples = held_out(cell.reference, cell.planning, run.seed, count)
-        targets = Targets.of(samples.points, samples.normals)
+        targets = Targets.of(samples.points, samples.normals, samples.region)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
         surface = of_views(cell, samples, list(views))
         rows = np.flatnonzero(~surface.seen.any(axis=1))

@@ -93,8 +93,9 @@ def detail(reason: Reason, diagnosis: Diagnosis, inside: NDArray[np.bool_], keys
     if reason is Reason.TOO_SPARSE:
         far, steep = diagnosis.distance[inside], diagnosis.grazing_source[inside]
         limit_mm = keys.number("max_spacing_mm")
+        limit = "the limit of the region" if limit_mm is None else f"limit {limit_mm:g} mm between points"
         return (
             f"{1000 * np.median(far):.0f} mm away at {np.degrees(np.median(steep)):.0f} deg from the normal (medians), "
-            f"limit {limit_mm:g} mm between points"
+            f"{limit}"
         )
     return ""

@@ -1,12 +1,13 @@
 """Single changes of the scanner's limits and numbers, the same reachable candidates: part of `cell.why.changes`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell import scanners
 from cell.run.cell import RunCell
+from cell.scene.regions import limited
 from planner.measurability.quality import Limited
 from planner.ports import RayCaster, Scanner
 from planner.values import Floats
@@ -76,7 +77,9 @@ class ScannerChanges:
                 for more in _FOV_DEG if now + more < 180
             ]  # fmt: skip
         if (limit := keys.number("max_spacing_mm")) is not None:
-            yield from self._denser(limit)
+            yield self._sparser(limit)
+        if limit is not None or any(region.max_spacing_mm for region in self.cell.scene.regions or ()):
+            yield from self._denser()
         if self.max_sigma_mm is not None:
             yield [self._sigma(factor, self.max_sigma_mm) for factor in _SIGMAS]
         if now := keys.number("baseline_mm"):
@@ -88,15 +91,18 @@ class ScannerChanges:
                 for share in _BASELINES
             ]  # fmt: skip
 
-    def _denser(self, limit: float) -> Iterator[list[WhatIf]]:
-        """A greater spacing allowed, or a finer grid; nearer views are among the standoffs."""
-        yield [
+    def _sparser(self, limit: float) -> list[WhatIf]:
+        """A greater spacing allowed."""
+        return [
             self._law(
                 Kind.SPACING, factor, f"points up to {factor * limit:.3g} instead of {limit:g} mm apart",
                 "max_spacing_mm", factor * limit, f"--max-spacing {factor * limit:.3g}",
             )
             for factor in _SIGMAS
         ]  # fmt: skip
+
+    def _denser(self) -> Iterator[list[WhatIf]]:
+        """A finer grid; nearer views are among the standoffs."""
         if grid := self.cell.scanner_keys.pair("resolution_deg"):
             yield [
                 self._law(
@@ -124,8 +130,7 @@ class ScannerChanges:
         """Another value of one of the scanner's keys, the same reachable candidates."""
         keys = self.cell.scanner_keys
         scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
-        if self.max_sigma_mm is not None:
-            scanner = Limited(scanner, self.max_sigma_mm / 1000)  # type: ignore[arg-type]  # it had a limit before
+        scanner = limited(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
         numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
         setting = option or f"scanner.{key} = {numbers}"
         return WhatIf(kind, change, sentence, setting, self.T_object_scanner, scanner, self.casters)
@@ -133,7 +138,7 @@ class ScannerChanges:
     def _sigma(self, factor: float, now: float) -> WhatIf:
         """Another limit on sigma, so many times the present one [mm]."""
         assert isinstance(self.cell.scanner, Limited)
-        scanner = Limited(self.cell.scanner.scanner, factor * (now / 1000))
+        scanner = replace(self.cell.scanner, max_sigma=factor * (now / 1000))
         sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
         setting = f"--max-sigma {factor * now:.3g}"
         return WhatIf(Kind.SIGMA, factor, sentence, setting, self.T_object_scanner, scanner, self.casters)

@@ -16,6 +16,7 @@ search, search_kernels     local search and its compiled loops
 meta_raps                  the paper's own solver
 solvers, selection         `SOLVERS` by name; `solve`
 graph, overlap             views whose scans hang together
+targets                    several area targets, by problems with one
 curve, robust              coverage over the number of views; promises although poses are off
 budget                     work, clock, Ctrl-C, best so far
 """

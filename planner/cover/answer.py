@@ -42,7 +42,7 @@ class Cover(Value):
             coverable area.
         solver: name of the solver.
         work: units of work spent (see `planner.cover.budget`).
-        demand: load that every row was asked to have.
+        demand: load that every row was asked to have; the least where they were asked for different ones.
         short_rows: rows that some columns cover, but all of them together not as much as is demanded.
         price: cost of the views together, and what no selection that meets the target undercuts; None without costs.
         max_views: how many were allowed; None: as many as it takes.

@@ -101,7 +101,8 @@ def canonical(problem: Problem) -> Canonical:
     part = sp.csc_array(part[rows])
     part.sort_indices()
     units = _units(areas[rows])
-    demand = np.minimum(available[rows], min(problem.demand, 2**30))
+    asked = np.broadcast_to(np.minimum(problem.demand, 2**30), available.shape)
+    demand = np.minimum(available, asked)[rows]
     part.data = np.minimum(part.data, demand[part.indices])
     start = part.indptr.astype(np.int64)
     covered = np.add.reduceat(units[part.indices], start[:-1]) if len(chosen) else units[:0]
@@ -127,7 +128,7 @@ def canonical(problem: Problem) -> Canonical:
     return Canonical(
         whole, rows, columns, areas,
         uncoverable_rows=np.flatnonzero(available == 0),
-        short_rows=np.flatnonzero((available > 0) & (available < problem.demand)),
+        short_rows=np.flatnonzero((available > 0) & (available < asked)),
         cost_unit=cost_unit, pinned=pinned, fixed=fixed, rest=rest, rest_columns=left,
     )  # fmt: skip
 
@@ -154,8 +155,10 @@ def _checked(problem: Problem) -> tuple[Any, Bools, Ints]:
         raise PlannerError(
             f"coverage is {problem.coverage!r}; it is a share of the coverable area and must be from 0 to 1"
         )
-    if problem.demand < 1:
-        raise PlannerError(f"demand is {problem.demand}; every row must be covered at least once")
+    if np.shape(problem.demand) not in ((), (n_rows,)):
+        raise PlannerError(f"demand has shape {np.shape(problem.demand)}; it must be one number, or ({n_rows},)")
+    if np.min(problem.demand, initial=1) < 1:
+        raise PlannerError(f"demand is {np.min(problem.demand)}; every row must be covered at least once")
     usable = np.ones(n_columns, dtype=bool) if problem.allowed is None else np.array(problem.allowed)
     if usable.shape != (n_columns,) or usable.dtype != np.bool_:
         raise PlannerError(

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
 
@@ -57,14 +57,18 @@ class Problem:
         allowed: (V,) bool, which columns may be used (the reachable ones); None: all.
         coverage: share of the coverable area whose rows must have what they demand, 0 to 1; 1 means every row.
         max_views: at most so many columns, and the most area; None: the fewest or cheapest for the coverage.
-        demand: load that each row asks for, 1 or more; of a row that all usable columns together cannot satisfy, all
-            of them are asked for.
+        demand: load that each row asks for, 1 or more, or (S,) of them; of a row that all usable columns together
+            cannot satisfy, all of them are asked for.
         costs: (V,) of each column, finite, above zero (seconds, say); None: 1 each, so that cost is the number.
         pinned: columns that must be chosen.
         banned: columns that must not; what they alone cover does not count as coverable.
         group: (V,) group 0, 1, ... of each column (its set-up, say); None: no groups.
         group_costs: (G,) what the first column of each group costs on top, zero or more.
         overlap: chosen columns must hang together by this measure; None: they need not.
+        weights: (S,) what each row counts in place of its area in what is asked for; None: its area. With `max_views`
+            the areas of the answer are of these weights.
+        part: (S,) part 0, 1, ... of each row, where each part has a target of its own.
+        part_coverage: in place of `coverage`, for each part: share of its coverable area (or weight).
     """
 
     matrix: Any
@@ -72,10 +76,13 @@ class Problem:
     allowed: ArrayLike | None = None
     coverage: float = 1.0
     max_views: int | None = None
-    demand: int = 1
+    demand: int | NDArray[np.int64] = 1
     costs: ArrayLike | None = None
     pinned: Iterable[int] = ()
     banned: Iterable[int] = ()
     group: ArrayLike | None = None
     group_costs: ArrayLike | None = None
     overlap: Overlap | None = None
+    weights: ArrayLike | None = None
+    part: ArrayLike | None = None
+    part_coverage: tuple[float, ...] = ()

@@ -11,6 +11,7 @@ from planner.cover.canonical import canonical
 from planner.cover.overlap import connected_cover
 from planner.cover.problem import Problem
 from planner.cover.solvers import SOLVERS, answer
+from planner.cover.targets import solve_parts
 from planner.cover.told import told
 from planner.errors import PlannerError
 
@@ -45,6 +46,14 @@ def solve(
     """
     if solver not in SOLVERS:
         raise PlannerError(f"there is no solver {solver!r}; choose one of {', '.join(SOLVERS)}")
+    if problem.part_coverage or problem.weights is not None:
+        begun = clock()
+
+        def ask(single: Problem, share: float) -> Cover:
+            left = None if time_limit_s is None else max(time_limit_s - (clock() - begun), 0.0)
+            return solve(single, rng=rng, solver=solver, budget=int(share * budget), time_limit_s=left, clock=clock)
+
+        return solve_parts(problem, ask)
     work = Budget(budget, time_limit_s, clock)
     found = canonical(problem)
     work.spend(CANONICAL_WORK * found.whole.n_entries)

@@ -77,7 +77,7 @@ def told(
         upper_area=upper,
         solver=solver,
         work=work.spent,
-        demand=problem.demand,
+        demand=int(np.min(problem.demand, initial=2**30)),
         short_rows=found.short_rows,
         price=price,
         max_views=problem.max_views,

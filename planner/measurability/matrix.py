@@ -113,7 +113,7 @@ def fill(
     """
     poses = flat_poses(viewpoints.T_object_scanner)
     if method == "aimed":
-        targets = Targets.of(features.points, features.normals)
+        targets = Targets.of(features.points, features.normals, features.region)
         pairs = free_pairs(poses, targets, scanner, (ray_caster,), lambda i: in_view(targets, poses[i], scanner))
     elif method == "rays":
         if part is None:
@@ -136,7 +136,8 @@ def occlude(
 ) -> Measurability:
     """Remove what occluders (fixtures, post, floor) hide; only the legs that survived the part are cast.
 
-    An entry filled by `rays` stands for its feature's own point here. A layer of sigma is not kept.
+    What a scanner's limits for the region of a feature do not allow goes as well (`quality.Limited.reject_in`). An
+    entry filled by `rays` stands for its feature's own point here. A layer of sigma is not kept.
 
     Args:
         measurability: M of the part alone.
@@ -159,13 +160,15 @@ def occlude(
     if K > 1 and ray_caster is None:
         raise PlannerError(f"viewpoints of {K} poses need `ray_caster`: M does not say which pose measured a feature")
     poses = flat_poses(viewpoints.T_object_scanner)
-    targets = Targets.of(features.points, features.normals)
+    targets = Targets.of(features.points, features.normals, features.region)
     columns = measurability.matrix().tocsc()
     casters = (occluder_caster,) if ray_caster is None or K == 1 else (ray_caster, occluder_caster)
 
+    limits = None if features.region is None else getattr(scanner, "reject_in", None)
+
     def rows_of(pose: int) -> Ints:
         entries = columns.indices[columns.indptr[pose // K] : columns.indptr[pose // K + 1]].astype(np.int64)
-        return entries if K == 1 else in_view(targets, poses[pose], scanner, entries)
+        return entries if K == 1 and limits is None else in_view(targets, poses[pose], scanner, entries)
 
     pairs = free_pairs(poses, targets, scanner, casters, rows_of)
     return _compress(pairs, viewpoints, features, progress)
@@ -199,7 +202,7 @@ def measured(
         (S,) True where any view measures the feature; with `each` (S, n).
     """
     poses = flat_poses(T_object_scanner)
-    targets = Targets.of(features.points, features.normals)
+    targets = Targets.of(features.points, features.normals, features.region)
     K = np.shape(T_object_scanner)[1]
     result = np.zeros((len(features), len(T_object_scanner) if each else 1), dtype=np.bool_)
     asked = np.arange(len(features)) if among is None else np.flatnonzero(among)

@@ -143,7 +143,7 @@ def probability_layer(
         progress: called with (members done, members in all).
     """
     hits = np.zeros(len(M.indices), dtype=np.int32)
-    targets = Targets.of(M.features.points, M.features.normals)
+    targets = Targets.of(M.features.points, M.features.normals, M.features.region)
     numbered = M.matrix().astype(np.int64)
     numbered.data = np.arange(len(hits))  # entries are numbered in row order
     by_column = numbered.tocsc()

@@ -16,35 +16,58 @@ from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Rejection, Scanner, SigmaScanner
 from planner.surface.sample import SurfaceSamples
-from planner.values import Bools, Floats
+from planner.values import Bools, Floats, Ints32
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints
+
+_Law = Callable[[Floats, Floats], Floats]  # (N,) of (N, 3) points [m] and normals, scanner frame
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a point must be to count; inf where nothing is asked.
+
+    Attributes:
+        sigma: expected standard deviation at most [m], above 0.
+        spacing: distance of neighbouring points of the scan at most [m], above 0.
+    """
+
+    sigma: float = np.inf
+    spacing: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.sigma > 0:
+            raise PlannerError(f"the limit on sigma is {self.sigma} m; it must be above 0")
+        if not self.spacing > 0:
+            raise PlannerError(f"the limit on spacing is {self.spacing} m; it must be above 0")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limited:
-    """A scanner that refuses points whose expected standard deviation is above a limit, the limit itself allowed.
+    """A scanner that refuses points that are worse than a limit, the limit itself allowed.
 
     Attributes:
-        scanner: the law without the limit.
-        max_sigma: [m], above 0.
+        scanner: the law without the limits.
+        max_sigma: largest expected standard deviation anywhere [m], above 0; inf: not limited.
+        regions: limits of the part's regions on top, by their numbers; a point of unknown region has none of them.
     """
 
     scanner: SigmaScanner
-    max_sigma: float
+    max_sigma: float = np.inf
+    regions: tuple[Limits, ...] = ()
 
     def __post_init__(self) -> None:
-        if not callable(getattr(self.scanner, "sigma", None)):
-            raise PlannerError(
-                f"the scanner {type(self.scanner).__name__} does not know its sigma, so no limit can be put on it; "
-                "choose one that does, or leave the limit out"
-            )
-        if not self.max_sigma > 0:
-            raise PlannerError(f"the limit on sigma is {self.max_sigma} m; it must be above 0")
+        every = (Limits(self.max_sigma), *self.regions)
+        for what in ("sigma", "spacing"):
+            if min(getattr(each, what) for each in every) < np.inf and not callable(getattr(self.scanner, what, None)):
+                raise PlannerError(
+                    f"the scanner {type(self.scanner).__name__} does not know its {what}, so no limit can be put on "
+                    "it; choose one that does, or leave the limit out"
+                )
 
     def __getattr__(self, name: str) -> Any:
         """What the scanner has beyond the protocol, such as the poses of its sweep."""
-        if name in ("scanner", "max_sigma"):  # not set yet: nothing to ask
+        if name in ("scanner", "max_sigma", "regions"):  # not set yet: nothing to ask
             raise AttributeError(name)
         return getattr(self.scanner, name)
 
@@ -79,10 +102,35 @@ class Limited:
             normals: (N, 3) outward unit normals, scanner frame.
         """
         codes = np.array(self.scanner.reject(points, normals))
-        passed = np.flatnonzero(codes == Rejection.MEASURED)
-        unsure = ~(self.scanner.sigma(points[passed], normals[passed]) <= self.max_sigma)
-        codes[passed[unsure]] = Rejection.TOO_UNCERTAIN
+        if self.max_sigma < np.inf:
+            every = np.full(len(codes), self.max_sigma)
+            _refuse(codes, self.scanner.sigma, points, normals, every, Rejection.TOO_UNCERTAIN)
         return codes
+
+    def reject_in(self, points: Floats, normals: Floats, region: Ints32) -> NDArray[np.uint8]:
+        """(N,) as `reject`, and then by the limits of the (N,) region of each point: TOO_SPARSE, TOO_UNCERTAIN."""
+        codes = self.reject(points, normals)
+        if not self.regions:
+            return codes
+        spacing, sigma = (np.array([getattr(each, name) for each in self.regions]) for name in ("spacing", "sigma"))
+        if spacing.min() < np.inf:
+            law: _Law = self.spacing
+            _refuse(codes, law, points, normals, spacing[region] * (1 + _ROUNDING), Rejection.TOO_SPARSE)
+        if sigma.min() < np.inf:
+            _refuse(codes, self.scanner.sigma, points, normals, sigma[region], Rejection.TOO_UNCERTAIN)
+        return codes
+
+
+_ROUNDING = 1e-9  # of a length, as the built-in scanners allow it: a point on the limit counts
+
+
+def _refuse(
+    codes: NDArray[np.uint8], law: _Law, points: Floats, normals: Floats, limit: Floats, code: Rejection
+) -> None:
+    """Give a code to what passed so far and is above its (N,) limit by a law of the scanner."""
+    asked = np.flatnonzero((codes == Rejection.MEASURED) & (limit < np.inf))
+    if len(asked):
+        codes[asked[~(law(points[asked], normals[asked]) <= limit[asked])]] = code
 
 
 def sigma_layer(
@@ -112,7 +160,7 @@ def sigma_layer(
     if K > 1 and not casters:
         raise PlannerError(f"viewpoints of {K} poses need `casters`: M does not say which pose measured a feature")
     poses = flat_poses(viewpoints.T_object_scanner)
-    targets = Targets.of(features.points, features.normals)
+    targets = Targets.of(features.points, features.normals, features.region)
     columns = measurability.matrix().tocsc()
     columns.sort_indices()
     sigma = np.full(len(columns.indices), np.inf, dtype=np.float32)
@@ -181,7 +229,7 @@ def best_of_views(
         (S,) for each law, from the best of the views that measure the sample; NaN where none does.
     """
     best = [np.full(len(samples), np.inf) for _ in laws]
-    targets = Targets.of(samples.points, samples.normals)
+    targets = Targets.of(samples.points, samples.normals, samples.region)
     for view, column in enumerate(np.asarray(T_object_scanner)):
         rows = np.flatnonzero(seen[:, view])
         for T in column:

@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
-from planner.surface.sample import SurfaceSamples
+from planner.surface.sample import join_samples
 
 
 def add_rows(measurability: Measurability, more: Measurability) -> Measurability:
@@ -30,13 +30,7 @@ def add_rows(measurability: Measurability, more: Measurability) -> Measurability
     if (measurability.sigma is None) != (more.sigma is None):
         raise PlannerError("only one of the matrices has a layer of sigma; calculate it for both")
     own, new = measurability.features, more.features
-    features = SurfaceSamples(
-        np.concatenate([own.points, new.points]),
-        np.concatenate([own.normals, new.normals]),
-        np.concatenate([own.areas, new.areas]),
-        np.concatenate([own.face, new.face]),
-        np.concatenate([own.planning_face, new.planning_face]),
-    )
+    features = join_samples([own, new])
     faces = int(features.planning_face.max(initial=-1)) + 1
     before = np.bincount(own.planning_face, weights=own.areas, minlength=faces)
     number = np.bincount(features.planning_face, minlength=faces)

@@ -21,11 +21,14 @@ class TriangleMesh(Value):
     Attributes:
         vertices: (V, 3) [m], object frame.
         faces: (F, 3) int32 indices of vertices, F > 0.
+        region: (F,) int32 region of the part that each face belongs to, from 0; -1: nobody cares for it, it only stands
+            in the way. None: the part has no regions.
         diagonal: length of the bounding box's diagonal [m]; tolerances are shares of it.
     """
 
     vertices: Annotated[Floats, "V 3"]
     faces: Annotated[Ints32, "F 3"]
+    region: Annotated[Ints32, "F"] | None = None
     diagonal: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -39,6 +42,8 @@ class TriangleMesh(Value):
                 f"faces refers to vertices {self.faces.min()} to {self.faces.max()}; "
                 f"valid are 0 to {len(self.vertices) - 1}"
             )
+        if self.region is not None and not (self.region >= 0).any():
+            raise PlannerError("region is below 0 for every face; a part needs a face that somebody cares for")
         object.__setattr__(self, "diagonal", float(np.linalg.norm(np.ptp(self.vertices, axis=0))))
 
     @cached_property

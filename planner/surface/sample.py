@@ -3,16 +3,18 @@
 Coverage is a sum of the areas of samples of the *reference* mesh (Section 3.2). Object frame, metres.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.surface.closest import closest_face
 from planner.surface.mesh import TriangleMesh
-from planner.values import Bools, Floats, Ints, Ints32, Value
+from planner.values import Floats, Ints, Ints32, Value
 
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
 
@@ -27,6 +29,7 @@ class SurfaceSamples(Value):
         areas: (S,) area that each one stands for [m^2].
         face: (S,) int32 face of the reference mesh that it lies on (for a feature of the planning mesh: the closest).
         planning_face: (S,) int32 face of the planning mesh that it belongs to.
+        region: (S,) int32 region of the part that it lies in, from 0; None: the part has no regions.
     """
 
     points: Annotated[Floats, "S 3"]
@@ -34,6 +37,7 @@ class SurfaceSamples(Value):
     areas: Annotated[Floats, "S"]
     face: Annotated[Ints32, "S"]
     planning_face: Annotated[Ints32, "S"]
+    region: Annotated[Ints32, "S"] | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -44,7 +48,8 @@ def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.
 
     The faces are laid end to end by area along a space-filling (Morton) curve and the line is cut into `count` equal
     strata; each gives one sample at a random place. So a patch of the surface holds its share of the samples to within
-    a few, where independent samples scatter with the square root. A face without area holds none.
+    a few, where independent samples scatter with the square root. A face without area holds none, nor does one that
+    nobody cares for (`TriangleMesh.region`).
 
     Args:
         reference: the part, object frame.
@@ -60,8 +65,7 @@ def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.
     """
     if count < 1:
         raise PlannerError(f"count is {count}; at least 1 sample is needed")
-    areas = reference.areas
-    order, ends = _laid_end_to_end(reference)
+    order, areas, ends = _laid_end_to_end(reference)
     total = float(ends[-1])
     if not total > 0:
         raise PlannerError("the reference mesh has no area; every face of it is degenerate")
@@ -77,7 +81,8 @@ def sample(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.
     points = np.einsum("sc,scj->sj", weights, reference.vertices[reference.faces[face]])
     normals = reference.normals[face]
     planning_face = closest_face(points, normals, planning)
-    return SurfaceSamples(points, normals, np.full(count, total / count), face.astype(np.int32), planning_face)
+    region = None if reference.region is None else reference.region[face]
+    return SurfaceSamples(points, normals, np.full(count, total / count), face.astype(np.int32), planning_face, region)
 
 
 def face_features(reference: TriangleMesh, planning: TriangleMesh) -> SurfaceSamples:
@@ -96,10 +101,11 @@ def face_features(reference: TriangleMesh, planning: TriangleMesh) -> SurfaceSam
 
 
 @lru_cache(maxsize=1)  # of the part, whose surface is sampled several times in a plan
-def _laid_end_to_end(mesh: TriangleMesh) -> tuple[Ints, Floats]:
-    """(F,) the faces in the order of the curve, and (F,) the area up to the end of each [m^2]."""
+def _laid_end_to_end(mesh: TriangleMesh) -> tuple[Ints, Floats, Floats]:
+    """(F,) the faces in the order of the curve, (F,) the area of each face that counts, and up to its end [m^2]."""
+    areas = mesh.areas if mesh.region is None else np.where(mesh.region >= 0, mesh.areas, 0.0)
     order = _morton_order(mesh.centres)
-    return order, np.cumsum(mesh.areas[order])
+    return order, areas, np.cumsum(areas[order])
 
 
 def _morton_order(points: Floats) -> Ints:
@@ -113,12 +119,26 @@ def _morton_order(points: Floats) -> Ints:
     return np.argsort(code, kind="stable")
 
 
-def pick_samples(samples: SurfaceSamples, which: Bools) -> SurfaceSamples:
-    """Some of the samples: (S,) bool; each stands for the area that it did."""
+def pick_samples(samples: SurfaceSamples, which: NDArray[Any]) -> SurfaceSamples:
+    """Some of the samples: (S,) bool, or their indices; each stands for the area that it did."""
     return SurfaceSamples(
         samples.points[which],
         samples.normals[which],
         samples.areas[which],
         samples.face[which],
         samples.planning_face[which],
+        None if samples.region is None else samples.region[which],
+    )
+
+
+def join_samples(samples: Sequence[SurfaceSamples]) -> SurfaceSamples:
+    """Samples of the same two meshes one after the other, each with the area that it stands for."""
+    regions = [each.region for each in samples if each.region is not None]
+    return SurfaceSamples(
+        np.concatenate([each.points for each in samples]),
+        np.concatenate([each.normals for each in samples]),
+        np.concatenate([each.areas for each in samples]),
+        np.concatenate([each.face for each in samples]),
+        np.concatenate([each.planning_face for each in samples]),
+        np.concatenate(regions) if regions else None,
     )

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.ports import RayCaster, Rejection, Scanner
-from planner.values import Bools, Floats, Ints, readonly
+from planner.values import Bools, Floats, Ints, Ints32, readonly
 
 LIFT = 1e-6
 """How far legs end above their point along its normal, as a share of the points' bounding-box diagonal.
@@ -37,19 +38,22 @@ class Targets:
         points: (3, S) [m], object frame, coordinates as rows.
         normals: (3, S) outward unit normals, object frame.
         lifted: (S, 3) where legs end [m], object frame: `LIFT` above the points.
+        region: (S,) region of the part that each lies in; None: the part has no regions.
     """
 
     points: Floats
     normals: Floats
     lifted: Floats
+    region: Ints32 | None = None
 
     @classmethod
-    def of(cls, points: Floats, normals: Floats) -> "Targets":
-        """Prepare (S, 3) points [m] and (S, 3) unit normals, object frame."""
+    def of(cls, points: Floats, normals: Floats, region: Ints32 | None = None) -> "Targets":
+        """Prepare (S, 3) points [m] and (S, 3) unit normals, object frame, with the (S,) region of each."""
         return cls(
             readonly("points", np.transpose(points), (3, None)),
             readonly("normals", np.transpose(normals), (3, None)),
             readonly("lifted", lift(points, normals), (None, 3)),
+            region,
         )
 
     def __len__(self) -> int:
@@ -117,10 +121,32 @@ def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Ints | None = N
             into_scanner @ (all_[:, start:stop] if asked is None else np.take(all_, asked, axis=1))
             for all_ in (targets.points, targets.normals)
         )
-        codes = scanner.reject((points - origin).T, normals.T)
+        codes = rejections(targets, slice(start, stop) if asked is None else asked, scanner, points - origin, normals)
         found = np.flatnonzero(codes == Rejection.MEASURED)
         passed.append(found + start if asked is None else asked[found])
     return np.concatenate(passed) if passed else np.empty(0, dtype=np.int64)
+
+
+def rejections(
+    targets: Targets, rows: Ints | slice, scanner: Scanner, points: Floats, normals: Floats
+) -> NDArray[np.uint8]:
+    """What the scanner says of points: its conditions, and those of the region of each, where both have such.
+
+    Args:
+        targets: S surface points.
+        rows: which of them are asked about, n.
+        scanner: the sensor's law.
+        points: (3, n) as the scanner sees them [m], scanner frame.
+        normals: (3, n) unit, scanner frame.
+
+    Returns:
+        (n,) `Rejection` values.
+    """
+    by_region = None if targets.region is None else getattr(scanner, "reject_in", None)
+    if by_region is None or targets.region is None:
+        return scanner.reject(points.T, normals.T)
+    codes: NDArray[np.uint8] = by_region(points.T, normals.T, targets.region[rows])
+    return codes
 
 
 def legs_free(

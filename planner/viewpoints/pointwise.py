@@ -26,7 +26,7 @@ import numpy as np
 
 from planner.ports import RayCaster, Rejection, Scanner
 from planner.values import Bools, Floats, Ints, Value
-from planner.viewpoints.lines_of_sight import Targets, legs_free
+from planner.viewpoints.lines_of_sight import Targets, legs_free, rejections
 from planner.viewpoints.viewpoints import rotations
 
 _ROOT = 1.1127756842787055  # of g^7 = g + 1
@@ -185,7 +185,7 @@ def _accepted(T: Floats, row: Ints, targets: Targets, scanner: Scanner) -> Bools
     R = T[:, :3, :3]
     place = np.einsum("nij,ni->nj", R, targets.points[:, row].T - T[:, :3, 3])
     normals = np.einsum("nij,ni->nj", R, targets.normals[:, row].T)
-    return np.asarray(scanner.reject(place, normals) == Rejection.MEASURED)
+    return np.asarray(rejections(targets, row, scanner, place.T, normals.T) == Rejection.MEASURED)
 
 
 def _facing(scanner: Scanner, places: Floats) -> Bools:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.ports import Progress, RayCaster, Rejection, Scanner
 from planner.values import Floats, Ints, Value, readonly
-from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses
+from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, rejections
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why.reasons import Reason
 
@@ -138,7 +138,8 @@ class _Search:
         into = T[:3, :3].T
         points = into @ self._points - (into @ T[:3, 3])[:, None]
         normals = into @ self._normals
-        reason = _REASON_OF_CODE[self.scanner.reject(points.T, normals.T)]
+        codes = rejections(self.targets, self.rows[self.active], self.scanner, points, normals)
+        reason = _REASON_OF_CODE[codes]
         passing = np.flatnonzero(reason == _PASSES)
         if len(passing):
             here = self.active[passing]

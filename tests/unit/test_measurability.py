@@ -8,7 +8,7 @@ from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability, fill, measured, occlude
 from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, face_features, sample
+from planner.surface.sample import SurfaceSamples, face_features, pick_samples, sample
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.viewpoints.zone import optimal_scanning_zone
 
@@ -63,7 +63,7 @@ def test_faces_map_to_rows_and_minus_one_to_none(cube):
     rows = np.repeat(np.arange(6), 2)
     rows[rows == 3] = -1
     features = face_features(mesh, mesh)
-    picked = SurfaceSamples(*(getattr(features, name)[::2] for name in SurfaceSamples.__dataclass_fields__))
+    picked = pick_samples(features, np.arange(0, len(features), 2))
     result = fill(views, picked, SCANNER, caster, method="rays", part=mesh, row_of_face=rows)
     assert np.diff(result.indptr).tolist() == [4, 4, 4, 0, 4, 4]
 

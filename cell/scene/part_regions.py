@@ -1,0 +1,139 @@
+"""The regions of a scene on its part: which region each triangle of the reference belongs to.
+
+A box cuts the triangles that its sides cross, and paint on another mesh splits large ones, so that a triangle belongs
+to one region as a whole. The surface stays what it was. Object frame, metres.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cell.errors import SceneError
+from cell.part import painted
+from cell.part.cad import CadModel
+from cell.part.formats import units_of
+from cell.part.workpiece import UNITS, Workpiece
+from cell.scene.regions import Region, complete
+from cell.scene.scene import Scene
+from planner.surface.closest import closest_face
+from planner.surface.cut import cut, faces_within
+from planner.surface.mesh import TriangleMesh
+from planner.surface.remesh import split_long_edges
+from planner.values import Bools, Ints
+
+_FINE = 0.01  # of the diagonal: edges of triangles that another mesh's paint falls on
+_SPLITS = 12  # halvings: of a side as long as the diagonal they leave less than that
+
+
+def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
+    """The part with the region of each of its triangles; itself where the scene has none, or it has them already.
+
+    Raises:
+        SceneError: if a region selects nothing, or by what the part has not.
+        FileError: if a painted mesh cannot be read.
+    """
+    if not scene.region or part.reference.region is not None:
+        return part
+    regions = complete(scene.region)
+    part = _cut(part, regions)
+    number = np.full(len(part.reference.faces), len(regions), dtype=np.int32)
+    free = np.ones(len(number), dtype=np.bool_)
+    for k, region in enumerate(regions):
+        own = free & (_selected(region, part, scene) if region.selects else True)
+        if not own.any() and region in scene.region:
+            raise SceneError(_nothing(region, part, free))
+        number[own] = k if region.cared else -1
+        free &= ~own
+    if not (number >= 0).any():
+        raise SceneError("the regions care for nothing of the part; leave out care = 'no' where something is measured")
+    return replace(part, reference=replace(part.reference, region=number))
+
+
+def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
+    """The part with triangles that no side of a box crosses, and small ones where another mesh is painted."""
+    mesh, parent = part.reference, np.arange(len(part.reference.faces))
+    for box in (region.box_mm for region in regions if region.box_mm is not None):
+        for k, at in enumerate(box):
+            mesh, own = cut(mesh, k % 3, at / 1000)
+            parent = parent[own]
+    if any(region.painted is not None for region in regions):
+        mesh, own = _fine(mesh)
+        parent = parent[own]
+    cad = part.cad and replace(part.cad, of_triangle=part.cad.of_triangle[parent])
+    return replace(part, reference=mesh, cad=cad)
+
+
+def _fine(mesh: TriangleMesh) -> tuple[TriangleMesh, Ints]:
+    """The mesh with short edges, and the triangle that each of its triangles is a piece of."""
+    vertices, faces = mesh.vertices, mesh.faces
+    for _ in range(_SPLITS * 2):
+        before = len(faces)
+        vertices, faces = split_long_edges(vertices, faces, _FINE * mesh.diagonal)
+        if len(faces) == before:
+            break
+    fine = TriangleMesh(vertices, faces)
+    return fine, closest_face(fine.centres, fine.normals, mesh).astype(np.int64)
+
+
+def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
+    """(F,) triangles that a region selects: all that it selects by holds."""
+    mesh = part.reference
+    found = np.ones(len(mesh.faces), dtype=np.bool_)
+    if any(key is not None for key in (region.faces, region.kind, region.diameter_above_mm, region.diameter_below_mm)):
+        if part.cad is None:
+            raise SceneError(
+                f"the region '{region.name}' selects CAD faces, and {part.name} is a mesh, which has none; give the "
+                "part as STEP, or select by a box or a colour"
+            )
+        found &= _by_face(region, part.cad)[part.cad.of_triangle]
+    if region.box_mm is not None:
+        low, high = np.array(region.box_mm).reshape(2, 3) / 1000
+        within = np.zeros(len(found), dtype=np.bool_)
+        within[faces_within(mesh, low, high)] = True
+        found &= within
+    if region.colour is not None:
+        found &= _by_colour(region, region.colour, mesh, scene)
+    return found
+
+
+def _by_face(region: Region, cad: CadModel) -> Bools:
+    """(N,) CAD faces by number, kind and diameter."""
+    found = np.ones(len(cad.faces), dtype=np.bool_)
+    if region.faces is not None:
+        numbers = [face.number for face in cad.faces]
+        if missing := [number for number in region.faces if number not in numbers]:
+            raise SceneError(
+                f"the region '{region.name}' names face {missing[0]}, which the part has not; cell part lists "
+                f"{numbers[0]} to {numbers[-1]}"
+            )
+        found &= np.isin(numbers, region.faces)
+    if region.kind is not None:
+        found &= np.array([face.kind == region.kind for face in cad.faces])
+    diameter = np.array([np.nan if face.radius is None else 2000 * face.radius for face in cad.faces])
+    if region.diameter_below_mm is not None:
+        found &= diameter < region.diameter_below_mm
+    if region.diameter_above_mm is not None:
+        found &= diameter > region.diameter_above_mm
+    return np.asarray(found)
+
+
+def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) -> Bools:
+    """(F,) triangles whose middle has a colour on the painted mesh: the part's own file where no other is named."""
+    source = region.painted or scene.part.path
+    if source is None:
+        raise SceneError(
+            f"the region '{region.name}' selects by colour, and the built-in part has none; give region.painted, a "
+            "coloured mesh of it"
+        )
+    units = scene.part.units if region.painted is None else region.painted_units or units_of(source)
+    assert units is not None, "the scene asks for it"
+    canvas, colours = painted.read(Path(source), UNITS[units])
+    return painted.close(colours, colour)[closest_face(mesh.centres, mesh.normals, canvas)]
+
+
+def _nothing(region: Region, part: Workpiece, free: Bools) -> str:
+    """Why a region has no triangle."""
+    why = "all that it selects belongs to regions before it" if not free.all() else "nothing of the part is that"
+    bounds = ", ".join(f"{value:g}" for value in (1000 * part.bounds).round(3).ravel() + 0.0)
+    return f"the region '{region.name}' is empty: {why}; the part reaches from {bounds} mm (lowest, highest corner)"

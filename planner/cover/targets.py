@@ -1,0 +1,177 @@
+"""Several area targets at once, one for each part of the rows, answered by problems with one target.
+
+Parts may each be left open by so much: open_g <= slack_g for every part g. For any weights u_g >= 0 that sum to 1 the
+**surrogate** constraint (Greenberg and Pierskalla, "Surrogate mathematical programming", Operations Research 18 (1970),
+doi:10.1287/opre.18.5.924)
+
+    sum_g u_g open_g / slack_g <= 1
+
+follows from all of them, so a bound for it is one for all; and it is one area target with weighted rows, which `solve`
+answers. A choice that meets it and happens to meet every target is an answer, proven where the surrogate's was.
+Otherwise parts that are left open by too much gain weight, and after a few rounds the right side goes down: at the
+smallest u_g it implies every target. A part that must not be left open at all needs no weight of its own: its rows
+count more than everything that may stay open. One such problem is then exact where at most one part has slack.
+
+Rows may also count by weights of the caller's in place of their areas; what is told is in areas again.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from planner.cover.answer import Cover, CoverStatus
+from planner.cover.problem import Problem
+from planner.errors import PlannerError
+from planner.values import Bools, Floats, Ints
+
+Ask = Callable[[Problem, float], Cover]
+"""Answers a problem with one target, with a share of the work that there is."""
+
+_ROUNDS = 5  # in which parts gain weight; few instances change after three
+_TIGHTER = (0.75, 0.5, 0.25)  # of the way from 1 to the right side that implies every target
+_SHARE = 0.25  # of the work, for each
+_SLACK = 1e-9  # relative, when a target counts as met
+
+
+def solve_parts(problem: Problem, ask: Ask) -> Cover:
+    """Answer a problem with targets for parts, or with weights.
+
+    Args:
+        problem: with `part_coverage` or `weights`.
+        ask: answers one with one target.
+
+    Raises:
+        PlannerError: if the parts do not fit the rows or their targets, or a weight is no finite number above 0.
+    """
+    parts = _Parts(problem)
+    if not len(parts.coverage):
+        found = ask(replace(problem, areas=parts.worth, weights=None), 1.0)
+        return found if problem.max_views is not None else parts.told(found, found.views)
+    if problem.max_views is not None:
+        raise PlannerError("max_views asks for the most area: it goes without targets for parts")
+    loose = parts.slack > 0
+    u = loose / max(int(loose.sum()), 1)
+    if loose.sum() <= 1:
+        found = ask(parts.surrogate(u, 1.0), 1.0)
+        return parts.told(found, found.views)
+    bounds: list[Cover] = []
+    for _ in range(_ROUNDS):
+        bounds.append(ask(parts.surrogate(u, 1.0), _SHARE))
+        ratio = parts.open(bounds[-1].views)[loose] / parts.slack[loose]
+        if parts.met(bounds[-1].views):
+            return _with_bounds(parts, bounds[-1], bounds)
+        u[loose] *= np.maximum(ratio, 0.1)
+        u /= u.sum()
+    least = float(u[loose].min())
+    for share in (*_TIGHTER, 0.0):
+        found = ask(parts.surrogate(u, least + share * (1 - least)), _SHARE)
+        if parts.met(found.views):
+            break
+    return _with_bounds(parts, found, bounds)
+
+
+class _Parts:
+    """The rows of a problem by their parts."""
+
+    def __init__(self, problem: Problem) -> None:
+        matrix: Any = problem.matrix if sp.issparse(problem.matrix) else np.asarray(problem.matrix)
+        self.problem, self.columns = problem, sp.csc_array(matrix).astype(np.int64)
+        rows = self.columns.shape[0]
+        self.areas = np.array(problem.areas, dtype=np.float64)
+        given = problem.areas if problem.weights is None else problem.weights
+        self.worth: Floats = np.array(given, dtype=np.float64)
+        self.coverage = np.array(problem.part_coverage, dtype=np.float64)
+        self.part: Ints = np.zeros(rows, dtype=np.int64) if problem.part is None else np.array(problem.part, np.int64)
+        if self.worth.shape != (rows,) or not (np.isfinite(self.worth) & (self.worth >= 0)).all():
+            raise PlannerError(f"weights must be {rows} finite numbers, zero or above, one for each row")
+        count = max(len(self.coverage), 1)
+        if self.part.shape != (rows,) or (rows and not 0 <= self.part.min() <= self.part.max() < count):
+            raise PlannerError(f"part must give each of {rows} rows a part from 0 to {count - 1}")
+        if not ((self.coverage >= 0) & (self.coverage <= 1)).all():
+            raise PlannerError("each of part_coverage is a share of what is coverable and must be from 0 to 1")
+        usable = np.ones(self.columns.shape[1], dtype=bool) if problem.allowed is None else np.array(problem.allowed)
+        usable[list(problem.banned)] = False
+        available = self.columns @ usable.astype(np.int64)
+        self.coverable: Bools = available > 0
+        self.demand = np.minimum(available, problem.demand)
+        whole = np.bincount(self.part, weights=self.worth * self.coverable, minlength=count)
+        self.slack = (1 - self.coverage) * whole[: len(self.coverage)]
+
+    def satisfied(self, views: Ints) -> Bools:
+        """(S,) coverable rows that have what they demand."""
+        loads = np.asarray(self.columns[:, views].sum(axis=1)).ravel()
+        return self.coverable & (loads >= self.demand)
+
+    def open(self, views: Ints) -> Floats:
+        """(G,) worth that is left open in each part."""
+        left = self.worth * (self.coverable & ~self.satisfied(views))
+        return np.bincount(self.part, weights=left, minlength=len(self.slack)).astype(np.float64)
+
+    def met(self, views: Ints) -> bool:
+        """Whether every target is met."""
+        whole = float((self.worth * self.coverable).sum())
+        left = self.coverable & ~self.satisfied(views)
+        strict = (self.slack == 0)[self.part]
+        return bool((self.open(views) <= self.slack + _SLACK * whole).all() and not (left & strict).any())
+
+    def surrogate(self, u: Floats, most: float) -> Problem:
+        """The problem with one target: sum_g u_g open_g / slack_g <= most, and nothing open where there is no slack."""
+        scale = np.divide(u, self.slack, out=np.zeros(len(u)), where=self.slack > 0)
+        weight = np.where((self.slack > 0)[self.part], scale[self.part] * self.worth, 2.0)
+        whole = float(weight[self.coverable].sum())
+        coverage = max(1.0 - most / whole, 0.0) if whole > 0 and (self.slack > 0).any() else 1.0
+        return replace(self.problem, areas=weight, coverage=coverage, weights=None, part=None, part_coverage=())
+
+    def told(self, found: Cover, views: Ints) -> Cover:
+        """The answer in areas, the view that satisfies the largest area first."""
+        order: list[int] = []
+        added: list[float] = []
+        have = np.zeros(len(self.areas), dtype=np.int64)
+        left = views.tolist()
+        while left:
+            gains = []
+            for view in left:
+                rows = slice(self.columns.indptr[view], self.columns.indptr[view + 1])
+                at, load = self.columns.indices[rows], self.columns.data[rows]
+                now = (have[at] < self.demand[at]) & (have[at] + load >= self.demand[at])
+                gains.append(float(self.areas[at][now].sum()))
+            best = int(np.argmax(gains))
+            view = left.pop(best)
+            rows = slice(self.columns.indptr[view], self.columns.indptr[view + 1])
+            have[self.columns.indices[rows]] += self.columns.data[rows]
+            order.append(view)
+            added.append(gains[best])
+        coverable = float(self.areas[self.coverable].sum())
+        return replace(
+            found,
+            views=np.array(order, dtype=np.int64),
+            marginal_area=np.array(added),
+            covered_area=float(self.areas[self.satisfied(views)].sum()),
+            coverable_area=coverable,
+            total_area=float(self.areas.sum()),
+            upper_area=coverable,
+        )
+
+
+def _with_bounds(parts: _Parts, found: Cover, bounds: list[Cover]) -> Cover:
+    """An answer to all targets without views that none of them needs, with the best of the surrogates' bounds."""
+    views = found.views
+    for view in reversed(views.tolist()):
+        rest = views[views != view]
+        if view not in found.pinned and parts.met(rest):
+            views = rest
+    told = parts.told(found, views)
+    least = min(max(each.lower_bound for each in bounds), len(views))
+    price = None
+    if found.price is not None:
+        costs = np.asarray(parts.problem.costs, dtype=np.float64)
+        paid = float(costs[views].sum())
+        price = (paid, min(max(each.cost_bound for each in bounds), paid))
+    proven = least == len(views) if price is None else price[1] >= price[0] * (1 - 1e-9)
+    ended = [each.status for each in bounds if each.status in (CoverStatus.INTERRUPTED, CoverStatus.TIME_LIMITED)]
+    status = CoverStatus.PROVEN if proven else ended[0] if ended else CoverStatus.BOUNDED
+    work = sum(each.work for each in bounds)
+    return replace(told, lower_bound=least, price=price, status=status, work=work)

@@ -1,0 +1,107 @@
+"""Several area targets, demands and weights: against enumeration of every choice of few columns."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planner import cover
+from planner.cover import CoverStatus, Problem
+from planner.errors import PlannerError
+
+
+def drawn(seed: int, rows: int = 14, columns: int = 8) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+    """A random matrix, areas, and the generator."""
+    rng = np.random.default_rng(seed)
+    return rng.random((rows, columns)) < 0.35, rng.uniform(0.5, 2.0, rows), rng
+
+
+def meets(problem: Problem, views: tuple[int, ...]) -> bool:
+    """Whether a choice has, of every part, the share of its coverable worth."""
+    matrix, part = np.asarray(problem.matrix, dtype=int), np.asarray(problem.part)
+    worth = np.asarray(problem.areas if problem.weights is None else problem.weights)
+    available = matrix.sum(axis=1)
+    enough = (matrix[:, list(views)].sum(axis=1) >= np.minimum(problem.demand, available)) & (available > 0)
+    return all(
+        worth[enough & (part == g)].sum() >= share * worth[(available > 0) & (part == g)].sum() - 1e-9
+        for g, share in enumerate(problem.part_coverage)
+    )
+
+
+def fewest(problem: Problem) -> int:
+    """By enumeration."""
+    columns = np.shape(problem.matrix)[1]
+    return next(
+        n for n in range(columns + 1) if any(meets(problem, some) for some in itertools.combinations(range(columns), n))
+    )
+
+
+@given(st.integers(0, 10**6))
+def test_every_target_is_met_and_the_bound_holds(seed: int) -> None:
+    """Three parts of different shares, demands by row: no fewer views would do than the bound says."""
+    matrix, areas, rng = drawn(seed)
+    problem = Problem(
+        matrix, areas, demand=rng.integers(1, 3, len(areas)), part=rng.integers(0, 3, len(areas)),
+        part_coverage=(0.9, float(rng.choice([0.5, 0.7])), float(rng.choice([0.3, 1.0]))),
+    )  # fmt: skip
+    found = cover.solve(problem, rng=np.random.default_rng(0))
+    assert meets(problem, tuple(found.views.tolist()))
+    optimum = fewest(problem)
+    assert found.lower_bound <= optimum <= len(found.views) <= optimum + 1
+    if found.status is CoverStatus.PROVEN:
+        assert len(found.views) == optimum
+    assert found.marginal_area.sum() == pytest.approx(found.covered_area)
+
+
+@given(st.integers(0, 10**6))
+def test_one_part_with_slack_beside_full_ones_is_exact(seed: int) -> None:
+    """Parts that must be whole are, at the fewest views, proven."""
+    matrix, areas, rng = drawn(seed)
+    problem = Problem(matrix, areas, part=rng.integers(0, 3, len(areas)), part_coverage=(1.0, 0.6, 1.0))
+    found = cover.solve(problem, rng=np.random.default_rng(0))
+    assert meets(problem, tuple(found.views.tolist()))
+    assert found.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE)
+    assert len(found.views) == fewest(problem)
+
+
+@given(st.integers(0, 10**6))
+def test_weights_decide_and_areas_are_told(seed: int) -> None:
+    """A share of the weight is met with the fewest views; the answer's areas are the rows' own."""
+    matrix, areas, rng = drawn(seed)
+    weights = areas * rng.choice([0.1, 1.0, 10.0], len(areas))
+    problem = Problem(matrix, areas, coverage=0.8, weights=weights)
+    found = cover.solve(problem, rng=np.random.default_rng(0))
+    same = Problem(matrix, areas, weights=weights, part=np.zeros(len(areas), int), part_coverage=(0.8,))
+    assert meets(same, tuple(found.views.tolist()))
+    assert len(found.views) == fewest(same)
+    assert found.total_area == pytest.approx(areas.sum())
+    assert found.coverable_area == pytest.approx(areas[matrix.any(axis=1)].sum())
+
+
+def test_demands_of_rows_are_those_of_all_where_they_are_equal() -> None:
+    """An array of one number is that number."""
+    matrix, areas, _ = drawn(3)
+    one = cover.solve(Problem(matrix, areas, demand=2), rng=np.random.default_rng(0))
+    other = cover.solve(Problem(matrix, areas, demand=np.full(len(areas), 2)), rng=np.random.default_rng(0))
+    assert (one.views == other.views).all()
+    assert one.demand == other.demand == 2
+
+
+@pytest.mark.parametrize(
+    ("wishes", "said"),
+    [
+        ({"demand": np.ones(3, dtype=int)}, "shape"),
+        ({"demand": np.zeros(14, dtype=int)}, "at least once"),
+        ({"part": np.full(14, 2), "part_coverage": (0.5, 0.5)}, "from 0 to 1"),
+        ({"part": np.zeros(14, int), "part_coverage": (1.5,)}, "from 0 to 1"),
+        ({"weights": -np.ones(14)}, "finite numbers"),
+        ({"part": np.zeros(14, int), "part_coverage": (0.5,), "max_views": 2}, "most area"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(wishes: dict, said: str) -> None:
+    """One sentence each."""
+    matrix, areas, _ = drawn(0)
+    with pytest.raises(PlannerError, match=said):
+        cover.solve(Problem(matrix, areas, **wishes), rng=np.random.default_rng(0))
