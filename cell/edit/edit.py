@@ -249,12 +249,12 @@ def _bounded(
     target = said.coverage.target_on_features or 1.0
     holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
     holds &= not set(edited.dropped) & set(reader.scene(before.run.record).plan.pinned)
-    holds &= said.most_coverage is None
+    holds &= said.most_coverage is None and problem.request.goals is None
     bound = min(said.lower_bound, len(cover.views)) if holds else 1
     proven = bound == len(cover.views)
     status = CoverStatus.PROVEN if proven else CoverStatus.BOUNDED
     cover = replace(cover, lower_bound=bound, status=status, solver="edited", coverable_area=coverable)
-    return holds, replace(chosen, cover=cover, selected=replace(chosen.selected, target=target))
+    return holds, replace(chosen, cover=cover, selected=replace(chosen.selected, targets=np.array([target])))
 
 
 def _below(narrator: Narrator, report: Report) -> bool:

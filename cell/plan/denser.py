@@ -58,9 +58,7 @@ def chosen_where_kept(
 
 def _adds(problem: Problem) -> bool:
     """Whether more samples help: a plain coverage below 1 is asked for, of samples."""
-    plan = problem.request.plan
-    plain = plan.max_views is None and plan.multiplicity == 1 and problem.request.layer is None
-    return plain and plan.coverage < 1 and plan.fill == "aimed"
+    return problem.request.promises and problem.request.plan.fill == "aimed"
 
 
 def with_samples(

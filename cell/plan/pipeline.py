@@ -29,6 +29,7 @@ from cell.run.folder import RunFolder
 from cell.run.report_json import Report
 from cell.scene import devices, doubts
 from cell.scene.part_regions import with_regions
+from cell.scene.region_limits import require_attainable
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
 from planner.surface.mesh import TriangleMesh
@@ -82,6 +83,7 @@ def plan(
             folder.named(plan_files.named_files(scene, scene_path))
             scanner = scanners.make(scene.scanner.type, settings.scanner)
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
+            require_attainable(scene, scanner)
             exit_code = (steps_of or _steps)(run, Job(scene, part, settings, scanner))
             folder.seal()
         return folder.finish(exit_code)
@@ -169,6 +171,13 @@ def _below(narrator: Narrator, report: Report) -> bool:
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
             f"for: {why}"
         )
+    for region in report.regions or ():
+        if region.asked < 1 and region.visible_of_coverable < region.asked and region.views == 1 and not missed:
+            missed = True
+            narrator.note(
+                f"the region '{region.name}' is measured to {100 * region.visible_of_coverable:.2f} % of what can be "
+                f"measured of it, less than the {100 * region.asked:g} % asked for; see cell why"
+            )
     if coverage.visible < settings.required_visible:
         narrator.note(
             f"the plan measures {100 * coverage.visible:.2f} % of the surface, less than the "

@@ -3,7 +3,7 @@
 import html
 from collections.abc import Iterable
 
-from cell.plan import request_report
+from cell.plan import region_report, request_report
 from cell.plan.attainable import sentence
 from cell.plan.clearances import tightest_sentence
 from cell.run.report_json import Report, ReportMotion, ReportSettings
@@ -40,7 +40,8 @@ def markdown(report: Report) -> str:
     if report.dropped:
         lines += ["", "Dropped, and the cover solved again without them:", ""]
         lines += [f"- candidate {view.id}: {view.reason}" for view in report.dropped]
-    lines += ["", "![Coverage over number of views](cover.png)", "", *request_report.page(report), "## Motion", ""]
+    lines += ["", "![Coverage over number of views](cover.png)", "", *region_report.page(report)]
+    lines += [*request_report.page(report), "## Motion", ""]
     if report.clearance and (tightest := tightest_sentence(report.clearance)):
         lines += [f"Tightest moment: {tightest}; the part is {_PART[report.clearance.collision]}.", ""]
     lines += [
@@ -79,6 +80,7 @@ def table(report: Report) -> list[tuple[str, str]]:
         ),
         *_lost(report),
         *spacing_row(report),
+        *region_report.rows(report),
         *request_report.rows(report),
         ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.verdicts)),
     ]

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cell.errors import SceneError
+from cell.plan.region_goals import RegionGoals
 from cell.rays.prediction import Prediction
 from cell.scene.plan_settings import PlanSettings
 from planner import cover
@@ -54,6 +55,7 @@ class Request:
         plan: the scene's table, which names and explains them.
         costs: (V,) seconds that each view is priced at; None where the number of views counts.
         layer: probabilities of the matrix' entries; None where poses count as exact.
+        goals: what regions of the part ask for; None where it has none.
         order: candidates in the order in which they are visited, others where they cost least; None: in any order.
         known: gives the motion through (n,) candidates at their (m, 6) joint solutions [rad] where one is known.
     """
@@ -61,6 +63,7 @@ class Request:
     plan: PlanSettings = field(default_factory=PlanSettings)
     costs: Floats | None = None
     layer: ProbabilityLayer | None = None
+    goals: RegionGoals | None = None
     order: tuple[int, ...] | None = None
     known: Callable[[Ints, Sequence[Floats]], Tour | None] | None = None
 
@@ -75,7 +78,19 @@ class Request:
     def exchangeable(self) -> bool:
         """Whether a view may be exchanged for others that measure the same: no wish hangs on it itself."""
         plain = self.plan.max_views is None and self.plan.multiplicity == 1
+        plain = plain and (self.goals is None or self.goals.plain)
         return plain and self.overlap is None and self.layer is None and self.order is None
+
+    @property
+    def asked(self) -> Floats:
+        """(P,) share of what is coverable that is asked of each part of the samples."""
+        return np.array([self.plan.coverage]) if self.goals is None else self.goals.coverage
+
+    @property
+    def promises(self) -> bool:
+        """Whether a coverage is kept on held-out samples: one below 1, once for each sample."""
+        plain = self.plan.max_views is None and self.plan.multiplicity == 1 and self.layer is None
+        return plain and bool((self.asked < 1).any())
 
     @property
     def standing(self) -> float:
@@ -89,7 +104,7 @@ class Selected:
 
     Attributes:
         cover: the views.
-        target: share of the coverable samples of the matrix that was asked for.
+        targets: (P,) share of the coverable samples of the matrix that was asked for, of each part.
         sentence: the status in words with its numbers.
         answer: what is known beyond the cover, which for most requests says all; else None.
         cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
@@ -98,11 +113,16 @@ class Selected:
     """
 
     cover: Cover
-    target: float
+    targets: Floats
     sentence: str
     answer: Connection | RobustCover | None = None
     cost_bound: float = 0.0
     short: float = 0.0
+
+    @property
+    def target(self) -> float:
+        """Of the first part, which is all but where regions differ."""
+        return float(self.targets[0])
 
     @property
     def note(self) -> str:
@@ -149,25 +169,30 @@ def select(
         demand=plan.multiplicity, costs=request.costs, pinned=plan.pinned, banned=(*banned, *plan.banned),
         overlap=request.overlap,
     )  # fmt: skip
+    if request.goals is not None:
+        wish = request.goals.applied(wish, M.features)
     if plan.max_views is not None:
         most = cover.solve(wish, rng=rng, budget=_MOST_WORK)
-        return Selected(most, 1.0, most.sentence)
+        return Selected(most, np.ones(1), most.sentence)
     if request.layer is not None:
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
-        return Selected(robust.cover, plan.coverage, robust.sentence, robust)
-    if plan.coverage >= 1 or plan.multiplicity > 1:  # of the matrix' samples that is all that it can be asked
-        return _cover(request, wish, rng, cover.DEFAULT_WORK)
+        return Selected(robust.cover, request.asked, robust.sentence, robust)
+    if not request.promises:  # of the matrix' samples that is all that it can be asked
+        return _cover(request, wish, request.asked, rng, cover.DEFAULT_WORK)
 
-    def short(selected: Selected) -> float:
-        return plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
+    def short(selected: Selected) -> Floats:
+        poses = candidates.T_object_scanner[selected.cover.views]
+        if request.goals is None:
+            return request.asked - prediction.share_of_coverable(poses)
+        return np.where(request.asked < 1, request.asked - request.goals.shares(prediction, poses), 0.0)
 
     brief = request.costs is None and request.overlap is None and plan.solver == "auto"
     work = _LOOK_WORK if brief else cover.DEFAULT_WORK
     found = looked or _raised(request, wish, rng, work, short, most=RAISED if look else 1.0)
     if look or not brief or found.cover.status is CoverStatus.PROVEN:
         return found
-    thorough = _cover(request, replace(wish, coverage=found.target), rng, _LAST_WORK)
-    if len(thorough.cover.views) < len(found.cover.views) and short(thorough) <= found.short:
+    thorough = _cover(request, wish, found.targets, rng, _LAST_WORK)
+    if len(thorough.cover.views) < len(found.cover.views) and short(thorough).max() <= found.short:
         return replace(thorough, short=found.short)
     return _with_bound(found, thorough.cover.lower_bound)
 
@@ -177,34 +202,37 @@ def _raised(
     wish: Problem,
     rng: np.random.Generator,
     work: int,
-    short: Callable[[Selected], float],
+    short: Callable[[Selected], Floats],
     most: float,
 ) -> Selected:
-    """The first cover that keeps the promise, its target raised where it has to be.
+    """The first cover that keeps the promise, the targets of its parts raised where they have to be.
 
-    Where it would have to be raised by more than `most`, the cover that does not keep the promise.
+    Where one would have to be raised by more than `most`, the cover that does not keep the promise.
     """
-    target, raises, least = request.plan.coverage, 0, 0.0
+    targets, raises, least = request.asked, 0, 0.0
     while True:
-        found = _cover(request, replace(wish, coverage=target), rng, work)
+        found = _cover(request, wish, targets, rng, work)
         least = least if raises else found.cost_bound
         lacks = short(found)
-        found = replace(found, cost_bound=least, short=max(lacks, 0.0))
+        found = replace(found, cost_bound=least, short=max(float(lacks.max()), 0.0))
         raises += 1
-        more = 1.0 if raises == _RAISES else min(1.0, target + lacks + _STEP)
-        if lacks <= 0 or target >= 1 or more > request.plan.coverage + most:
+        more = np.ones(len(targets)) if raises == _RAISES else np.minimum(1.0, targets + lacks + _STEP)
+        more = np.where(lacks > 0, more, targets)
+        if (more <= targets).all() or (more > request.asked + most).any():
             return found
-        target = more
+        targets = more
 
 
-def _cover(request: Request, wish: Problem, rng: np.random.Generator, work: int) -> Selected:
-    """The fewest or cheapest views for a target, which hang together where that is asked."""
+def _cover(request: Request, wish: Problem, targets: Floats, rng: np.random.Generator, work: int) -> Selected:
+    """The fewest or cheapest views for the targets of all parts, which hang together where that is asked."""
+    one = len(targets) == 1
+    wish = replace(wish, coverage=float(targets[0]), part_coverage=() if one else tuple(targets.tolist()))
     if request.overlap is not None:
         joined = cover.solve(wish, rng=rng, budget=_MOST_WORK)
         how = connection(wish, joined)
-        return Selected(joined, wish.coverage, joined.sentence if how.connected else how.sentence, how)
+        return Selected(joined, targets, joined.sentence if how.connected else how.sentence, how)
     chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, budget=work)
-    return Selected(chosen, wish.coverage, chosen.sentence, cost_bound=chosen.cost_bound)
+    return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound)
 
 
 def _with_bound(selected: Selected, bound: int) -> Selected:

@@ -21,6 +21,7 @@ from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
+from cell.plan.region_goals import RegionGoals
 from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import ConnectedPlan, choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
@@ -32,6 +33,7 @@ from cell.run.folder import RunFolder
 from cell.run.report_json import Attainable
 from cell.scanners import ScannerPlugin
 from cell.scene import doubts
+from cell.scene.regions import complete
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
 from cell.world import clearance
@@ -246,8 +248,9 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
     limits = timing.scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
     home = cell.world.home if measured.candidates.T_object_scanner.shape[1] == 1 else None
     costs = seconds_of_views(plan, measured.reached, home, limits) if plan.cost == "time" else None
+    goals = RegionGoals.of(complete(scene.region), plan)
     return Problem(
-        Request(plan, costs, layer), measured.candidates, measured.reached, measured.M, prediction,
+        Request(plan, costs, layer, goals), measured.candidates, measured.reached, measured.M, prediction,
         cell.world, limits, cell.kinematics, cell.checker,
     )  # fmt: skip
 

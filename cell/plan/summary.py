@@ -8,6 +8,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan import answers
 from cell.plan.clearances import clearance_of
 from cell.plan.problem import Problem
+from cell.plan.region_results import results_of
 from cell.plan.steps import Job
 from cell.plan.view_plan import ConnectedPlan
 from cell.run.described import degrees
@@ -15,6 +16,7 @@ from cell.run.plan_json import Coverage, Dropped, Promise, Verdicts
 from cell.run.report_json import (
     Attainable,
     Curve,
+    RegionResult,
     Report,
     ReportMotion,
     ReportPart,
@@ -23,6 +25,7 @@ from cell.run.report_json import (
     Sigma,
     Spacing,
 )
+from cell.scene.regions import complete
 from cell.world.clearance import MotionClearance
 from planner.measurability import coverage
 from planner.measurability.quality import best_sigma, best_spacing
@@ -75,6 +78,7 @@ def plan_report(
         attainable=further.lost,
         sigma=None if plan.max_sigma_mm is None else _sigma(problem, chosen, plan.max_sigma_mm),
         spacing=_spacing(job, problem, chosen),
+        regions=_regions(job, problem, chosen),
         solver=cover.solver,
         status=_sentence(chosen) + _at_target(chosen.target, plan.coverage),
         lower_bound=cover.lower_bound,
@@ -190,6 +194,12 @@ def _spacing(job: Job, problem: Problem, chosen: ConnectedPlan) -> Spacing | Non
     median, most, nearly_all = (1000 * np.nanquantile(best, [0.5, 0.95, 0.99])).round(6).tolist()
     limit_mm = job.scene.scanner.max_spacing_mm
     return Spacing(median_mm=median, quantile_95_mm=most, quantile_99_mm=nearly_all, limit_mm=limit_mm)
+
+
+def _regions(job: Job, problem: Problem, chosen: ConnectedPlan) -> tuple[RegionResult, ...] | None:
+    """What becomes of each region; None of a part without."""
+    regions = complete(job.scene.region)
+    return results_of(regions, job.part.reference, problem, chosen) if regions else None
 
 
 def _sentence(chosen: ConnectedPlan) -> str:

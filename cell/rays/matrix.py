@@ -62,7 +62,7 @@ def surface_features(
 ) -> SurfaceSamples:
     """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`).
 
-    A region, however small, has at least `REGION_ROWS` of them, each standing for less area then.
+    Regions have them as dense as a part without regions, and at least `REGION_ROWS`, each for less area then.
     """
     if scene.plan.fill == "rays":
         return face_features(reference, planning)
@@ -70,7 +70,7 @@ def surface_features(
     if (region := reference.region) is None:
         return sample(reference, planning, count, rng)
     areas = np.bincount(region[region >= 0], weights=reference.areas[region >= 0])
-    each = np.maximum(np.rint(count * areas / areas.sum()), REGION_ROWS).astype(np.int64)
+    each = np.maximum(np.rint(count * areas / reference.areas.sum()), REGION_ROWS).astype(np.int64)
     return join_samples(
         [
             sample(replace(reference, region=np.where(region == k, region, -1)), planning, int(each[k]), rng)

@@ -97,6 +97,25 @@ class Spacing(JsonTable):
     limit_mm: float | None = Field(description="that was asked for; null: none")
 
 
+class RegionResult(JsonTable):
+    """What the plan gives a region; fractions of its area, on the held-out samples."""
+
+    name: str = Field(description="of the scene; `the rest` is what no region selects")
+    area_mm2: float = Field(description="of its surface")
+    asked: float = Field(
+        description="share of what is coverable that was asked for, of it or of all that share it"
+    )
+    views: int = Field(description="from which each sample of the matrix was to be measured")
+    max_sigma_mm: float | None = Field(description="limit of its own; null: none")
+    max_spacing_mm: float | None = Field(description="limit of its own; null: none")
+    weight: float = Field(description="of its area")
+    visible: float = Field(description="that the views measure")
+    coverable: float = Field(description="that reachable candidates measure")
+    visible_of_coverable: float = Field(description="the first as a fraction of the second")
+    from_enough_views: float = Field(description="that as many views as were asked for measure")
+    reason: str = Field(description='why less than what was asked for is coverable; "" where it is not less')
+
+
 class ReportView(JsonTable):
     """A view for a person's table."""
 
@@ -149,6 +168,7 @@ class Report(JsonTable):
     attainable: Attainable | None = optional("none in older runs")
     sigma: Sigma | None = optional()
     spacing: Spacing | None = optional()
+    regions: tuple[RegionResult, ...] | None = optional()
     solver: str = Field(description="that chose the views")
     status: str = Field(description="what is proven of the selection, in words")
     lower_bound: int = Field(description="no plan of these candidates and samples needs fewer views")

@@ -115,7 +115,7 @@ class LaserArea:
         object.__setattr__(self, "_shape", (n_v, n_h))
         object.__setattr__(self, "_limits", self._constants())
         if self.max_spacing_mm is not None:
-            require_attainable(self.max_spacing_mm, self._least_spacing_mm())
+            require_attainable(self.max_spacing_mm, self.least_spacing_mm)
 
     @property
     def source(self) -> Floats:
@@ -208,7 +208,8 @@ class LaserArea:
         n_v, n_h = self._shape
         return math.radians(self.fov_deg[0]) / n_h, math.radians(self.fov_deg[1]) / n_v
 
-    def _least_spacing_mm(self) -> float:
+    @property
+    def least_spacing_mm(self) -> float:
         """Smallest spacing that any surface can have [mm]: facing the source at the near end of the range."""
         x, y = np.meshgrid(*(np.linspace(0, math.tan(math.radians(fov / 2)), _WAYS) for fov in self.fov_deg))
         ways = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)

@@ -98,8 +98,7 @@ class LaserLine:
             width = math.tan(math.radians(self.fan_deg / 2)) * sum(self.range_mm)
             object.__setattr__(self, "sweep_mm", width)
         if self.max_spacing_mm is not None:
-            facing = np.array([[0.0, 0.0, self.range_mm[0] / 1000]]), np.array([[0.0, 0.0, -1.0]])
-            require_attainable(self.max_spacing_mm, 1000 * float(self._spacing(*facing)[0]))
+            require_attainable(self.max_spacing_mm, self.least_spacing_mm or 0.0)
 
     def _check(self) -> None:
         """What the law does not check, or would name after its own keys."""
@@ -209,6 +208,12 @@ class LaserLine:
     def spacing(self) -> Callable[[Floats, Floats], Floats] | None:
         """`planner.ports.SpacingScanner.spacing`; None where the lines' rate is not known."""
         return None if self.profile_rate_hz is None else self._spacing
+
+    @property
+    def least_spacing_mm(self) -> float | None:
+        """Spacing on a surface that faces the source at the near end of the range [mm]; None: not known."""
+        facing = np.array([[0.0, 0.0, self.range_mm[0] / 1000]]), np.array([[0.0, 0.0, -1.0]])
+        return None if self.profile_rate_hz is None else 1000 * float(self._spacing(*facing)[0])
 
     def _spacing(self, points: Floats, normals: Floats) -> Floats:
         """(N,) the larger distance of neighbouring points, along the line and to the next one [m].

@@ -1,0 +1,60 @@
+"""Regions in words: a line each for the terminal, a table for the page."""
+
+import html
+
+from cell.run.report_json import RegionResult, Report
+
+
+def rows(report: Report) -> list[tuple[str, str]]:
+    """(name, sentence) for each region; none for a part without."""
+    return [(f"region {each.name}", _sentence(each)) for each in report.regions or ()]
+
+
+def page(report: Report) -> list[str]:
+    """The report's section; no lines for a part without regions."""
+    if not report.regions:
+        return []
+    counted = sum(each.area_mm2 for each in report.regions) / report.part.area_mm2
+    lines = [
+        "## Regions",
+        "",
+        f"Shares of the surface in this report are of the {_percent(counted)} of the part's surface that the regions "
+        "ask for.",
+        "",
+        "| region | mm² | asked of what is coverable | coverable | measured | of what is coverable | limits |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for each in report.regions:
+        views = f", from {each.views} views" if each.views > 1 else ""
+        lines.append(
+            f"| {html.escape(each.name)} | {each.area_mm2:,.0f} | {_percent(each.asked)}{views} | "
+            f"{_percent(each.coverable)} | {_percent(each.visible)}{_enough(each)} | "
+            f"{_percent(each.visible_of_coverable)} | {_limits(each) or 'none'} |"
+        )
+    told = [f"- {html.escape(each.name)}: {html.escape(each.reason)}." for each in report.regions if each.reason]
+    return [*lines, "", *told, *([""] if told else [])]
+
+
+def _sentence(region: RegionResult) -> str:
+    limits = _limits(region)
+    return (
+        f"{_percent(region.visible)} of {region.area_mm2:,.0f} mm² measured{_enough(region)}, "
+        f"{_percent(region.visible_of_coverable)} of what reachable candidates can measure"
+        + (f"; {limits}" if limits else "")
+        + (f"; {region.reason}" if region.reason else "")
+    )
+
+
+def _enough(region: RegionResult) -> str:
+    """What is measured from as many views as were asked for, where that is more than one."""
+    return f", {_percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
+
+
+def _limits(region: RegionResult) -> str:
+    limits = [] if region.max_spacing_mm is None else [f"points at most {region.max_spacing_mm:g} mm apart"]
+    limits += [] if region.max_sigma_mm is None else [f"sigma at most {region.max_sigma_mm:g} mm"]
+    return ", ".join(limits)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
