@@ -175,7 +175,8 @@ def _flat(prefix: str, table: dict[str, JsonValue]) -> list[tuple[str, JsonValue
 def _numbers(A: Side, B: Side) -> list[Number]:
     """Figures of the reports that differ."""
     of_a, of_b = _figures(A), _figures(B)
-    return [Number(name=name, a=of_a[name], b=of_b[name]) for name in of_a if of_a[name] != of_b[name]]
+    names = dict.fromkeys([*of_a, *of_b])
+    return [Number(name=name, a=of_a.get(name), b=of_b.get(name)) for name in names if of_a.get(name) != of_b.get(name)]
 
 
 def _figures(side: Side) -> dict[str, float | None]:
@@ -188,6 +189,7 @@ def _figures(side: Side) -> dict[str, float | None]:
             "coverable %": 100 * report.coverage.coverable,
             "motion s": report.motion.duration_s,
             "smallest clearance mm": report.motion.minimum_clearance_mm,
+            **{f"region {each.name} visible %": 100 * each.visible for each in report.regions or ()},
         }
     done = side.execution.report
     return {

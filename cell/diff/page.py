@@ -17,7 +17,7 @@ from cell.run.executions import read_execution
 from cell.view.contents import execution_play, named_layer, plan_play
 from cell.view.page import Play, Shown, Stage, View, html_of
 from cell.view.palette import BLUE, GREEN, GREY, MEASURED, VERMILION
-from cell.view.pieces import Cell, cell_of_run
+from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import canvas_of, sides
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -46,7 +46,8 @@ def page(
     which = np.where(a, np.where(b, 0, 2), np.where(b, 3, 1))
     layer = named_layer("Gained and lost", which, _NAMES, canvas)
     stage = Stage(
-        f"{scene.part.name}: {found.b} (B) against {found.a} (A)", cell, [Shown("part", canvas.mesh, [layer])],
+        f"{scene.part.name}: {found.b} (B) against {found.a} (A)", beside(cell, canvas.mesh, canvas.aside),
+        [Shown("part", canvas.counted, [layer])],
         sides(canvas, a != b, 1)[0],
     )  # fmt: skip
     if B.execution is None:

@@ -20,7 +20,7 @@ from cell.view import pictures, rays
 from cell.view.cell_picture import best_view, draw_cell
 from cell.view.contents import HALF_PAGE, part_of
 from cell.view.page import Stage, first_half, three
-from cell.view.pieces import Cell, cell_of_run
+from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, canvas_of, surface_of
 from planner.ports import Scanner
 from planner.values import Bools, Floats
@@ -70,7 +70,8 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
     canvas, (scene, cell, scanner) = _part(path.parent), _cell(path.parent)
     surface = surface_of(canvas.samples, T_object_poses, scanner, (), seen)
     pictures.part_and_views(path, canvas, surface, T_object_scanner, scene.scanner.opening_deg)
-    stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface)])
+    shown = part_of(canvas, surface, regions=scene.regions)
+    stage = Stage(f"View plan of {scene.part.name}", beside(cell, canvas.mesh, canvas.aside), [shown])
     (path.parent / HALF_PAGE).write_text(first_half(stage), encoding="utf-8")
 
 

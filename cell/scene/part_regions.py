@@ -41,7 +41,7 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
     free = np.ones(len(number), dtype=np.bool_)
     for k, region in enumerate(regions):
         own = free & (_selected(region, part, scene) if region.selects else True)
-        if not own.any() and region in scene.region:
+        if region.selects and not own.any():
             raise SceneError(_nothing(region, part, free))
         number[own] = k if region.cared else -1
         free &= ~own

@@ -22,11 +22,12 @@ from cell.run.executions import RecordedExecution
 from cell.run.plan_json import PlanView
 from cell.run.record import RunRecord
 from cell.run.report_json import Report
+from cell.scene.regions import RegionWishes
 from cell.view.packed import POINTS, Layer, stepped
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
 from cell.view.palette import MEASURED, REASONS
 from cell.view.pictures import group_names, group_numbers
-from cell.view.pieces import Cell, cell_of_run
+from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, Surface, canvas_of, sides, surface_of
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
@@ -56,7 +57,8 @@ def run_page(run: RunRecord) -> str:
         return html_of(stage, Play(problems=[f"this run {run.ended}"], inside=0))
     plan = run_reader.plan(run)
     canvas, surface = measured(run, read_cell(run), [view.T_object_poses for view in plan.views])
-    stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface)])
+    cell = beside(cell, canvas.mesh, canvas.aside)
+    stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface, regions=scene.regions)])
     return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run)))
 
 
@@ -72,9 +74,10 @@ def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[
     scene, plan = run_reader.scene(run), run_reader.plan(run)
     number = group_numbers(len(surface.samples), [rows for rows, _ in groups])
     named = [("measured", MEASURED), *zip(group_names([name for _, name in groups]), REASONS, strict=False)]
-    part = part_of(canvas, surface, [named_layer("Why it stays open", number, named, canvas)])
+    why = named_layer("Why it stays open", number, named, canvas)
+    part, cell = part_of(canvas, surface, [why], scene.regions), cell_of_run(run, scene)
     toward = sides(canvas, number > 0, 1)[0]
-    stage = Stage(f"Why {scene.part.name} stays open", cell_of_run(run, scene), [part], toward)
+    stage = Stage(f"Why {scene.part.name} stays open", beside(cell, canvas.mesh, canvas.aside), [part], toward)
     return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1))
 
 
@@ -110,11 +113,12 @@ def execution_page(
         poses = [_poses(each) for each in stored]
         grid = done.report.settings.resolution_deg
         known = measured(run, read_cell(run, grid[0] if grid else None), poses)
-    shown = [part_of(*known)]
+    shown = [part_of(*known, regions=scene.regions)]
     if done.mesh is not None:
         shown.append(_deviating(done.mesh, run_reader.mesh(run, "reference.ply"), done))
     points = done.points if recorded.scans else None
     play = replace(execution_play(run, recorded, done, cell), cloud=points)
+    cell = beside(cell, known[0].mesh, known[0].aside)
     return html_of(Stage(f"Scan of {scene.part.name}, points: {done.report.source}", cell, shown), play)
 
 
@@ -142,13 +146,16 @@ def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) ->
     return surface_of(samples, stacked, cell.scanner, (cell.part_caster, cell.occluder_caster))
 
 
-def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Shown:
+def part_of(
+    canvas: Canvas, surface: Surface, first: Sequence[Layer] = (), regions: Sequence[RegionWishes] | None = None
+) -> Shown:
     """The part with its colourings.
 
     Args:
         canvas: the part.
         surface: what views measure of it.
         first: colourings that come before the others.
+        regions: of the part, by their numbers; None: it has none.
     """
     own = canvas.at_vertices()
     layers = list(first)
@@ -160,7 +167,10 @@ def part_of(canvas: Canvas, surface: Surface, first: Sequence[Layer] = ()) -> Sh
         known = values[np.isfinite(values)]
         limits = (0.0, round(float(np.quantile(known, 0.98)), 6) if len(known) else 1.0)
         layers.append(stepped(values[own], title, "length", limits, note))
-    return Shown("part", canvas.mesh, layers)
+    if regions and (which := canvas.samples.region) is not None:
+        named = [(region.name, REASONS[1:][k % (len(REASONS) - 1)]) for k, region in enumerate(regions)]
+        layers.append(named_layer("Regions", which.astype(np.int64), named, canvas))
+    return Shown("part", canvas.counted, layers)
 
 
 def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside: int = 0) -> Play:
@@ -190,6 +200,7 @@ def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside:
         ("lower bound", f"{report.lower_bound} for these candidates and samples"),
         ("visible coverage", f"{_percent(coverage.visible)} of the surface"),
         ("coverable", f"{_percent(coverage.coverable)} by reachable candidates"),
+        *((f"region {each.name}", f"{_percent(each.visible)} measured") for each in report.regions or ()),
         ("motion", f"{moves.duration_s:.1f} s from home to home"),
         ("nearest", f"{_mm(moves.minimum_clearance_mm)} ({moves.between})" if moves.between else "nothing near"),
         ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),

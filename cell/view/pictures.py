@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from cell.view import rays
-from cell.view.palette import MEASURED, OPEN, REASONS, SEEN, rgb
+from cell.view.palette import LOOKS, MEASURED, OPEN, REASONS, SEEN, rgb
 from cell.view.surface import Canvas, Surface, sides
 from planner.values import Floats, Ints
 
@@ -106,6 +106,8 @@ def _panel(canvas: Canvas, colours: Floats, toward: Floats, shown: Floats) -> tu
     """The part from one side in its samples' colours (S, 3); `shown` (N, 3) are in the picture."""
     camera = rays.fitted(shown, toward, _PANEL, parallel=True)
     facing, of_face = canvas.normals @ -camera.forward, np.take(colours, canvas.own, axis=0)
+    if canvas.aside is not None:
+        of_face[canvas.aside] = LOOKS["surface"]
 
     def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         hits = canvas.caster.first_hit(origins, directions)

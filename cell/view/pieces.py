@@ -6,7 +6,7 @@ The shapes are those of the checked MuJoCo model; part and mesh fixtures are the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -22,12 +22,15 @@ from cell.view.rays import frustum
 from cell.world.model import World
 from cell.world.shapes import quaternion
 from planner.surface.mesh import TriangleMesh
-from planner.values import Floats, Value
+from planner.values import Bools, Floats, Value
 
 if TYPE_CHECKING:
     import mujoco
 
 _TOOL = ("bracket", "housing")
+
+ASIDE = "part, not asked for"
+"""Name of what nobody cares for of a part."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +131,23 @@ def cell_of_world(world: World, scanner: ScannerKeys) -> Cell:
 def _seen_by(scanner: ScannerKeys) -> Floats:
     """(4, 3) far corners of what a scanner sees [m], scanner frame."""
     return frustum(scanner.opening_deg, scanner.drawn_range_mm[1] / 1000)
+
+
+def beside(cell: Cell, part: TriangleMesh, aside: Bools | None) -> Cell:
+    """The cell with what nobody cares for of the part, which is then drawn without it.
+
+    Args:
+        cell: robot and surroundings.
+        part: object frame.
+        aside: (F,) its faces that nobody cares for; None: there are none.
+    """
+    if aside is None or not aside.any():
+        return cell
+    T = cell.T_base_object
+    used, faces = np.unique(part.faces[aside], return_inverse=True)
+    vertices = part.vertices[used] @ T[:3, :3].T + T[:3, 3]
+    piece = Piece(ASIDE, 0, vertices, faces.reshape(-1, 3).astype(np.int32), _rgb("surface"))
+    return replace(cell, pieces=(*cell.pieces, piece))
 
 
 def placed(pieces: Sequence[Piece], links: Floats) -> list[Piece]:

@@ -19,6 +19,7 @@ from cell.view.rays import direction
 from planner.measurability.matrix import measured
 from planner.measurability.quality import best_of_views
 from planner.ports import RayCaster, Scanner
+from planner.surface.closest import closest_face
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -48,6 +49,7 @@ class Canvas(Value):
         samples: S of the true surface.
         own: (F,) sample whose values a face has.
         note: what is not as it is; "" where nothing is.
+        aside: (F,) faces that nobody cares for; None: somebody cares for all.
     """
 
     mesh: TriangleMesh
@@ -56,12 +58,20 @@ class Canvas(Value):
     samples: SurfaceSamples
     own: Annotated[Ints, "F"]
     note: str
+    aside: Annotated[Bools, "F"] | None = None
 
     def at_vertices(self) -> Ints:
-        """(V,) sample whose values a vertex has: that of one of its faces."""
+        """(V,) sample whose values a vertex has: that of one of its faces, where it has one of those that count."""
         own = np.zeros(len(self.mesh.vertices), dtype=np.int64)
         own[self.mesh.faces] = self.own[:, None]
+        if self.aside is not None:
+            own[self.mesh.faces[~self.aside]] = self.own[~self.aside, None]
         return own
+
+    @property
+    def counted(self) -> TriangleMesh:
+        """The faces that somebody cares for, with all vertices."""
+        return self.mesh if self.aside is None else TriangleMesh(self.mesh.vertices, self.mesh.faces[~self.aside])
 
 
 def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
@@ -79,7 +89,10 @@ def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
     _, own = tree.query(np.hstack([mesh.centres, weight * normals]))
     note = f"drawn with {len(mesh.faces):,} of {count:,} faces" if len(mesh.faces) < count else ""
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
-    return Canvas(mesh, normals, caster, samples, np.asarray(own, dtype=np.int64), note)
+    aside = None
+    if reference.region is not None:
+        aside = reference.region[closest_face(mesh.centres, normals, reference)] < 0
+    return Canvas(mesh, normals, caster, samples, np.asarray(own, dtype=np.int64), note, aside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,7 +27,7 @@ from cell.view.surface import canvas_of
 from cell.why import files as why_files
 from cell.why.answer import Answer, Group, Patch
 from cell.why.changes import Changes
-from cell.why.groups import detail, grouped
+from cell.why.groups import detail, grouped, in_regions
 from cell.why.search import search
 from planner.measurability import coverage
 from planner.viewpoints.lines_of_sight import Targets
@@ -106,7 +106,10 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
     groups = tuple(
         Group(
             group.reason, group.what,
-            detail(group.reason, diagnosis, np.isin(rows, group.rows), cell.scanner_keys), group.rows,
+            _and(
+                detail(group.reason, diagnosis, np.isin(rows, group.rows), cell.scanner_keys),
+                in_regions(samples, group.rows, cell.scene.regions or ()),
+            ), group.rows,
             tuple(Patch(piece, named) for piece, named in zip(group.patches, of_patch, strict=True)), of_group,
         )
         for group, of_group, of_patch in zip(open_groups, found.of_group, found.of_patch, strict=True)
@@ -115,6 +118,10 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
         canvas_of(cell.reference, samples), surface, diagnosis, rows, groups, found.rest, found.overall, found.tried,
         cell.scene.part.name,
     )  # fmt: skip
+
+
+def _and(first: str, second: str) -> str:
+    return "; ".join(text for text in (first, second) if text)
 
 
 def _as_executed(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoints:

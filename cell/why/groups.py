@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.run.scene_json import ScannerKeys
+from cell.scene.regions import RegionWishes
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints
@@ -69,6 +70,23 @@ def _patches(rows: Ints, samples: SurfaceSamples, adjacent: Ints, faces: int) ->
     label = connected_components(graph, directed=False)[1][face]
     pieces = [rows[label == one] for one in np.unique(label)]
     return sorted(pieces, key=lambda piece: (-float(samples.areas[piece].sum()), int(piece[0])))
+
+
+def in_regions(samples: SurfaceSamples, rows: Ints, regions: Sequence[RegionWishes]) -> str:
+    """In which regions open samples lie, the one with the largest share first; "" where the part has none.
+
+    Args:
+        samples: held-out samples.
+        rows: of the open ones.
+        regions: of the part, by their numbers.
+    """
+    if samples.region is None:
+        return ""
+    share = np.bincount(samples.region[rows], samples.areas[rows], len(regions)) / samples.areas[rows].sum()
+    order = [k for k in np.argsort(-share, kind="stable").tolist() if share[k] > 0]
+    if len(order) == 1:
+        return f"in {regions[order[0]].name}"
+    return "in " + ", ".join(f"{regions[k].name} ({100 * share[k]:.0f} %)" for k in order)
 
 
 _OF_ANGLE: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {

@@ -1,0 +1,132 @@
+"""`cell plan` with regions: what is asked of each is kept, told and read back by every command that goes on from it."""
+
+import json
+import shutil
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from subprocess import CompletedProcess
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.run.cell import read_cell
+from cell.run.reader import candidates, measurability, plan
+from cell.run.record import open_run
+
+Run = Callable[..., CompletedProcess[str]]
+
+_REGIONS = """
+[part]
+path = "block.stl"
+units = "mm"
+
+[scanner]
+sensor = "generic-area-medium"
+
+[plan]
+faces = 120
+samples_per_face = 2
+candidates = "optimal-scanning-zone"
+coverage = 0.9
+
+[[region]]
+name = "top"
+box_mm = [-31, -31, 19, 31, 31, 21]
+views = 2
+max_spacing_mm = 0.6
+
+[[region]]
+name = "side"
+box_mm = [-31, -31, 0, 31, -29, 19]
+coverage = 0.5
+
+[[region]]
+name = "skin"
+care = "no"
+"""
+
+
+@pytest.fixture(scope="session")
+def regions(made_once: Callable[..., Path], run_cell: Run, drawn: Callable[[], AbstractContextManager[None]]) -> Path:
+    """A folder with a plan of a block whose top and one of whose sides are asked for."""
+
+    def make(folder: Path) -> None:
+        trimesh.creation.box((60.0, 60.0, 40.0)).export(folder / "block.stl")
+        (folder / "scene.toml").write_text(_REGIONS)
+        with drawn():
+            done = run_cell("plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "run", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        assert "region top" in done.stdout
+
+    return made_once("regions", make)
+
+
+def report_of(folder: Path) -> dict[str, Any]:
+    """report.json."""
+    return json.loads((folder / "report.json").read_text())
+
+
+def test_each_region_gets_what_it_asks_for(regions: Path) -> None:
+    """Areas of the drawing, shares kept, two views on every coverable sample of the top, limits of spacing held."""
+    report = report_of(regions / "run")
+    top, side = report["regions"]
+    assert (top["name"], side["name"]) == ("top", "side")
+    assert top["area_mm2"] == pytest.approx(60 * 60 + 4 * 60 * 1)
+    assert side["area_mm2"] == pytest.approx(60 * 19 + 2 * 19)
+    assert side["visible_of_coverable"] >= 0.5
+    assert top["visible_of_coverable"] >= 0.9
+    run = open_run(regions / "run")
+    M, chosen = measurability(run), [view.id for view in plan(run).views]
+    loads = np.asarray(M.matrix().astype(int)[:, chosen].sum(axis=1)).ravel()
+    available = np.asarray(M.matrix().sum(axis=1)).ravel()
+    of_top = (M.features.region == 0) & (available > 0)
+    enough = (loads >= np.minimum(2, available))[of_top]
+    assert M.features.areas[of_top][enough].sum() >= 0.9 * M.features.areas[of_top].sum() * (1 - 1e-9)
+    law = read_cell(run).scanner.spacing
+    poses, points, normals = candidates(run).T_object_scanner[:, 0], M.features.points, M.features.normals
+    for row in np.flatnonzero(M.features.region == 0)[::25]:
+        for view in M.indices[M.indptr[row] : M.indptr[row + 1]]:
+            R, t = poses[view, :3, :3], poses[view, :3, 3]
+            assert law((points[row] - t)[None] @ R, normals[row][None] @ R)[0] <= 0.6e-3 * (1 + 1e-9)
+
+
+def test_the_page_shows_regions_and_what_nobody_asks_for(
+    regions: Path, data_of: Callable[[str], dict[str, Any]]
+) -> None:
+    """A colouring by region; the skin is a piece that can be hidden; the report has a table."""
+    data = data_of((regions / "run" / "view.html").read_text())
+    assert "Regions" in [layer["title"] for layer in data["surfaces"][0]["layers"]]
+    assert "part, not asked for" in [piece["name"] for piece in data["pieces"]]
+    assert any(name == "region top" for name, _ in data["rows"])
+    assert "| top | 3,840 |" in (regions / "run" / "report.md").read_text()
+
+
+def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: Run, tmp_path: Path) -> None:
+    """Why names them, an edit keeps them, diff compares them, a scan achieves what was predicted of them."""
+    run = tmp_path / "run"
+    shutil.copytree(regions / "run", run)
+    why = json.loads(run_cell("why", run, "--samples", "3000", "--json", cwd=tmp_path).stdout)
+    assert all("in top" in group["detail"] or "in side" in group["detail"] for group in why["groups"])
+    done = run_cell("edit", run, "--drop", 1, "--repair", "--out", "edited", cwd=tmp_path)
+    assert done.returncode in (0, 3), done.stderr
+    edited = report_of(tmp_path / "edited")
+    assert [region["name"] for region in edited["regions"]] == ["top", "side"]
+    assert edited["regions"][1]["visible_of_coverable"] >= 0.5
+    other = run_cell("diff", run, "edited", "--json", cwd=tmp_path)
+    assert other.returncode == 0, other.stderr
+    scanned = run_cell("scan", run, "--json", cwd=tmp_path)
+    assert scanned.returncode in (0, 3), scanned.stderr
+    coverage = json.loads(scanned.stdout)["coverage"]
+    assert coverage["visible"] == pytest.approx(coverage["predicted"], abs=0.01)
+
+
+def test_equal_inputs_give_equal_bytes(regions: Path, run_cell: Run) -> None:
+    """With regions too."""
+    done = run_cell("plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "again", cwd=regions)
+    assert done.returncode == 0, done.stderr
+    for name in ("reference.ply", "measurability.npz", "plan.json", "report.json", "scene.resolved.json", "motion.npz"):
+        assert (regions / "run" / name).read_bytes() == (regions / "again" / name).read_bytes(), name
+    shutil.rmtree(regions / "again")

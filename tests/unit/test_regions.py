@@ -1,0 +1,256 @@
+"""Regions of a part: which triangles they select, what they ask, and what is refused in one sentence."""
+
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.errors import CellError, FileError, SceneError
+from cell.part.workpiece import Workpiece, load
+from cell.plan.region_goals import RegionGoals
+from cell.rays.matrix import REGION_ROWS, surface_features
+from cell.rays.prediction import held_out
+from cell.scanners.laser_area import LaserArea
+from cell.scene import devices
+from cell.scene.part_regions import with_regions
+from cell.scene.region_limits import require_attainable
+from cell.scene.regions import complete, limited
+from cell.scene.scene import Scene, load_scene
+from planner.cover import Problem
+from planner.measurability.quality import Limited, Limits
+from planner.ports import Rejection
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
+from tests.step_files import bored_block
+
+NO = {"name": "no", "care": "no"}
+needs_cascadio = pytest.mark.skipif(
+    importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed: pip install 'scan-cell[step]'"
+)
+
+
+def scene_with(path: Path, regions: list[dict], units: str | None = None, **tables: dict) -> Scene:
+    """A scene of a part's file with regions."""
+    part = {"path": str(path)} | ({"units": units} if units else {})
+    return load_scene(None, {"part": part, **tables}).model_copy(
+        update={"region": Scene.model_validate({"region": regions}, context={"folder": path.parent}).region}
+    )
+
+
+def tagged(path: Path, regions: list[dict], units: str | None = None) -> Workpiece:
+    """The part with its regions."""
+    return with_regions(load(path, units), scene_with(path, regions, units))
+
+
+def area(part: Workpiece, number: int) -> float:
+    """Area of a region [mm^2]."""
+    return 1e6 * float(part.reference.areas[part.reference.region == number].sum())
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> Path:
+    """A box of 20 x 30 x 40 mm, twelve triangles, its middle at the origin."""
+    path = tmp_path / "box.ply"
+    trimesh.creation.box((20.0, 30.0, 40.0)).export(path)
+    return path
+
+
+@needs_cascadio
+@pytest.mark.parametrize(
+    ("selects", "wanted"),
+    [
+        ({"kind": "cylinder"}, 2 * math.pi * 8 * 30),
+        ({"kind": "cylinder", "diameter_below_mm": 20}, 2 * math.pi * 8 * 30),
+        ({"diameter_above_mm": 15.9}, 2 * math.pi * 8 * 30),
+        ({"kind": "plane", "box_mm": [-1, -1, 29, 61, 41, 31]}, 60 * 40 - math.pi * 64 + 2 * 1 * (60 + 40)),
+    ],
+    ids=["kind", "kind and diameter", "diameter", "kind and box"],
+)
+def test_faces_are_selected_by_what_they_are(tmp_path: Path, selects: dict, wanted: float) -> None:
+    """All that a region selects by holds; its area is that of the drawing."""
+    path = tmp_path / "block.stp"
+    path.write_text(bored_block())
+    part = tagged(path, [{"name": "it", **selects}, NO])
+    assert area(part, 0) == pytest.approx(wanted, rel=2e-3)
+    assert part.cad.counts() == {"plane": 6, "cylinder": 1}
+
+
+@needs_cascadio
+def test_a_face_belongs_to_the_first_region_that_selects_it(tmp_path: Path) -> None:
+    """The bore by its number, then all faces; what is left over to a region is not there twice."""
+    path = tmp_path / "block.stp"
+    path.write_text(bored_block())
+    number = next(face.number for face in load(path).cad.faces if face.kind == "cylinder")
+    part = tagged(path, [{"name": "bore", "faces": [number]}, {"name": "planes", "kind": "plane"}, NO | {"name": "x"}])
+    assert area(part, 0) == pytest.approx(2 * math.pi * 8 * 30, rel=2e-3)
+    assert area(part, 0) + area(part, 1) == pytest.approx(1e6 * part.reference.areas.sum())
+
+
+def test_a_box_cuts_triangles(box: Path) -> None:
+    """A slab through the box has its closed-form area, and the rest all others."""
+    part = tagged(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm")
+    assert area(part, 0) == pytest.approx(3 * 2 * (20 + 30))
+    assert area(part, 1) == pytest.approx(2 * (20 * 30 + 20 * 40 + 30 * 40) - 300)
+    assert [region.name for region in complete(scene_with(box, [{"name": "s", "kind": "plane"}], "mm").region)] == [
+        "s", "the rest",
+    ]  # fmt: skip
+
+
+def test_paint_selects_by_colour(tmp_path: Path, box: Path) -> None:
+    """A fine mesh with one side red marks that side of a coarse part; colours of the part's own file mark its faces."""
+    fine = trimesh.creation.box((20.0, 30.0, 40.0)).subdivide().subdivide().subdivide()
+    red = fine.face_normals[:, 2] > 0.5
+    fine.visual.face_colors = np.where(red[:, None], [250, 10, 0, 255], [200, 200, 200, 255])
+    fine.export(tmp_path / "fine.ply")
+    wanted = {"name": "red", "colour": "#ff0000"}
+    by_other = tagged(box, [wanted | {"painted": "fine.ply", "painted_units": "mm"}, NO], "mm")
+    own = tagged(tmp_path / "fine.ply", [wanted, NO], "mm")
+    assert area(by_other, 0) == pytest.approx(600, rel=0.05)
+    assert area(own, 0) == pytest.approx(600)
+    with pytest.raises(FileError, match="has no colours"):
+        tagged(box, [wanted, NO], "mm")
+
+
+def test_samples_lie_where_somebody_cares(box: Path) -> None:
+    """Held-out samples are of cared faces alone and know their region; a small region has enough rows of its own."""
+    part = tagged(
+        box,
+        [
+            {"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 2.2]},
+            {"name": "top", "box_mm": [-50, -50, 19, 50, 50, 21]},
+            NO,
+        ],
+        "mm",
+    )
+    planning = decimate(part.reference, 200)
+    samples = held_out(part.reference, planning, 0, 2000)
+    assert set(samples.region.tolist()) == {0, 1}
+    z = 1000 * samples.points[:, 2]
+    assert (np.abs(z[samples.region == 0] - 2.1) < 0.1001).all()
+    assert (z[samples.region == 1] > 18.999).all()
+    assert samples.areas.sum() == pytest.approx(1e-6 * (area(part, 0) + area(part, 1)))
+    rows = surface_features(scene_with(box, [], "mm"), part.reference, planning, np.random.default_rng(0))
+    assert np.bincount(rows.region).min() >= REGION_ROWS
+    assert np.bincount(rows.region, rows.areas) * 1e6 == pytest.approx([area(part, 0), area(part, 1)])
+
+
+def test_a_part_without_regions_is_itself(box: Path) -> None:
+    """Nothing is tagged, cut or copied."""
+    part = load(box, "mm")
+    assert with_regions(part, scene_with(box, [], "mm")) is part
+    assert sample(part.reference, part.reference, 10, np.random.default_rng(0)).region is None
+
+
+@pytest.mark.parametrize(
+    ("regions", "said"),
+    [
+        ([{"name": "a", "faces": [1]}], "is a mesh, which has none"),
+        ([{"name": "a", "box_mm": [90, 90, 90, 99, 99, 99]}], "nothing of the part is that"),
+        (
+            [{"name": "a", "box_mm": [-9, -9, -9, 0, 9, 99]}, {"name": "b", "box_mm": [-9, -9, -9, 0, 9, 99]}],
+            "before it",
+        ),
+        ([{"name": "a", "colour": "#ff0000"}], "has no colours"),
+    ],
+    ids=["faces of a mesh", "empty", "taken", "no paint"],
+)
+def test_what_the_part_has_not_is_a_sentence(box: Path, regions: list[dict], said: str) -> None:
+    """With the region's name and what to do."""
+    with pytest.raises(CellError, match=said):
+        tagged(box, regions, "mm")
+
+
+@pytest.mark.parametrize(
+    ("regions", "plan", "said"),
+    [
+        ([{"name": "a", "care": "no"}], {}, "cares for nothing"),
+        ([{"name": "a"}, {"name": "b", "faces": [1]}], {}, "put it last"),
+        ([{"name": "a", "faces": [1]}, {"name": "a", "faces": [2]}], {}, "more than once"),
+        ([{"name": "a", "care": "no", "views": 2}], {}, "care is 'no'"),
+        ([{"name": "a", "painted": __file__}], {}, "needs region.colour"),
+        ([{"name": "a", "painted": __file__, "colour": "#112233"}], {}, "painted_units"),
+        ([{"name": "a", "painted": "nowhere.ply", "colour": "#112233"}], {}, "there is no file"),
+        ([{"name": "a", "colour": "red"}], {}, "colour"),
+        ([{"name": "a", "box_mm": [0, 0, 0, 1, 1, 0]}], {}, "lowest"),
+        ([{"name": "a", "diameter_above_mm": 5, "diameter_below_mm": 5}], {}, "not below"),
+        ([{"name": "a", "views": 2}], {"max_views": 3}, "another question"),
+        ([{"name": "a", "coverage": 0.5}], {"overlap_share": 0.2}, "another question"),
+        ([{"name": "a"}], {"fill": "rays"}, "aimed"),
+        ([{"name": "the rest", "faces": [1]}], {}, "choose another"),
+    ],
+)
+def test_a_scene_that_contradicts_itself_is_refused(tmp_path: Path, regions: list[dict], plan: dict, said: str) -> None:
+    """Each in one line with the key."""
+    lines = ["[plan]", *(f"{key} = {value!r}" for key, value in plan.items())]
+    for region in regions:
+        lines += ["[[region]]", *(f"{key} = {value!r}" for key, value in region.items())]
+    (tmp_path / "scene.toml").write_text("\n".join(lines))
+    with pytest.raises(SceneError, match=said):
+        load_scene(tmp_path / "scene.toml")
+
+
+def test_limits_of_regions_are_conditions_of_their_points() -> None:
+    """Spacing and sigma are refused exactly above the limit of the point's own region; others keep the scanner's."""
+    bare = LaserArea()
+    rng = np.random.default_rng(0)
+    z = rng.uniform(0.16, 0.44, 500)
+    points, normals = np.stack([0 * z, 0 * z, z], axis=1), np.tile([0.0, 0.0, -1.0], (500, 1))
+    region = rng.integers(0, 3, 500).astype(np.int32)
+    spacing, sigma = bare.spacing(points, normals), bare.sigma(points, normals)
+    limits = Limits(spacing=float(np.median(spacing))), Limits(sigma=float(np.median(sigma))), Limits()
+    codes = Limited(bare, regions=limits).reject_in(points, normals, region)
+    wanted = np.full(500, Rejection.MEASURED)
+    wanted[(region == 0) & (spacing > limits[0].spacing)] = Rejection.TOO_SPARSE
+    wanted[(region == 1) & (sigma > limits[1].sigma)] = Rejection.TOO_UNCERTAIN
+    assert (codes == wanted).all()
+    assert 0 < (codes == Rejection.TOO_SPARSE).sum() < 500
+    assert limited(bare, None, ()) is bare
+
+
+def test_a_spacing_that_no_device_keeps_names_what_does(box: Path) -> None:
+    """One sentence with spacing, range, resolution and device; the numbers it gives keep the limit."""
+    regions = [{"name": "seat", "max_spacing_mm": 0.3, "box_mm": [-50, -50, 2, 50, 50, 5]}, NO]
+    scene = scene_with(box, regions, "mm", scanner={"sensor": "generic-area-large"})
+    scene = devices.by_part(scene, load(box, "mm"))
+    given = {"range_mm": (150.0, 450.0), "baseline_mm": 75.0}
+    with pytest.raises(
+        SceneError, match=r"'seat' asks for points at most 0.3 mm apart.*150 mm.*generic-area-medium"
+    ) as said:
+        require_attainable(scene, LaserArea(**given))
+    resolution = float(str(said.value).partition("resolution_deg = [")[2].partition(",")[0])
+    require_attainable(scene, LaserArea(**given, resolution_deg=(resolution, resolution)))
+    require_attainable(scene, LaserArea(range_mm=(50.0, 150.0), baseline_mm=25.0))
+
+
+def test_regions_become_demands_weights_and_parts(box: Path) -> None:
+    """Regions with a coverage are a part each, the others share the plan's; rows take after their region."""
+    asked = [
+        {"name": "a", "box_mm": [-50, -50, 2, 50, 50, 5], "coverage": 0.9},
+        {"name": "b", "box_mm": [-50, -50, 8, 50, 50, 9], "views": 3},
+        {"name": "c", "weight": 2.0},
+    ]
+    scene = scene_with(box, asked, "mm")
+    goals = RegionGoals.of(scene.region, scene.plan)
+    assert goals.coverage.tolist() == [0.99, 0.9]
+    assert goals.part.tolist() == [1, 0, 0]
+    assert not goals.plain
+    part = with_regions(load(box, "mm"), scene)
+    rows = sample(part.reference, part.reference, 300, np.random.default_rng(0))
+    wish = goals.applied(Problem(np.ones((300, 2), bool), rows.areas), rows)
+    assert (wish.demand == np.array([1, 3, 1])[rows.region]).all()
+    assert (wish.part == np.array([1, 0, 0])[rows.region]).all()
+    assert wish.weights == pytest.approx(rows.areas * np.array([1, 1, 2])[rows.region])
+    assert RegionGoals.of((), scene.plan) is None
+    only = scene_with(box, [{"name": "a", "kind": "plane", "max_spacing_mm": 1.0}, NO], "mm")
+    assert RegionGoals.of(only.region, only.plan).plain
+
+
+def test_a_mesh_without_a_face_that_counts_is_refused() -> None:
+    """It could not be sampled."""
+    mesh = trimesh.creation.box((1, 1, 1))
+    with pytest.raises(ValueError, match="somebody cares for"):
+        TriangleMesh(mesh.vertices, mesh.faces, np.full(12, -1))
