@@ -17,7 +17,7 @@ from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.plan import answers, picture_process, promise, steps
+from cell.plan import answers, picture_process, promise, region_report, steps
 from cell.plan import curve as curves
 from cell.plan import files as plan_files
 from cell.plan.drawing import draw_motion, draw_views, finish_drawing
@@ -160,7 +160,7 @@ def _below(narrator: Narrator, report: Report) -> bool:
     coverage, settings = report.coverage, report.settings
     share, asked = coverage.visible_of_coverable, settings.coverage
     plain = report.most_coverage is None and report.multiplicity is None and report.promise is None
-    missed = plain and asked < 1 and share < asked
+    missed = plain and report.regions is None and asked < 1 and share < asked
     if missed:
         why = (
             f"{len(report.dropped)} views that were chosen could not be connected; move the part, or ask for less"
@@ -171,13 +171,10 @@ def _below(narrator: Narrator, report: Report) -> bool:
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
             f"for: {why}"
         )
-    for region in report.regions or ():
-        if region.asked < 1 and region.visible_of_coverable < region.asked and region.views == 1 and not missed:
+    if plain:
+        for sentence in region_report.missed(report):
+            narrator.note(sentence)
             missed = True
-            narrator.note(
-                f"the region '{region.name}' is measured to {100 * region.visible_of_coverable:.2f} % of what can be "
-                f"measured of it, less than the {100 * region.asked:g} % asked for; see cell why"
-            )
     if coverage.visible < settings.required_visible:
         narrator.note(
             f"the plan measures {100 * coverage.visible:.2f} % of the surface, less than the "

@@ -8,12 +8,35 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cell.errors import UnreachableError
 from cell.rays.prediction import Prediction
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.regions import RegionWishes
 from planner.cover import Problem
+from planner.measurability.matrix import Measurability
 from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints
+
+
+def require_measurable(regions: Sequence[RegionWishes], M: Measurability) -> None:
+    """Refuse regions of which no reachable candidate measures anything, naming their limits.
+
+    Raises:
+        UnreachableError: with what helps.
+    """
+    if not regions or len(M.indices):
+        return
+    limits = [
+        f"'{each.name}' takes {what} {limit:g} mm"
+        for each in regions
+        for what, limit in (("a spacing of at most", each.max_spacing_mm), ("a sigma of at most", each.max_sigma_mm))
+        if limit is not None
+    ]
+    raise UnreachableError(
+        "no reachable candidate measures anything that the regions ask for"
+        + (f" ({', '.join(limits)})" if limits else "")
+        + "; allow more, take a finer resolution or a device with a nearer range, or move the part"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

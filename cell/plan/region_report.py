@@ -35,6 +35,25 @@ def page(report: Report) -> list[str]:
     return [*lines, "", *told, *([""] if told else [])]
 
 
+def missed(report: Report) -> list[str]:
+    """A sentence for each coverage below 1 that is not kept on the held-out samples: of a region, or of several."""
+    regions = report.regions or ()
+    groups = [[each] for each in regions if not each.shared] + [[each for each in regions if each.shared]]
+    found = []
+    for group in groups:
+        can = sum(each.coverable * each.area_mm2 * each.weight for each in group)
+        has = sum(each.visible * each.area_mm2 * each.weight for each in group)
+        if can > 0 and group[0].asked < 1 and has < group[0].asked * can:
+            names = " and ".join(f"'{each.name}'" for each in group)
+            found.append(
+                f"of what can be measured of {names} the plan measures {_percent(has / can)}, less than the "
+                f"{100 * group[0].asked:g} % asked for; see cell why"
+            )
+        closed = [each for each in group if each.coverable == 0]
+        found += [f"nothing of the region '{each.name}' can be measured: {each.reason}" for each in closed]
+    return found
+
+
 def _sentence(region: RegionResult) -> str:
     limits = _limits(region)
     return (

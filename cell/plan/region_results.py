@@ -47,6 +47,7 @@ def results_of(
                 name=region.name,
                 area_mm2=round(1e6 * float(reference.areas[reference.region == number].sum()), 3),
                 asked=asked,
+                shared=region.coverage is None,
                 views=views,
                 max_sigma_mm=region.max_sigma_mm,
                 max_spacing_mm=region.max_spacing_mm,

@@ -21,7 +21,7 @@ from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
-from cell.plan.region_goals import RegionGoals
+from cell.plan.region_goals import RegionGoals, require_measurable
 from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import ConnectedPlan, choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
@@ -202,6 +202,7 @@ def measure(
         M, scanner = columns(run, job, surface, casters, pick_viewpoints(candidates, usable), progress)
         M = spread_measurability(M, usable, len(candidates))
         plan_files.write_measurability(run.folder, M)
+        require_measurable(job.scene.region, M)
         measured = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
         return measured, predicted(run, surface, measured, progress)
 

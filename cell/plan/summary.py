@@ -80,7 +80,7 @@ def plan_report(
         spacing=_spacing(job, problem, chosen),
         regions=_regions(job, problem, chosen),
         solver=cover.solver,
-        status=_sentence(chosen) + _at_target(chosen.target, plan.coverage),
+        status=_sentence(chosen) + _at_target(chosen, plan.coverage),
         lower_bound=cover.lower_bound,
         gap=cover.gap,
         verdicts=Verdicts(**{verdict.name.lower(): count for verdict, count in problem.reached.counts().items()}),
@@ -141,7 +141,7 @@ def _coverage(problem: Problem, chosen: ConnectedPlan) -> Coverage:
         coverable=coverable,
         visible_of_coverable=visible / coverable if coverable > 0 else 0.0,
         visible_with_arm=chosen.visible_with_arm,
-        target_on_features=chosen.target,
+        target_on_features=chosen.target if len(chosen.selected.targets) == 1 else None,
         planned_on_features=cover.covered_area / cover.total_area,
         coverable_on_features=cover.coverable_area / cover.total_area,
     )
@@ -207,8 +207,11 @@ def _sentence(chosen: ConnectedPlan) -> str:
     return chosen.cover.sentence if chosen.selected.answer is None else chosen.selected.sentence
 
 
-def _at_target(target: float, asked: float) -> str:
+def _at_target(chosen: ConnectedPlan, asked: float) -> str:
     """What the status is about where the target on the matrix was raised above the coverage that was asked for."""
+    target = chosen.target
+    if len(chosen.selected.targets) > 1:  # regions have targets of their own
+        return ""
     return (
         "" if target == asked else f", at {100 * target:.2f} % of the coverable samples for the {100 * asked:g} % asked"
     )

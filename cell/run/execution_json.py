@@ -2,7 +2,7 @@
 
 from pydantic import ConfigDict, Field
 
-from cell.run.json_table import JsonTable
+from cell.run.json_table import JsonTable, optional
 
 
 class ExecutedPart(JsonTable):
@@ -130,6 +130,15 @@ class ExecutedMotion(JsonTable):
     executed_s: float | None = Field(description="the controller's; null where its clock was no simulated one")
 
 
+class ExecutedRegion(JsonTable):
+    """What the scans measure of a region of the part; fractions of its area, on the held-out samples."""
+
+    name: str = Field(description="of the scene")
+    visible: float = Field(description="that they measure")
+    views: int = Field(description="from which its samples were to be measured")
+    from_enough_views: float = Field(description="that so many of them measure")
+
+
 class ExecutionReport(JsonTable):
     """The file."""
 
@@ -144,6 +153,7 @@ class ExecutionReport(JsonTable):
     n_views_planned: int = Field(description="views of the plan")
     n_points: int = Field(description="of all scans")
     coverage: ExecutedCoverage
+    regions: tuple[ExecutedRegion, ...] | None = optional()
     views: tuple[ExecutedView, ...] = Field(description="in driving order")
     cloud: ExecutedCloud
     registration: ExecutedRegistration | None = Field(description="null where it was not asked for")

@@ -25,7 +25,9 @@ class Coverage(JsonTable):
         "is not judged; older runs do not say it",
     )
     target_on_features: float | None = Field(
-        default=None, description="share of the coverable samples that the selection had to cover; older runs have none"
+        default=None,
+        description="share of the coverable samples that the selection had to cover; null where regions have shares of "
+        "their own; older runs have none",
     )
     planned_on_features: float = Field(description="what the views measure of the matrix' samples")
     coverable_on_features: float = Field(description="what all reachable candidates measure of them")

@@ -102,7 +102,8 @@ class RegionResult(JsonTable):
 
     name: str = Field(description="of the scene; `the rest` is what no region selects")
     area_mm2: float = Field(description="of its surface")
-    asked: float = Field(description="share of what is coverable that was asked for, of it or of all that share it")
+    asked: float = Field(description="share of what is coverable that was asked for")
+    shared: bool = Field(description="whether it is asked of all such regions together, by area and weight")
     views: int = Field(description="from which each sample of the matrix was to be measured")
     max_sigma_mm: float | None = Field(description="limit of its own; null: none")
     max_spacing_mm: float | None = Field(description="limit of its own; null: none")

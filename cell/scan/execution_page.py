@@ -3,7 +3,7 @@
 import html
 
 from cell.acquisition import SIMULATED
-from cell.run.execution_json import ExecutionReport
+from cell.run.execution_json import ExecutedRegion, ExecutionReport
 
 _COARSE = 0.02  # of the part's diagonal: a surface that reaches farther from its points is called interpolated
 
@@ -70,6 +70,7 @@ def table(summary: ExecutionReport) -> list[tuple[str, str]]:
     if coverage.dense is not None:
         near = "measured and with a point within 1.5 x the planned spacing"
         rows.append(("dense coverage", f"{_percent(coverage.dense)} {near}"))
+    rows += [(f"region {each.name}", _of_region(each)) for each in summary.regions or ()]
     if registration is not None and cloud.rms_to_reference_mm is not None:
         residuals = (
             f"points to reference {cloud.rms_to_reference_as_reported_mm:.4f} mm rms as reported, "
@@ -156,6 +157,11 @@ def _table(summary: ExecutionReport) -> list[str]:
     ]
 
 
+def _of_region(region: ExecutedRegion) -> str:
+    enough = f", {_percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
+    return f"{_percent(region.visible)} measured{enough}"
+
+
 def _coverage(summary: ExecutionReport) -> list[str]:
     coverage = summary.coverage
     model = "" if coverage.kind == "simulated" else " (computed by the model from the registered poses)"
@@ -170,6 +176,7 @@ def _coverage(summary: ExecutionReport) -> list[str]:
     ]
     if coverage.dense is not None:
         lines.append(f"| dense: a point within 1.5 x the planned spacing | {_percent(coverage.dense)} | |")
+    lines += [f"| region {html.escape(each.name)} | {_of_region(each)} | |" for each in summary.regions or ()]
     lines.append("")
     if coverage.predicted != coverage.predicted_all_views:
         lines += [

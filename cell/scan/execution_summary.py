@@ -15,6 +15,7 @@ from cell.run.execution_json import (
     ExecutedDeviation,
     ExecutedMotion,
     ExecutedPart,
+    ExecutedRegion,
     ExecutedRegistration,
     ExecutedSettings,
     ExecutedSurface,
@@ -85,6 +86,7 @@ def execution_report(
         source=source_of(scans),
         doubts=tuple(results.doubts),
         coverage=_coverage(plan, results.achieved, simulated=all(scan.T_true is not None for scan in scans)),
+        regions=_regions(cell, results.achieved),
         views=tuple(_view(k, scan, results) for k, scan in enumerate(scans)),
         cloud=ExecutedCloud(
             rms_to_reference_mm=_known_mm(merged.rms_after),
@@ -132,6 +134,20 @@ def _coverage(plan: PlanFile, achieved: Achieved, *, simulated: bool) -> Execute
         dense=achieved.dense,
         sampled_radius_mm=_mm(achieved.radius),
     )
+
+
+def _regions(cell: RunCell, achieved: Achieved) -> tuple[ExecutedRegion, ...] | None:
+    """What is achieved of each region that somebody cares for; None of a part without."""
+    of_sample = achieved.surface.samples.region
+    if of_sample is None:
+        return None
+    times, found = achieved.surface.seen.sum(axis=1), []
+    for number, region in enumerate(cell.scene.regions or ()):
+        own, views = times[of_sample == number], region.views or cell.scene.plan.multiplicity
+        if len(own):
+            shares = float((own > 0).mean()), float((own >= views).mean())
+            found.append(ExecutedRegion(name=region.name, visible=shares[0], views=views, from_enough_views=shares[1]))
+    return tuple(found)
 
 
 def _view(k: int, scan: ExecutedScan, results: Results) -> ExecutedView:

@@ -20,7 +20,8 @@ REST = "the rest"
 """Name of what no region selects."""
 
 _SELECTORS = ("faces", "kind", "diameter_below_mm", "diameter_above_mm", "box_mm", "colour", "painted")
-_WISHES = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
+WISHES = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
+"""Keys by which a region asks for something of its own."""
 
 
 class RegionWishes(Table):
@@ -78,7 +79,7 @@ class Region(RegionWishes):
 
     @model_validator(mode="after")
     def _possible(self) -> "Region":
-        asked = [key for key in _WISHES if key in self.model_fields_set and getattr(self, key) is not None]
+        asked = [key for key in WISHES if key in self.model_fields_set and getattr(self, key) is not None]
         if not self.cared and asked:
             raise ValueError(f".care is 'no', and region.{asked[0]} asks for something; give one of them")
         if self.painted is not None and self.colour is None:

@@ -119,8 +119,32 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: Run, tmp_
     assert other.returncode == 0, other.stderr
     scanned = run_cell("scan", run, "--json", cwd=tmp_path)
     assert scanned.returncode in (0, 3), scanned.stderr
-    coverage = json.loads(scanned.stdout)["coverage"]
+    executed = json.loads(scanned.stdout)
+    coverage, predicted = executed["coverage"], report_of(regions / "run")["regions"]
     assert coverage["visible"] == pytest.approx(coverage["predicted"], abs=0.01)
+    for own, planned in zip(executed["regions"], predicted, strict=True):
+        assert own["name"] == planned["name"]
+        assert own["visible"] == pytest.approx(planned["visible"], abs=0.01)
+        assert own["from_enough_views"] == pytest.approx(planned["from_enough_views"], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("limit", "exit_code", "said"),
+    [
+        ("max_spacing_mm = 0.1", 2, "'top' asks for points at most 0.1 mm apart, and generic-area-medium"),
+        ("max_sigma_mm = 0.00001", 4, "'top' takes a sigma of at most 1e-05 mm"),
+    ],
+)
+def test_what_no_view_can_keep_is_one_sentence(
+    regions: Path, run_cell: Run, tmp_path: Path, limit: str, exit_code: int, said: str
+) -> None:
+    """With the region, its limit and what helps."""
+    shutil.copy(regions / "block.stl", tmp_path)
+    text = _REGIONS.replace("max_spacing_mm = 0.6", limit).partition('[[region]]\nname = "side"')[0]
+    (tmp_path / "scene.toml").write_text(text + '[[region]]\nname = "skin"\ncare = "no"\n')
+    done = run_cell("plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "run", cwd=tmp_path)
+    assert done.returncode == exit_code
+    assert said in done.stderr.replace("\n", " ")
 
 
 def test_equal_inputs_give_equal_bytes(regions: Path, run_cell: Run) -> None:
