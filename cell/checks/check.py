@@ -13,6 +13,7 @@ from cell.robot.model import AXES, dimensions
 from cell.scanners import ScannerPlugin
 from cell.scene import devices
 from cell.scene.part_regions import with_regions
+from cell.scene.region_limits import require_attainable
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
@@ -170,6 +171,7 @@ def compiled(scene: Scene) -> Compiled:
     scene = devices.by_part(scene, part)
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
+    require_attainable(scene, scanner)
     baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
     world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm)
     return Compiled(scene, part, settings, scanner, world)

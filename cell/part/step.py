@@ -6,7 +6,9 @@ whatever unit the file is in, with the number and the surface of each triangle's
 part and falsify its box.
 """
 
+import os
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,13 +66,31 @@ def read(source: str, content: bytes) -> Solids:
         ) from error
     if b"ISO-10303-21" not in content[:2000]:
         raise FileError(f"{source} is no STEP file (ISO 10303-21); export it again")
-    made = cascadio.load(
-        content, file_type="step", tol_linear=DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False, include_brep=True
-    )
+    with _in_silence():
+        made = cascadio.load(
+            content, file_type="step", tol_linear=DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False,
+            include_brep=True,
+        )  # fmt: skip
     try:
         return _solids(list(_bodies(made))) if made else _nothing(source)
     except (glb.BrokenGlbError, KeyError, TypeError, ValueError) as error:
         raise FileError(f"{source} cannot be read as STEP; it is broken or cut short, export it again") from error
+
+
+@contextmanager
+def _in_silence() -> Iterator[None]:
+    """Open CASCADE writes on both streams of the process, one of which is for `--json`; its words are not passed on."""
+    kept = [(stream, os.dup(stream)) for stream in (1, 2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for stream, _ in kept:
+            os.dup2(nowhere, stream)
+        yield
+    finally:
+        for stream, own in kept:
+            os.dup2(own, stream)
+            os.close(own)
+        os.close(nowhere)
 
 
 def _nothing(source: str) -> Solids:

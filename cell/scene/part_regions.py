@@ -123,8 +123,8 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
     source = region.painted or scene.part.path
     if source is None:
         raise SceneError(
-            f"the region '{region.name}' selects by colour, and the built-in part has none; give region.painted, a "
-            "coloured mesh of it"
+            f"the region '{region.name}' selects by colour, and {scene.part.name} is no file that has any; give "
+            "region.painted, a coloured mesh of it"
         )
     units = scene.part.units if region.painted is None else region.painted_units or units_of(source)
     assert units is not None, "the scene asks for it"

@@ -121,10 +121,13 @@ def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
     ],
     ids=["another format", "empty", "cut short"],
 )
-def test_broken_files_are_one_sentence(tmp_path: Path, content: str, said: str) -> None:
-    """What Open CASCADE cannot read is a sentence with what to do."""
+def test_broken_files_are_one_sentence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: str, said: str
+) -> None:
+    """What Open CASCADE cannot read is a sentence with what to do; its own words are on no stream."""
     with pytest.raises(FileError, match=said):
         load(written(tmp_path, content))
+    assert capfd.readouterr() == ("", "")
 
 
 def test_without_cascadio_a_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
