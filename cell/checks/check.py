@@ -12,7 +12,7 @@ from cell.part.workpiece import Workpiece
 from cell.robot.model import AXES, dimensions
 from cell.scanners import ScannerPlugin
 from cell.scene import devices
-from cell.scene.part_regions import with_regions
+from cell.scene.part_regions import areas_of, with_regions
 from cell.scene.region_limits import require_attainable
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
@@ -53,6 +53,7 @@ class CheckResult:
         findings: what the part's checks noted.
         part: its name.
         part_size_mm: sides of its bounding box.
+        regions_mm2: area of each region that somebody cares for; none of a part without.
         placement_mm: its centre in the base frame.
         home_deg: A1..A6.
         contacts_at_home: pairs nearer than the clearance and their distance [mm], negative in contact, nearest first.
@@ -78,6 +79,7 @@ class CheckResult:
     findings: tuple[str, ...]
     part: str
     part_size_mm: Triple
+    regions_mm2: dict[str, float]
     placement_mm: Triple
     home_deg: tuple[float, ...]
     contacts_at_home: tuple[tuple[str, float], ...]
@@ -117,6 +119,7 @@ class CheckResult:
         span = f", range {self.range_mm[0]:g} to {self.range_mm[1]:g} mm" if self.range_mm is not None else ""
         return [
             ("part", f"{self.part}, {_by(self.part_size_mm)} mm"),
+            *[(f"region {name}", f"{area:,.1f} mm²") for name, area in self.regions_mm2.items()],
             ("part's centre", f"{_list(self.placement_mm)} mm in base"),
             ("home", f"{_list(self.home_deg)} deg"),
             ("contacts at home", contacts or "none"),
@@ -201,6 +204,7 @@ def checked(cell: Compiled) -> CheckResult:
         findings=tuple(finding.sentence for finding in part.findings),
         part=part.name,
         part_size_mm=_triple(part.size),
+        regions_mm2=areas_of(part, scene),
         placement_mm=_triple((world.T_base_object @ world.T_object_centre)[:3, 3]),
         home_deg=scene.robot.home_deg,
         contacts_at_home=contacts,

@@ -50,6 +50,15 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
     return replace(part, reference=replace(part.reference, region=number))
 
 
+def areas_of(part: Workpiece, scene: Scene) -> dict[str, float]:
+    """Area [mm^2] of each region that somebody cares for, by name; the rest only where there is any."""
+    if (number := part.reference.region) is None:
+        return {}
+    regions = complete(scene.region)
+    areas = 1e6 * np.bincount(number[number >= 0], part.reference.areas[number >= 0], len(regions))
+    return {region.name: round(float(area), 3) for region, area in zip(regions, areas, strict=True) if area > 0}
+
+
 def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
     """The part with triangles that no side of a box crosses, and small ones where another mesh is painted."""
     mesh, parent = part.reference, np.arange(len(part.reference.faces))

@@ -15,7 +15,7 @@ from cell.rays.matrix import REGION_ROWS, surface_features
 from cell.rays.prediction import held_out
 from cell.scanners.laser_area import LaserArea
 from cell.scene import devices
-from cell.scene.part_regions import with_regions
+from cell.scene.part_regions import areas_of, with_regions
 from cell.scene.region_limits import require_attainable
 from cell.scene.regions import complete, limited
 from cell.scene.scene import Scene, load_scene
@@ -95,6 +95,8 @@ def test_a_box_cuts_triangles(box: Path) -> None:
     part = tagged(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm")
     assert area(part, 0) == pytest.approx(3 * 2 * (20 + 30))
     assert area(part, 1) == pytest.approx(2 * (20 * 30 + 20 * 40 + 30 * 40) - 300)
+    told = areas_of(part, scene_with(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm"))
+    assert told == {"slab": pytest.approx(300), "the rest": pytest.approx(4900)}
     assert [region.name for region in complete(scene_with(box, [{"name": "s", "kind": "plane"}], "mm").region)] == [
         "s", "the rest",
     ]  # fmt: skip
