@@ -32,7 +32,7 @@ Ask = Callable[[Problem, float], Cover]
 
 _ROUNDS = 5  # in which parts gain weight; few instances change after three
 _TIGHTER = (0.75, 0.5, 0.25)  # of the way from 1 to the right side that implies every target
-_SHARE = 0.25  # of the work, for each
+_LOOK, _LAST = 0.1, 0.5  # of the work: for each look, and for the weights that they lead to
 _SLACK = 1e-9  # relative, when a target counts as met
 
 
@@ -59,17 +59,20 @@ def solve_parts(problem: Problem, ask: Ask) -> Cover:
         return parts.told(found, found.views)
     bounds: list[Cover] = []
     for _ in range(_ROUNDS):
-        bounds.append(ask(parts.surrogate(u, 1.0), _SHARE))
-        ratio = parts.open(bounds[-1].views)[loose] / parts.slack[loose]
-        if parts.met(bounds[-1].views):
-            return _with_bounds(parts, bounds[-1], bounds)
-        u[loose] *= np.maximum(ratio, 0.1)
-        u /= u.sum()
-    least = float(u[loose].min())
-    for share in (*_TIGHTER, 0.0):
-        found = ask(parts.surrogate(u, least + share * (1 - least)), _SHARE)
+        found = ask(parts.surrogate(u, 1.0), _LOOK)
+        bounds.append(found)
         if parts.met(found.views):
             break
+        u[loose] *= np.maximum(parts.open(found.views)[loose] / parts.slack[loose], 0.1)
+        u /= u.sum()
+    bounds.append(ask(parts.surrogate(u, 1.0), _LAST))
+    if parts.met(bounds[-1].views):
+        found = bounds[-1]
+    least = float(u[loose].min())
+    for share in (*_TIGHTER, 0.0):
+        if parts.met(found.views):
+            break
+        found = ask(parts.surrogate(u, least + share * (1 - least)), _LOOK)
     return _with_bounds(parts, found, bounds)
 
 
