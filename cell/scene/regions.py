@@ -20,8 +20,7 @@ REST = "the rest"
 """Name of what no region selects."""
 
 _SELECTORS = ("faces", "kind", "diameter_below_mm", "diameter_above_mm", "box_mm", "colour", "painted")
-WISHES = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
-"""Keys by which a region asks for something of its own."""
+_WISHES = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
 
 
 class RegionWishes(Table):
@@ -79,7 +78,7 @@ class Region(RegionWishes):
 
     @model_validator(mode="after")
     def _possible(self) -> "Region":
-        asked = [key for key in WISHES if key in self.model_fields_set and getattr(self, key) is not None]
+        asked = [key for key in _WISHES if key in self.model_fields_set and getattr(self, key) is not None]
         if not self.cared and asked:
             raise ValueError(f".care is 'no', and region.{asked[0]} asks for something; give one of them")
         if self.painted is not None and self.colour is None:
@@ -125,6 +124,21 @@ def beside_plan(regions: Sequence[Region], plan: PlanSettings) -> str:
             if asked and key in region.model_fields_set and (asked, key) != ("max_views", "weight"):
                 return f"'{region.name}' asks for {key}, and plan.{asked} is another question; ask one of them"
     return ""
+
+
+def require_no_wishes(regions: Sequence[Region]) -> None:
+    """Refuse regions that ask for more than to be cared for, or not: studies know no more.
+
+    Raises:
+        SceneError: with the region and the key.
+    """
+    for region in regions:
+        for key in _WISHES:
+            if key in region.model_fields_set:
+                raise SceneError(
+                    f"the region '{region.name}' asks for {key}, and studies know of regions only what they care for; "
+                    "leave it out"
+                )
 
 
 def complete(regions: Sequence[Region]) -> tuple[Region, ...]:

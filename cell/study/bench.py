@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from cell import scanners
 from cell.checks.possible import require_possible
-from cell.errors import SceneError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
@@ -24,7 +23,7 @@ from cell.rays.prediction import held_out
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene import devices
 from cell.scene.part_regions import with_regions
-from cell.scene.regions import WISHES
+from cell.scene.regions import require_no_wishes
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
@@ -90,10 +89,7 @@ class Bench:
     """
 
     def __init__(self, scene: Scene, *, samples: int = coverage.SAMPLES) -> None:
-        if any(set(region.model_fields_set) & set(WISHES) for region in scene.region):
-            raise SceneError(
-                "studies know of regions only what they care for; leave coverage, views, weight and limits out of them"
-            )
+        require_no_wishes(scene.region)
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
         self.scene = scene = devices.by_part(scene, self.part)
         settings = resolve(scene, self.part)

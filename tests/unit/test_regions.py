@@ -17,7 +17,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene import devices
 from cell.scene.part_regions import areas_of, with_regions
 from cell.scene.region_limits import require_attainable
-from cell.scene.regions import complete, limited
+from cell.scene.regions import complete, limited, require_no_wishes
 from cell.scene.scene import Scene, load_scene
 from planner.cover import Problem
 from planner.measurability.quality import Limited, Limits
@@ -249,6 +249,13 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
     assert RegionGoals.of((), scene.plan) is None
     only = scene_with(box, [{"name": "a", "kind": "plane", "max_spacing_mm": 1.0}, NO], "mm")
     assert RegionGoals.of(only.region, only.plan).plain
+
+
+def test_studies_refuse_what_they_do_not_know(box: Path) -> None:
+    """A region that is only cared for is all that they take."""
+    require_no_wishes(scene_with(box, [{"name": "a", "kind": "plane"}, NO], "mm").region)
+    with pytest.raises(SceneError, match="'a' asks for views, and studies"):
+        require_no_wishes(scene_with(box, [{"name": "a", "kind": "plane", "views": 2}, NO], "mm").region)
 
 
 def test_a_mesh_without_a_face_that_counts_is_refused() -> None:
