@@ -49,6 +49,8 @@ REGISTRY = {
     "cycle_time": "cycle time of whole plans against an earlier version's, RoboTSP's way and the lower bound",
     "kills": "client and controller killed at random moments, then resumed: what is lost, what is doubled",
     "edits": "random edits of plans, and differences of runs: what each gives or why it is refused, judged again",
+    "locate": "placements found from one scan of a part that was set down elsewhere: error beside what is told as open",
+    "hand_eye": "mounts from 12 scans of a ball or a plane: error beside what they say of themselves; degenerate sets",
     "plan": "the main job as a whole process: stages, memory, prediction error on every part",
     "plant": "the dynamic arm: tracking error beside simulation speed; time steps, integrators and gains that diverge",
     "scan": "the execution as a whole process: seconds, memory, coverage achieved beside predicted, registration",

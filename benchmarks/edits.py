@@ -43,7 +43,7 @@ _OF_AN_EDITED = 4  # each so many-th edit is of the plan that was edited last
 def run() -> list[dict[str, Any]]:
     """One row a part, one over all, and one for each finding."""
     count = int(os.environ.get("SCAN_CELL_EDITS", "14"))
-    with tempfile.TemporaryDirectory() as scratch, _no_pictures():
+    with tempfile.TemporaryDirectory() as scratch, no_pictures():
         folder = Path(os.environ.get("SCAN_CELL_RECHECK", scratch))
         folder.mkdir(parents=True, exist_ok=True)
         kept = folder / "rows.jsonl"
@@ -156,7 +156,7 @@ class _Blank(Drawing):
 
 
 @contextmanager
-def _no_pictures() -> Iterator[None]:
+def no_pictures() -> Iterator[None]:
     """Plans are made without pictures and page, executions without theirs."""
     with (
         mock.patch("cell.plan.picture_process.beside", side_effect=lambda: nullcontext(_Blank())),

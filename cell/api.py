@@ -22,7 +22,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import trimesh
 
+    from cell.calibrate.mounted import Mounted
+    from cell.calibrate.options import HandEye
     from cell.edit.editable import EditableRun
+    from cell.locate.located import Located
+    from cell.locate.options import Locating
     from cell.narrator import Narrator
     from cell.part.workpiece import Workpiece
     from cell.run.executed import ExecutedRun
@@ -34,7 +38,7 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 """Told `(stage, done, total)` while work goes on; what it raises ends the work. A stage begins with (0, 0)."""
 
-__all__ = ["Progress", "open_run", "plan", "scan"]
+__all__ = ["Progress", "hand_eye", "locate", "open_run", "plan", "scan"]
 
 
 def plan(
@@ -120,6 +124,63 @@ def scan(
     wanted = read(ScanOptions, wishes) if options is None else options
     outcome = execution.scan(_folder(run), wanted, argv=argv, narrator=_narrator(progress), ask=ask)
     return open_execution(outcome.folder)
+
+
+def locate(
+    run: "PlannedRun | str | Path",
+    wanted: "Locating | None" = None,
+    *,
+    progress: "Progress | Narrator | None" = None,
+    **wishes: object,
+) -> "Located":
+    """Find where the part of a plan really stands; `run.edited(T_base_object=found.T_base_object)` plans it there.
+
+    Args:
+        run: a finished plan, or its folder; nothing in it changes.
+        wanted: as one value; None makes it of the wishes.
+        progress: told how far the work is; None works in silence.
+        **wishes: options of `cell locate` by name: `points="scan.ply"`, `points_frame="scanner"`, `points_units="mm"`.
+
+    Returns:
+        The placement with its precision, what is not determined, and whether the plan's motion keeps its clearance.
+
+    Raises:
+        CellError: in one sentence.
+    """
+    from cell.locate.locate import locate as found
+    from cell.locate.options import Locating
+    from cell.run.planned import open_run as opened
+    from cell.scene.option import read
+
+    planned = opened(Path(run)) if isinstance(run, str | Path) else run
+    return found(planned, read(Locating, wishes) if wanted is None else wanted, _narrator(progress))
+
+
+def hand_eye(
+    files: "Sequence[str | Path]",
+    wanted: "HandEye | None" = None,
+    *,
+    progress: "Progress | Narrator | None" = None,
+    **wishes: object,
+) -> "Mounted":
+    """Find the mount (flange to scanner) from scans of a sphere or a plane from several poses of the flange.
+
+    Args:
+        files: the scans, scanner frame.
+        wanted: as one value; None makes it of the wishes.
+        progress: told how far the work is; None works in silence.
+        **wishes: options of `cell calibrate hand-eye` by name: `points_units="mm"`, `diameter=38.1`.
+
+    Raises:
+        CellError: in one sentence.
+    """
+    from cell.calibrate.calibrate import hand_eye as found
+    from cell.calibrate.options import HandEye
+    from cell.scene.option import read
+
+    return found(
+        [Path(file) for file in files], read(HandEye, wishes) if wanted is None else wanted, _narrator(progress)
+    )
 
 
 def open_run(folder: "str | Path") -> "EditableRun":

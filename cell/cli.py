@@ -15,12 +15,14 @@ import typer
 
 from cell import signals
 from cell.commands import (
+    calibrate,
     check,
     cover,
     diff,
     edit,
     emulate,
     export,
+    locate,
     part,
     place,
     plan,
@@ -52,6 +54,8 @@ app.command(epilog=scan.EPILOG)(scan.scan)
 app.command(epilog=why.EPILOG)(why.why)
 app.command(epilog=diff.EPILOG)(diff.diff)
 app.command(epilog=edit.EPILOG)(edit.edit)
+app.command(epilog=locate.EPILOG)(locate.locate)
+app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(study.app, name="study")
 app.command(epilog=place.EPILOG)(place.place)
 app.command(epilog=export.EPILOG)(export.export)

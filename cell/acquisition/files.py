@@ -53,7 +53,7 @@ class Files:
         until, told, size = self._now() + self._wait, False, -1
         why = f"{self._folder} has no file of view {view.stop}"
         while True:
-            path = self._file(view.stop)
+            path = file_of_view(self._folder, view.stop)
             if path is not None:
                 # A file that is still being written grows: with time to wait it has to keep its size for one look.
                 before, size = size, path.stat().st_size
@@ -73,22 +73,23 @@ class Files:
                 told = True
             self._sleep(_LOOK_S)
 
-    def _file(self, stop: int) -> Path | None:
-        """The file of a view; None where it is not there.
 
-        Raises:
-            FileError: if there are several.
-        """
-        found = [
-            path
-            for path in sorted(self._folder.iterdir())
-            if path.suffix.lower() in point_files.SUFFIXES
-            and (number := re.search(r"(\d+)$", path.stem)) is not None
-            and int(number[1]) == stop
-        ]
-        if len(found) > 1:
-            raise FileError(f"{found[0]} and {found[1].name} are both of view {stop}; leave one of them")
-        return found[0] if found else None
+def file_of_view(folder: Path, stop: int) -> Path | None:
+    """The file of a folder whose name ends in the number of a view; None where it is not there.
+
+    Raises:
+        FileError: if there are several.
+    """
+    found = [
+        path
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in point_files.SUFFIXES
+        and (number := re.search(r"(\d+)$", path.stem)) is not None
+        and int(number[1]) == stop
+    ]
+    if len(found) > 1:
+        raise FileError(f"{found[0]} and {found[1].name} are both of view {stop}; leave one of them")
+    return found[0] if found else None
 
 
 def frame_and_units(context: Context) -> tuple[Frame, str, float]:

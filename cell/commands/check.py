@@ -10,7 +10,8 @@ import typer
 from cell.commands.options import AsJson, Wishes, from_fields
 from cell.scene.option import flag, offers
 from cell.scene.options import scene_of
-from cell.scene.scene import PART, Scene
+from cell.scene.posed import PART
+from cell.scene.scene import Scene
 
 EPILOG = "Examples:\n\ncell check my_cell.toml\n\ncell check my_cell.toml --part part.stl --units mm --place 1200,500,0"
 

@@ -11,7 +11,8 @@ from pydantic import BaseModel
 
 from cell.scene.option import Offer, flag, offers, read
 from cell.scene.options import BUILT_IN
-from cell.scene.scene import PART, Scene
+from cell.scene.posed import PART
+from cell.scene.scene import Scene
 
 Part = Annotated[
     str | None,

@@ -8,7 +8,7 @@ is the run's.
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from cell import scanners
 from cell.edit.known_motion import known_motion
+from cell.edit.moved import Before, measured_anew, still_reached, unswept
 from cell.edit.options import Edit, Pose
 from cell.edit.views import EditedViews, check, edited_views
 from cell.errors import UnreachableError, UsageError
@@ -29,17 +30,19 @@ from cell.plan.steps import Cell, Job, Measured, Run
 from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
+from cell.rays.prediction import Prediction
 from cell.run import reader
-from cell.run.cell import scene_of_run
+from cell.run.cell import placed, scene_of_run
 from cell.run.planned import PlannedRun
 from cell.run.report_json import Report
 from cell.scene.plan_settings import PlanSettings
-from cell.scene.scene import Scene, pose
+from cell.scene.posed import pose
+from cell.scene.scene import Scene
 from planner.cover import CoverStatus
 from planner.measurability.columns import join_measurability
 from planner.reach.reach import Reach, Verdict, join_reach
 from planner.values import Floats
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
+from planner.viewpoints.viewpoints import join_viewpoints
 
 _KEPT = ("reference.ply", "planning.ply")
 
@@ -50,23 +53,17 @@ _PLAIN = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "
 """Wishes that the choice of views answers: without meaning where the views are given."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Before:
-    """The run that is edited, as its files say it."""
-
-    run: PlannedRun
-    candidates: Viewpoints
-    reached: Reach
-
-
 def edit(
-    run: PlannedRun, wanted: Edit, *, out: Path | None, argv: Sequence[str], use_cache: bool, narrator: Narrator
-) -> Path:
+    run: PlannedRun, wanted: Edit, *, out: Path | None, argv: Sequence[str], use_cache: bool, narrator: Narrator,
+    T_base_object: Floats | None = None,
+) -> Path:  # fmt: skip
     """Make a new run of an edited plan.
 
     Args:
         run: a finished plan; nothing in its folder changes.
         wanted: what changes.
+        T_base_object: (4, 4) where the part stands now, its views with it [m]; None: where it stood. With `repair`,
+            views that the arm cannot take there are left out.
         out: the run folder to make; None makes one below sim_runs/.
         argv: for the manifest.
         use_cache: whether matrices may be taken from and left in the cache.
@@ -87,33 +84,40 @@ def edit(
             "leave repair out, or plan with a coverage"
         )
     check(wanted, len(run.candidate), run.report.verdicts.total)
-    before = _Before(run, reader.candidates(run.record), reader.reached(run.record))
-    resolved = reader.scene(run.record)
+    resolved, moved = reader.scene(run.record), T_base_object is not None
+    before = Before(run, reader.candidates(run.record), reader.reached(run.record), moved)
+    scene = scene_of_run(run.record)
+    if T_base_object is not None:
+        scene = placed(scene, T_base_object, resolved.T_object_centre)
     part = Workpiece(resolved.part.name, reader.mesh(run.record, "reference.ply"), resolved.part.sha256)
     return pipeline.plan(
-        scene_of_run(run.record), part=part, scene_path=run.folder / "scene.toml", out=out, argv=argv,
+        scene, part=part, scene_path=run.folder / "scene.toml", out=out, argv=argv,
         use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, before, wanted),
     )  # fmt: skip
 
 
-def _steps(before: _Before, wanted: Edit, run: Run, job: Job) -> int:
+def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
     """The steps of an edit; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface = _surface(before, run, job)
     run.drawing.part_ready(run.folder.path)
     cell = steps.compile_cell(run, job, surface)
     run.drawing.cell_ready(run.folder.path)
     edited = _views(before, wanted, job, cell, surface)
-    measured = _measured(before, edited, run, job, surface, cell)
+    if before.moved:
+        measured = measured_anew(before, run, job, surface, cell)
+        edited = still_reached(edited, measured.reached, run.narrator, leave_out=wanted.repair)
+    else:
+        measured = _measured(before, edited, run, job, surface, cell)
     job = replace(job, scene=_without_dropped(job, edited))
-    asked = replace(job, scene=job.scene.model_copy(update={"plan": _asked(wanted, edited, job, measured)}))
     with run.step("held-out samples") as progress:
         prediction = steps.predicted(run, surface, measured, progress)
-    problem = steps.ask(run, asked, cell, measured, prediction)
-    same = edited.views == tuple(before.run.candidate.tolist()) and edited.order in (None, edited.views)
-    order = edited.views if same else edited.order
-    known = known_motion(before.run) if same else None
-    problem = replace(problem, request=replace(problem.request, order=order, known=known))
-    problem, chosen = _connected(run, problem, surface, edited)
+    while True:
+        problem = _problem(before, wanted, edited, run, job, cell, measured, prediction)
+        try:
+            problem, chosen = steps.connect(run, problem, surface)
+            break
+        except PinnedOutError as error:
+            edited = _without(error, edited, run, leave_out=before.moved and wanted.repair)
     holds, chosen = _bounded(before, edited, problem, chosen)
     told: dict[str, object] = {"part": before.run.report.part}
     if not holds:
@@ -128,7 +132,7 @@ def _steps(before: _Before, wanted: Edit, run: Run, job: Job) -> int:
     return 3 if _below(run.narrator, report) else 0
 
 
-def _surface(before: _Before, run: Run, job: Job) -> PartSurface:
+def _surface(before: Before, run: Run, job: Job) -> PartSurface:
     """The part and the rows of the matrix; the files of the meshes stay what they were, to the byte."""
     with run.step("read the plan"):
         for name in _KEPT:
@@ -141,12 +145,9 @@ def _surface(before: _Before, run: Run, job: Job) -> PartSurface:
         )  # fmt: skip
 
 
-def _views(before: _Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
+def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
     """The views that are asked for; of a sensor that sweeps they are named by the middle poses of their sweeps."""
-    T_view_scanner = getattr(job.scanner, "T_view_scanner", np.eye(4)[None])
-    T_scanner_view = np.linalg.inv(T_view_scanner[len(T_view_scanner) // 2])
-    known = before.candidates
-    middle = known.T_object_scanner[:, [known.T_object_scanner.shape[1] // 2]] @ T_scanner_view
+    views, T_scanner_view = unswept(before.candidates, job.scanner)
     T_object_base = np.linalg.inv(cell.world.T_base_object)
 
     def T_object_view(given: Pose) -> Floats:
@@ -157,11 +158,10 @@ def _views(before: _Before, wanted: Edit, job: Job, cell: Cell, surface: PartSur
         hit = surface.caster.first_hit(T[None, :3, 3], T[None, :3, 2]).distance[0]
         return float(hit) if np.isfinite(hit) else float(np.linalg.norm(T[:3, 3] - job.part.centre))
 
-    views = Viewpoints(middle, known.face, known.standoff, known.roll)
     return edited_views(wanted, before.run.candidate.tolist(), views, T_object_view, standoff)
 
 
-def _measured(before: _Before, edited: EditedViews, run: Run, job: Job, surface: PartSurface, cell: Cell) -> Measured:
+def _measured(before: Before, edited: EditedViews, run: Run, job: Job, surface: PartSurface, cell: Cell) -> Measured:
     """Candidates, reach and matrix of the run, and further rows for the poses that were no candidates.
 
     Raises:
@@ -221,23 +221,37 @@ def _asked(wanted: Edit, edited: EditedViews, job: Job, measured: Measured) -> P
     return plan.model_copy(update={**defaults, **given})
 
 
-def _connected(run: Run, problem: Problem, surface: PartSurface, edited: EditedViews) -> tuple[Problem, ConnectedPlan]:
-    """The views with the motion through them, and the problem with the samples that a repair added.
+def _problem(
+    before: Before, wanted: Edit, edited: EditedViews, run: Run, job: Job, cell: Cell, measured: Measured,
+    prediction: Prediction,
+) -> Problem:  # fmt: skip
+    """What is asked of selection and motion; where views and placement are what they were, their motion is known."""
+    asked = replace(job, scene=job.scene.model_copy(update={"plan": _asked(wanted, edited, job, measured)}))
+    problem = steps.ask(run, asked, cell, measured, prediction)
+    same = edited.views == tuple(before.run.candidate.tolist()) and edited.order in (None, edited.views)
+    same &= not before.moved
+    order = edited.views if same else edited.order
+    known = known_motion(before.run) if same else None
+    return replace(problem, request=replace(problem.request, order=order, known=known))
+
+
+def _without(error: PinnedOutError, edited: EditedViews, run: Run, *, leave_out: bool) -> EditedViews:
+    """The views without one that no motion leads through.
 
     Raises:
-        UnreachableError: if no motion leads through a view, with the reason.
+        UnreachableError: if it may not be left out, with the reason.
     """
-    try:
-        return steps.connect(run, problem, surface)
-    except PinnedOutError as error:
-        called = edited.called.get(error.candidate, f"pinned candidate {error.candidate}")
+    called = edited.called.get(error.candidate, f"pinned candidate {error.candidate}")
+    if not leave_out or error.candidate not in edited.views:
         raise UnreachableError(
             f"{called} cannot be part of a motion: {error.reason}; move it elsewhere, or drop it"
         ) from error
+    run.narrator.note(f"{called} is left out: it cannot be part of a motion ({error.reason})")
+    return edited.without([error.candidate])
 
 
 def _bounded(
-    before: _Before, edited: EditedViews, problem: Problem, chosen: ConnectedPlan
+    before: Before, edited: EditedViews, problem: Problem, chosen: ConnectedPlan
 ) -> tuple[bool, ConnectedPlan]:
     """Whether the run's bound on the number of views still holds, and the plan with that bound, or with none (1).
 
@@ -249,7 +263,7 @@ def _bounded(
     target = said.coverage.target_on_features or 1.0
     holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
     holds &= not set(edited.dropped) & set(reader.scene(before.run.record).plan.pinned)
-    holds &= said.most_coverage is None and problem.request.goals is None
+    holds &= said.most_coverage is None and problem.request.goals is None and not before.moved
     bound = min(said.lower_bound, len(cover.views)) if holds else 1
     proven = bound == len(cover.views)
     status = CoverStatus.PROVEN if proven else CoverStatus.BOUNDED

@@ -10,6 +10,7 @@ from cell.edit.options import Edit
 from cell.narrator import Narrator, Quiet
 from cell.run.planned import PlannedRun, open_run
 from cell.scene.option import read
+from planner.values import Floats
 
 
 @dataclass(frozen=True, eq=False)  # no slots: what is read later is kept
@@ -34,6 +35,7 @@ class EditableRun(PlannedRun):
         use_cache: bool = True,
         progress: Narrator | None = None,
         argv: Sequence[str] = (),
+        T_base_object: Floats | None = None,
         **wishes: object,
     ) -> "EditableRun":
         """A new run with views dropped, moved, turned, added or in another order; everything is checked again.
@@ -44,6 +46,8 @@ class EditableRun(PlannedRun):
             use_cache: whether measurability matrices are taken from and left in the user's cache.
             progress: told how far the work is; None works in silence.
             argv: kept in the manifest.
+            T_base_object: (4, 4) where the part stands now, in place of where it was planned [m]: its views move with
+                it, and `repair` leaves out those that the arm cannot take there (`cell.api.locate` finds it).
             **wishes: options of `cell edit` by name: `drop=[4]`, `turn={7: 90}`, `add_candidate=533`, `repair=True`,
                 `move={7: (x, y, z, a, b, c)}` (mm and deg, KUKA ABC, scanner in base).
 
@@ -53,4 +57,7 @@ class EditableRun(PlannedRun):
         asked = read(Edit, wishes) if wanted is None else wanted
         where = None if out is None else Path(out)
         narrator = Quiet(None) if progress is None else progress
-        return EditableRun.opened(edit(self, asked, out=where, argv=argv, use_cache=use_cache, narrator=narrator))
+        made = edit(
+            self, asked, out=where, argv=argv, use_cache=use_cache, narrator=narrator, T_base_object=T_base_object
+        )
+        return EditableRun.opened(made)

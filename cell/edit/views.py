@@ -4,14 +4,14 @@ A candidate keeps its number: a pose that is a candidate already is that candida
 last. Object frame, metres, radians.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell.edit.options import Edit, Pose
 from cell.errors import UsageError
-from cell.scene.scene import pose
+from cell.scene.posed import pose
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, looking_at, pick_viewpoints
 
@@ -36,6 +36,12 @@ class EditedViews:
     order: tuple[int, ...] | None
     dropped: tuple[int, ...]
     appended: Viewpoints
+
+    def without(self, candidates: Collection[int]) -> "EditedViews":
+        """These views but for some, which are dropped."""
+        views = tuple(view for view in self.views if view not in candidates)
+        order = None if self.order is None else tuple(view for view in self.order if view not in candidates)
+        return replace(self, views=views, order=order, dropped=(*self.dropped, *candidates))
 
 
 class _Numbering:

@@ -134,7 +134,7 @@ def _scene(proven: Proven, now: Scene, changed: Collection[str] | None) -> Itera
     then, due = proven.scene, scene_of_run(proven.run)
     now = _scanner_as_planned(now, due)
     values: Mapping[str, tuple[object, object]] = {
-        "placement": (now.placement.T, due.placement.T),
+        "placement": (now.placement.by_centre(then.T_object_centre).T, due.placement.T),
         "mount": (now.mount.T, due.mount.T),
         "housing": (
             [now.mount.T @ now.housing.T_scanner_housing(now.scanner.baseline_mm or 0.0), *_housing(now)],

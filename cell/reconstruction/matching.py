@@ -199,7 +199,7 @@ class JointProblem:
             if bases[i].shape[1]:
                 radius = float(np.linalg.norm(scan.points - scan.centre, axis=1).max())
                 moved[i] = np.linalg.norm(change[i, :3]) + radius * np.linalg.norm(change[i, 3:])
-                scan.T = _motion(change[i], scan.centre) @ scan.T
+                scan.T = small_motion(change[i], scan.centre) @ scan.T
         return moved
 
     def _weighted(
@@ -232,7 +232,7 @@ class JointProblem:
         )
 
 
-def _motion(change: Floats, centre: Floats) -> Floats:
+def small_motion(change: Floats, centre: Floats) -> Floats:
     """(4, 4) rotation by the vector change[3:] about `centre`, then translation by change[:3] (Rodrigues' formula)."""
     angle = float(np.linalg.norm(change[3:]))
     x, y, z = change[3:] / angle if angle > 0 else np.zeros(3)

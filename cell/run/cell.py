@@ -24,6 +24,7 @@ from cell.run.record import RunRecord, artefact, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
 from cell.scene.options import BUILT_IN
 from cell.scene.plan_settings import PlanKeys
+from cell.scene.posed import Placement
 from cell.scene.regions import Region, limited
 from cell.scene.scene import Scene
 from cell.world import shapes
@@ -227,6 +228,17 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
             "region": tuple(Region.model_construct(**dict(region)) for region in resolved.regions or ()),
         }
     )
+
+
+def placed(scene: Scene, T_base_object: Floats, T_object_centre: Floats) -> Scene:
+    """A scene whose part stands elsewhere.
+
+    Args:
+        scene: of a run.
+        T_base_object: (4, 4) [m].
+        T_object_centre: (4, 4) of the part [m].
+    """
+    return scene.model_copy(update={"placement": Placement.model_validate(_pose(T_base_object @ T_object_centre))})
 
 
 def _plan(resolved: ResolvedScene) -> dict[str, object]:

@@ -77,6 +77,11 @@ class PlannedRun:
         return readonly("T_object_scanner", [view.T_object_scanner for view in self.plan.views], (None, 4, 4))
 
     @cached_property
+    def T_base_object(self) -> Floats:
+        """(4, 4) the placement: the part's file in base [m]."""
+        return readonly("T_base_object", reader.scene(self.record).T_base_object, (4, 4))
+
+    @cached_property
     def motion(self) -> Motion:
         """The timed motion from home to home."""
         return reader.motion(self.record)

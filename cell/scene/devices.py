@@ -21,8 +21,9 @@ _BY_SIDE = ((30.0, SMALL), (100.0, MEDIUM))  # longest side up to the middle of 
 
 
 def by_part(scene: Scene, part: Workpiece) -> Scene:
-    """The scene settled for its part: `settled` by the part's name and size."""
-    return settled(scene, part.name, longest_mm(part))
+    """The scene settled for its part: `settled` by the part's name and size, placed by its centre."""
+    placement = scene.placement.by_centre(part.T_object_centre)
+    return settled(scene.model_copy(update={"placement": placement}), part.name, longest_mm(part))
 
 
 def settled(scene: Scene, part: str, longest_mm: float) -> Scene:

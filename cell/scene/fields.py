@@ -13,6 +13,7 @@ Share = Annotated[float, Field(gt=0, le=1)]
 Fov = Annotated[float, Field(gt=0, lt=180)]
 Grazing = Annotated[float, Field(ge=0, le=90)]
 # TOML has lists only: lenient about the container, strict about what is in it.
+Four = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Triple = Annotated[tuple[float, float, float], Field(strict=False)]
 Units = Literal["mm", "cm", "m", "um", "in"]
 

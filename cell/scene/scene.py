@@ -23,9 +23,21 @@ from pydantic import (
 from cell.errors import SceneError
 from cell.part.formats import units_of, wrong_units
 from cell.scene import scene_file
-from cell.scene.fields import AxisLimits, Fov, Grazing, JerkLimits, NotNegative, Positive, Share, Table, Triple, Units
+from cell.scene.fields import (
+    AxisLimits,
+    Fov,
+    Grazing,
+    JerkLimits,
+    NotNegative,
+    Positive,
+    Share,
+    Table,
+    Triple,
+    Units,
+)
 from cell.scene.option import Option
 from cell.scene.plan_settings import PlanSettings
+from cell.scene.posed import PART, Mount, Placement, Posed, pose
 from cell.scene.regions import Region, beside_plan, contradiction
 
 if TYPE_CHECKING:
@@ -39,37 +51,7 @@ RESERVED_NAMES = (
 
 _SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
 
-PART, _HARDWARE, _REPORT = "Part and place", "Robot and scanner", "Output"
-_PLACE = Option(
-    "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
-    PART,
-    name="place",
-    metavar="X,Y,Z[,A,B,C]",
-    form="x,y,z or x,y,z,A,B,C (mm and deg)",
-    examples=("1200,500,0",),
-    counts=(3, 6),
-)
-
-
-class _Posed(Table):
-    """A pose: position x, y, z and angles A, B, C (R = Rz(A) Ry(B) Rx(C))."""
-
-    position_mm: Triple = (0.0, 0.0, 0.0)
-    abc_deg: Triple = (0.0, 0.0, 0.0)
-
-    @property
-    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
-        """(4, 4) the pose as a transform [m]."""
-        return pose(self.position_mm, self.abc_deg)
-
-
-def pose(position_mm: tuple[float, float, float], abc_deg: tuple[float, float, float]) -> "NDArray[np.float64]":
-    """(4, 4) transform [m] of a position [mm] and KUKA's angles A, B, C [deg]."""
-    import numpy as np
-
-    from cell.robot.frames import pose_from_kuka_abc
-
-    return pose_from_kuka_abc(np.array(position_mm) / 1000.0, np.deg2rad(abc_deg))
+_HARDWARE, _REPORT = "Robot and scanner", "Output"
 
 
 class Robot(Table):
@@ -154,12 +136,6 @@ class Scanner(Table):
         return (0.5, self.fan_deg) if "fan_deg" in known and "fov_deg" not in known else self.fov_deg
 
 
-class Mount(_Posed):
-    """The scanner frame (origin at the laser source, +z viewing direction, +x to the sensor) in the flange frame."""
-
-    position_mm: Triple = (0.0, 0.0, 120.0)
-
-
 class Housing(Table):
     """The scanner's body, a box, and the bracket between it and the flange.
 
@@ -225,13 +201,6 @@ class Part(Table):
         return self.path if self.path is not None else self.name
 
 
-class Placement(_Posed):
-    """Where the middle of the part's bounding box stands in the robot's base frame."""
-
-    position_mm: Annotated[Triple, _PLACE] = (1200.0, 500.0, 0.0)
-    abc_deg: Annotated[Triple, _PLACE] = (0.0, 0.0, 0.0)
-
-
 class Post(Table):
     """The round post on which the part stands, from the floor to the height of the part's lowest point."""
 
@@ -261,7 +230,7 @@ class Picture(Table):
     ] = ()  # fmt: skip
 
 
-class _Fixture(_Posed):
+class _Fixture(Posed):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]  # it names a file
     attached_to: Literal["base", "object"] = "base"
     occludes: bool = True
@@ -354,6 +323,13 @@ class Scene(Table):
         return picture
 
 
+def _without_the_other_point(table: str, below: dict[str, object], keys: Mapping[str, object]) -> dict[str, object]:
+    """A file's placement without the point that the command line gives the other of: centre or the file's origin."""
+    other = {"position_mm": "origin_mm", "origin_mm": "position_mm"}
+    left = {other[key] for key in keys if key in other} if table == "placement" else set()
+    return {key: value for key, value in below.items() if key not in left}
+
+
 def load_scene(
     path: Path | None,
     options: Mapping[str, Mapping[str, object]] | None = None,
@@ -378,6 +354,7 @@ def load_scene(
         below = content.get(table, {})
         replaces = table == "part" and ("name" in keys or "path" in keys)
         if keys and isinstance(below, dict):
+            below = _without_the_other_point(table, below, keys)
             content[table] = dict(keys) if replaces else {**below, **keys}
     content = beneath(content)
     folder = Path.cwd() if path is None else path.absolute().parent

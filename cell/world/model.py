@@ -197,6 +197,7 @@ def compile_world(
     part = {} if part_faces is None else {"part": TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))}
     T_object_centre = np.eye(4)
     T_object_centre[:3, 3] = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    scene = scene.model_copy(update={"placement": scene.placement.by_centre(T_object_centre)})
     T_flange_scanner = scene.mount.T
     T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline)
 

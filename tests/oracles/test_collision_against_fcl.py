@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.scene.scene import Scene, pose
+from cell.scene.posed import pose
+from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 

@@ -13,11 +13,13 @@ import pytest
 import typer
 from pydantic import BaseModel
 
+from cell.calibrate.options import HandEye
 from cell.cli import app
 from cell.commands import options
 from cell.emulate.options import EmulateOptions
 from cell.errors import SceneError, UsageError
 from cell.export.options import ExportOptions
+from cell.locate.options import Locating
 from cell.replay.options import ReplayOptions
 from cell.scan.options import ScanOptions
 from cell.scene.option import flag, offers, read
@@ -32,7 +34,7 @@ FILE_ONLY = {
     "settle_s": "a fact of the arm, which no plan changes",
     "ensemble": "more of it changes seconds, hardly a plan",
 }
-MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions, EmulateOptions)
+MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions, EmulateOptions, Locating, HandEye)
 ROOT: Any = typer.main.get_command(app)
 
 

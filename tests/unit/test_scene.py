@@ -12,8 +12,9 @@ from cell.errors import SceneError
 from cell.robot.model import model_file
 from cell.scene.devices import settled
 from cell.scene.plan_settings import PlanSettings
+from cell.scene.posed import pose
 from cell.scene.regions import Region
-from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene, load_scene, pose
+from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene, load_scene
 
 
 def _load(tmp_path: Path, text: str, **options: dict) -> Scene:

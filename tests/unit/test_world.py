@@ -11,7 +11,8 @@ from cell.checks.possible import impossible, require_possible
 from cell.errors import SceneError
 from cell.rays.occluders import Occluder, arm_triangles, occluder_triangles
 from cell.robot import model as robot
-from cell.scene.scene import Scene, pose
+from cell.scene.posed import pose
+from cell.scene.scene import Scene
 from cell.world.files import write_mjcf
 from cell.world.model import World, compile_world
 from cell.world.shapes import prepare_robot

@@ -1,0 +1,98 @@
+"""The views of a plan where the part stands elsewhere: they move with it, and the arm is asked for them again.
+
+In the part's own frame nothing changes: candidates, samples and what the part itself hides stay what they were. Reach,
+and what post, fixtures and table hide, are asked anew for every candidate.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell import scanners
+from cell.edit.views import EditedViews
+from cell.errors import UnreachableError
+from cell.narrator import Narrator
+from cell.plan import files as plan_files
+from cell.plan import steps
+from cell.plan.steps import Cell, Job, Measured, Run
+from cell.rays.matrix import PartSurface
+from cell.run.planned import PlannedRun
+from cell.scanners import ScannerPlugin
+from planner.measurability.columns import spread_measurability
+from planner.reach.reach import Reach, Verdict
+from planner.values import Floats
+from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Before:
+    """The run that is edited, as its files say it.
+
+    Attributes:
+        run: a finished plan.
+        candidates: its viewpoints.
+        reached: their verdicts and joint solutions, where the part stood.
+        moved: whether the part stands elsewhere now.
+    """
+
+    run: PlannedRun
+    candidates: Viewpoints
+    reached: Reach
+    moved: bool
+
+
+def unswept(known: Viewpoints, scanner: ScannerPlugin) -> tuple[Viewpoints, Floats]:
+    """Candidates as one pose each, of a sweep the viewpoint that it is made about, and (4, 4) its T_scanner_view."""
+    T_view_scanner = getattr(scanner, "T_view_scanner", np.eye(4)[None])
+    T_scanner_view: Floats = np.linalg.inv(T_view_scanner[len(T_view_scanner) // 2])
+    middle = known.T_object_scanner[:, [known.T_object_scanner.shape[1] // 2]] @ T_scanner_view
+    return Viewpoints(middle, known.face, known.standoff, known.roll), T_scanner_view
+
+
+def measured_anew(before: Before, run: Run, job: Job, surface: PartSurface, cell: Cell) -> Measured:
+    """Candidates of the run with reach and matrix where the part stands now."""
+    views, _ = unswept(before.candidates, job.scanner)
+    with run.step("reach") as progress:
+        reached = steps.reach_of(job, cell, views, progress)
+    with run.step("measurability") as progress:
+        casters, usable = steps.casters_of(surface, cell), np.flatnonzero(reached.reachable)
+        M, scanner = steps.columns(
+            run, job, surface, casters, pick_viewpoints(views, usable), progress, may_be_empty=True
+        )
+        M = spread_measurability(M, usable, len(views))
+    plan_files.write_viewpoints(run.folder, before.candidates)
+    plan_files.write_reach(run.folder, reached)
+    plan_files.write_measurability(run.folder, M)
+    return Measured(scanners.swept(job.scanner, views), reached, M, scanner, casters)
+
+
+def still_reached(edited: EditedViews, reached: Reach, narrator: Narrator, *, leave_out: bool) -> EditedViews:
+    """The views that the arm takes up where the part stands now.
+
+    Args:
+        edited: all of them.
+        reached: of all candidates, there.
+        narrator: is told which are left out.
+        leave_out: whether views may be.
+
+    Raises:
+        UnreachableError: naming each view that it does not take up, if none may be left out, or none is left.
+    """
+    lost = {view: f"{edited.called[view]} ({_why(reached, view)})" for view in _lost(edited, reached)}
+    if lost and (not leave_out or len(lost) == len(edited.views)):
+        raise UnreachableError(
+            f"where the part stands now the arm cannot take {', '.join(lost.values())}; give repair to leave them out "
+            "and add the fewest others, or move the part"
+        )
+    for sentence in lost.values():
+        narrator.note(f"{sentence} is left out")
+    return edited.without(list(lost))
+
+
+def _lost(edited: EditedViews, reached: Reach) -> list[int]:
+    return [view for view in edited.views if not reached.reachable[view]]
+
+
+def _why(reached: Reach, view: int) -> str:
+    blocker = reached.blocker[view]
+    return Verdict(int(reached.verdict[view])).sentence + (f", {blocker}" if blocker else "")

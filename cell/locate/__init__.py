@@ -1,0 +1,1 @@
+"""Where the part really stands: found from measured points, and a plan taken there."""

@@ -1,0 +1,162 @@
+"""`cell locate`: a part that was set down elsewhere, from points of several kinds; the plan there; what is refused."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.api import locate, open_run
+from cell.errors import FileError, UsageError
+from cell.proof.proof import prove
+from cell.rays import virtual_scan
+from cell.reconstruction.rigid import motion_of
+from cell.run import reader
+from cell.run.cell import read_cell
+from cell.run.planned import PlannedRun
+from planner.values import Floats
+
+Run = Callable[..., Any]
+
+
+def _set_down(run: PlannedRun, mm: tuple[float, float, float], deg: tuple[float, float, float]) -> Floats:
+    """T_base_object of a part that was set down off its place, turned about its centre; axes of base."""
+    centre = (run.T_base_object @ reader.scene(run.record).T_object_centre)[:3, 3]
+    return motion_of(np.concatenate([np.array(mm) / 1000, np.radians(deg)]), centre) @ run.T_base_object
+
+
+def _scanned(run: PlannedRun, T_base_object: Floats, view: int) -> Floats:
+    """(P, 3) what a scanner at a planned view sees of the part there: scanner frame [m], noise of 0.03 mm."""
+    cell = read_cell(run.record)
+    T = np.linalg.inv(T_base_object) @ run.T_base_scanner[view - 1]
+    seen = virtual_scan.scan(cell.scanner, T, cell.part_caster, cell.reference)
+    back = np.linalg.inv(T)
+    points = seen.points @ back[:3, :3].T + back[:3, 3]
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return np.asarray(points + rays * np.random.default_rng(view).normal(0, 3e-5, (len(points), 1)))
+
+
+def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Run, planned: Path, tmp_path: Path) -> None:
+    """To 0.05 mm from 15 mm and 4 deg off; the new plan has the same views on the part, is proven, and is scanned."""
+    run = open_run(planned)
+    T = _set_down(run, (-9.0, 12.0, 2.0), (1.0, -2.0, 3.4))
+    np.savetxt(tmp_path / "scan_0001.xyz", 1000 * _scanned(run, T, 1), fmt="%.6f")
+    said = ("--points", tmp_path, "--points-frame", "scanner", "--points-units", "mm")
+    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", "--repair", "--json", cwd=tmp_path)
+    assert done.returncode in (0, 3), done.stderr
+    found = json.loads(done.stdout)
+    off = np.array(found["T_base_object"]) @ np.linalg.inv(T)
+    corners = run.reference.vertices @ T[:3, :3].T + T[:3, 3]
+    assert np.linalg.norm(corners @ off[:3, :3].T + off[:3, 3] - corners, axis=1).max() < 5e-5
+    assert found["moved_mm"] == pytest.approx(15.13, abs=0.1)
+    assert found["undetermined"] == []
+    there = open_run(tmp_path / "there")
+    kept = [candidate for candidate in run.candidate.tolist() if candidate in there.candidate.tolist()]
+    assert len(kept) > len(run.candidate) / 2
+    for candidate in kept:
+        one, other = (each.T_object_scanner[each.candidate.tolist().index(candidate)] for each in (run, there))
+        np.testing.assert_allclose(one, other, atol=2e-5)
+    np.testing.assert_allclose(there.T_base_object, found["T_base_object"], atol=1e-9)
+    assert there.digest != run.digest
+    assert prove(there.folder).digest == there.digest
+    assert run_cell("scan", there.folder, "--view", "1", "--resolution", "2", cwd=tmp_path).returncode == 0
+
+
+def test_named_points_find_the_part(planned: Path, tmp_path: Path) -> None:
+    """Pairs in base and at a view in the scanner's frame, and 3-2-1: the same placement, from exact points."""
+    run = open_run(planned)
+    T = _set_down(run, (5.0, -3.0, 1.0), (0.5, 0.2, -1.0))
+    nominal = run.reference.vertices[np.linspace(0, len(run.reference.vertices) - 1, 6).astype(int)]
+    base = nominal @ T[:3, :3].T + T[:3, 3]
+    back = np.linalg.inv(run.T_base_scanner[2])
+    for name, measured in (("base", base), ("scanner", base @ back[:3, :3].T + back[:3, 3])):
+        rows = [f"p{k}; " + ", ".join(f"{1000 * value:.9f}" for value in (*nominal[k], *measured[k])) for k in range(6)]
+        (tmp_path / f"{name}.csv").write_text("# name, on the part, measured\n" + "\n".join(rows))
+    for wishes in (
+        {"pairs": tmp_path / "base.csv", "points_frame": "base"},
+        {"pairs": tmp_path / "scanner.csv", "points_frame": "scanner", "view": 3},
+        {"three_two_one": tmp_path / "base.csv", "points_frame": "base", "point_sd": 0.05},
+    ):
+        texts = {name: str(value) if isinstance(value, Path) else value for name, value in wishes.items()}
+        found = locate(run, points_units="mm", **texts)
+        np.testing.assert_allclose(found.T_base_object, T, atol=1e-8)
+        assert found.precision is not None
+        assert found.undetermined == () or "three_two_one" in wishes  # random points: 0.05 mm may be much elsewhere
+
+
+def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -> None:
+    """A simulated execution finds the planned placement and says what it is; the motion keeps its clearance."""
+    found = locate(executed)
+    assert found.moved_mm < 0.01
+    assert any("simulated" in doubt for doubt in found.doubts)
+    assert found.checked_motion.keeps_clearance
+    nearest = open_run(Path(found.run)).plan.clearance
+    assert nearest is not None
+    assert found.checked_motion.nearest_mm == pytest.approx(min(s.minimum_mm for s in nearest.segments), abs=0.3)
+
+
+def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) -> None:
+    """Set down where the scanner is at its first view: the checked motion does not keep its clearance."""
+    run = open_run(planned)
+    T = run.T_base_object.copy()
+    centre = (T @ reader.scene(run.record).T_object_centre)[:3, 3]
+    T[:3, 3] += run.T_base_scanner[0, :3, 3] - centre
+    nominal = run.reference.vertices[[0, 40, 90, 200]]
+    rows = [
+        f"p{k} " + " ".join(f"{1000 * value:.9f}" for value in (*p, *(T[:3, :3] @ p + T[:3, 3])))
+        for k, p in enumerate(nominal)
+    ]
+    (tmp_path / "touched.txt").write_text("\n".join(rows))
+    found = locate(run, pairs=str(tmp_path / "touched.txt"), points_frame="base", points_units="mm")
+    assert not found.checked_motion.keeps_clearance
+    assert "nearer than the clearance" in found.checked_motion.problem
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("a 1 2 3 4 5", "line 1: it must be a name and six numbers"),
+        ("a 1 2 3 4 5 6\na 1 2 3 4 5 6", "line 2: the point 'a' stands there twice"),
+        ("a 1 2 3 4 5 nan", "line 1: it must be"),
+    ],
+)
+def test_files_of_named_points_that_are_none(content: str, told: str, planned: Path, tmp_path: Path) -> None:
+    """The line and what it must be."""
+    (tmp_path / "touched.txt").write_text(content)
+    with pytest.raises(FileError, match=told):
+        locate(planned, pairs=str(tmp_path / "touched.txt"), points_frame="base", points_units="mm")
+
+
+@pytest.mark.parametrize(
+    ("wishes", "told"),
+    [
+        ({"points": "x.ply", "points_frame": "base"}, "points_units is missing"),
+        ({"points": "x.ply", "points_units": "mm"}, "points_frame is missing"),
+        ({"points": "x.ply", "pairs": "y.csv"}, "give one of them"),
+        ({"points_units": "mm"}, "which knows its own"),
+        ({"points": "x.ply", "points_frame": "base", "points_units": "mm", "view": 99}, "there is no view 99"),
+    ],
+)
+def test_what_cannot_be_asked(wishes: dict[str, Any], told: str, planned: Path) -> None:
+    """One sentence with what would be right."""
+    with pytest.raises((UsageError, FileError), match=told):
+        locate(planned, **wishes)
+
+
+def test_what_is_open_is_not_planned_with(run_cell: Run, planned: Path, tmp_path: Path) -> None:
+    """Pairs on one line leave a turn open: exit code 2 and no run, unless it is taken to stand as planned."""
+    run = open_run(planned)
+    nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]
+    T = run.T_base_object
+    rows = [
+        f"p{k} " + " ".join(f"{1000 * value:.9f}" for value in (*p, *(T[:3, :3] @ p + T[:3, 3])))
+        for k, p in enumerate(nominal)
+    ]
+    (tmp_path / "line.txt").write_text("\n".join(rows))
+    said = ("--pairs", tmp_path / "line.txt", "--points-frame", "base", "--points-units", "mm")
+    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "turning about" in done.stderr
+    assert not list(tmp_path.glob("there*"))

@@ -1,0 +1,106 @@
+"""The mount as matrix or quaternion, and the placement by the origin of the part's file: the same cells."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cell.errors import SceneError
+from cell.part import workpiece
+from cell.robot.frames import pose_from_kuka_abc
+from cell.scene import devices
+from cell.scene.options import scene_of
+from cell.scene.scene import load_scene
+from cell.world.model import compile_world
+
+POSITION, ABC = (12.0, -7.5, 131.0), (31.0, -12.0, 95.0)
+T_MOUNT = pose_from_kuka_abc(np.array(POSITION) / 1000, np.radians(ABC))
+W = Rotation.from_matrix(T_MOUNT[:3, :3]).as_quat()[[3, 0, 1, 2]]
+
+
+def _scene(tmp_path: Path, text: str) -> Any:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    return load_scene(path)
+
+
+def _rows(digits: int) -> str:
+    T = T_MOUNT.copy()
+    T[:3, 3] *= 1000
+    return str(T.round(digits).tolist())
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        (f"position_mm = {list(POSITION)}\nquaternion = {W.tolist()}", 1e-12),
+        (f"position_mm = {list(POSITION)}\nquaternion = {(-W).tolist()}", 1e-12),
+        (f"matrix_mm = {_rows(17)}", 1e-12),
+        (f"matrix_mm = {_rows(4)}", 1e-4),
+    ],
+    ids=["quaternion", "its opposite", "matrix", "a matrix of four decimals"],
+)
+def test_mounts_that_are_said_otherwise(text: str, near: float, tmp_path: Path) -> None:
+    """The transform of position and ABC; a rotation that was rounded is one exactly again."""
+    T = _scene(tmp_path, f"[mount]\n{text}").mount.T
+    np.testing.assert_allclose(T, T_MOUNT, atol=near)
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("quaternion = [1.0, 0.0, 0.0, 0.1]", "mount.quaternion has the length 1.005"),
+        ("quaternion = [1.0, 0.0, 0.0]", "mount.quaternion has 3 values"),
+        ("quaternion = [1.0, 0.0, 0.0, 0.0]\nabc_deg = [0.0, 0.0, 0.0]", "quaternion is given beside abc_deg"),
+        (f"matrix_mm = {_rows(9)}\nposition_mm = [0.0, 0.0, 1.0]", "matrix_mm is given beside position_mm"),
+        ("matrix_mm = [[1.0,0,0,0],[0.0,1,0,0],[0.0,0,-1,0],[0.0,0,0,1]]", "matrix_mm"),
+        ("matrix_mm = [[2.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]]", "holds no rotation"),
+        ("matrix_mm = [[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,0.0],[0.0,5.0,0.0,1.0]]", "last row"),
+    ],
+)
+def test_mounts_that_are_none(text: str, told: str, tmp_path: Path) -> None:
+    """The key, and what it must be."""
+    with pytest.raises(SceneError, match=told):
+        _scene(tmp_path, f"[mount]\n{text}")
+
+
+def test_the_built_in_scene_file_shows_both_forms() -> None:
+    """The commented lines of models/scene.toml are the default mount."""
+    lines = (Path(__file__).parents[2] / "models" / "scene.toml").read_text().splitlines()
+    shown = [line.lstrip("# ").partition(" #")[0] for line in lines if line.startswith(("# quaternion", "# matrix_mm"))]
+    said = tomllib.loads("\n".join(shown))
+    assert said["quaternion"] == [1.0, 0.0, 0.0, 0.0]
+    assert said["matrix_mm"][2] == [0.0, 0.0, 1.0, 120.0]
+
+
+def test_a_placement_by_the_origin_is_one_by_the_centre(tmp_path: Path) -> None:
+    """The file's own origin stands where it was said, turned as it was said; the cell is that of the centre's place."""
+    part = workpiece.load("mug")
+    by_origin = _scene(
+        tmp_path, "[part]\nname='mug'\n[placement]\norigin_mm=[1100.0,300.0,50.0]\nabc_deg=[20.0,0.0,5.0]"
+    )
+    world = compile_world(by_origin, part.reference.vertices)
+    expected = pose_from_kuka_abc(np.array([1.1, 0.3, 0.05]), np.radians([20.0, 0.0, 5.0]))
+    np.testing.assert_allclose(world.T_base_object, expected, atol=1e-11)
+    settled = devices.by_part(by_origin, part)
+    assert settled.placement.origin_mm is None
+    np.testing.assert_allclose(settled.placement.T, expected @ part.T_object_centre, atol=1e-11)
+    assert devices.by_part(settled, part) == settled
+
+
+def test_the_command_line_goes_before_the_files_point(tmp_path: Path) -> None:
+    """--place replaces the file's origin, --place-origin its centre; a file that gives both is refused."""
+    path = tmp_path / "scene.toml"
+    path.write_text("[placement]\norigin_mm = [1.0, 2.0, 3.0]\nabc_deg = [9.0, 0.0, 0.0]")
+    placed = scene_of(path, {"place": "1200,500,0"}).placement
+    assert (placed.position_mm, placed.origin_mm, placed.abc_deg) == ((1200, 500, 0), None, (9, 0, 0))
+    path.write_text("[placement]\nposition_mm = [1.0, 2.0, 3.0]")
+    placed = scene_of(path, {"place_origin": "1200,500,-80,90,0,0"}).placement
+    assert (placed.origin_mm, placed.abc_deg) == ((1200, 500, -80), (90, 0, 0))
+    path.write_text("[placement]\nposition_mm = [1.0, 2.0, 3.0]\norigin_mm = [1.0, 2.0, 3.0]")
+    with pytest.raises(SceneError, match="origin_mm is given beside position_mm"):
+        load_scene(path)
