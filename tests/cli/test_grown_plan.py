@@ -6,6 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+from cell.api import plan
+from cell.errors import SceneError, UsageError
+from cell.scene.scene import load_scene
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -38,3 +43,23 @@ def test_the_former_generator_is_gone(tmp_path: Path, run_cell: Run) -> None:
     done = run_cell("plan", "--candidates", "targeted", cwd=tmp_path)
     assert done.returncode == 2
     assert "choose 'grown'" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["plan", "check", "place", "scan"])
+def test_presets_are_gone(command: str, tmp_path: Path, run_cell: Run) -> None:
+    """One sentence that names what to give instead, exit code 2, nothing left behind."""
+    done = run_cell(command, *(["run"] if command == "scan" else []), "--preset", "fast", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("cell: --preset is gone")
+    assert "faces and samples" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_preset_of_a_scene_file_or_of_a_keyword_is_gone(tmp_path: Path) -> None:
+    """The same sentence, with the key as it was written."""
+    (tmp_path / "scene.toml").write_text("[plan]\npreset = 'fast'\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"plan\.preset is gone.*faces and samples"):
+        load_scene(tmp_path / "scene.toml")
+    with pytest.raises(UsageError, match=r"^preset is gone.*faces and samples"):
+        plan("mug", preset="fast")
