@@ -38,10 +38,8 @@ _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim
 RAISED = 0.002
 """Share by which a target is raised on the matrix before samples are added to it: one raise is usual."""
 
-_LOOK_WORK = cover.DEFAULT_WORK // 5
-"""Of a short search: nine of ten have the views of the whole work; what that adds is mostly proof."""
-
-_LAST_WORK = cover.DEFAULT_WORK // 2  # after a look
+LOOK_WORK, WORK, _AGAIN_WORK = cover.DEFAULT_WORK // 25, 2 * cover.DEFAULT_WORK // 5, cover.DEFAULT_WORK // 5
+"""Of a look, of the search that goes on from it, and of each after that, should its views fall short by little."""
 
 _MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
 
@@ -93,8 +91,7 @@ class Selected:
         sentence: the status in words with its numbers.
         answer: what is known beyond the cover, which for most requests says all; else None.
         cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
-        short: share of what is coverable on the held-out samples that a coverage below 1 misses there; 0 where it is
-            kept, or was not looked at.
+        share: of what is coverable on the held-out samples, which the views measure; 1 where it was not looked at.
     """
 
     cover: Cover
@@ -102,7 +99,22 @@ class Selected:
     sentence: str
     answer: Connection | RobustCover | None = None
     cost_bound: float = 0.0
-    short: float = 0.0
+    share: float = 1.0
+
+    def raised(self, asked: float) -> float:
+        """A target on the matrix at which views should measure the share asked for on the held-out samples too."""
+        claimed = self.cover.covered_area / self.cover.coverable_area - self.share
+        return min(asked + max(claimed, 0.0) + (_STEP if self.share < asked else 0.0), 1.0)
+
+    def bounded(self, easier: "Selected") -> "Selected":
+        """With the bounds of one that was asked for less, where they are better."""
+        known = replace(self, cost_bound=easier.cost_bound)
+        bound = min(easier.cover.lower_bound, len(self.cover.views))
+        if self.cover.price is not None or bound <= self.cover.lower_bound:
+            return known
+        status = CoverStatus.PROVEN if bound >= len(self.cover.views) else self.cover.status
+        cover = replace(self.cover, lower_bound=bound, status=status)
+        return replace(known, cover=cover, sentence=cover.sentence)
 
     @property
     def note(self) -> str:
@@ -122,7 +134,7 @@ def select(
     banned: tuple[int, ...],
     rng: np.random.Generator,
     looked: Selected | None = None,
-    look: bool = False,
+    look: int = 0,
 ) -> Selected:
     """Answer a request.
 
@@ -130,7 +142,8 @@ def select(
     held-out ones, its target on the matrix is raised. Two promises are kept on the matrix alone: the most coverage
     with k views has no target, and probabilities are not known of samples that were not planned for.
 
-    The raises are found by short searches, which seldom miss a view; the whole work goes into the last target alone.
+    One search goes on throughout: each target, and each matrix with samples added, begins with the views that were
+    best before. A look finds the target and where samples are missing; the work goes into the last target.
 
     Args:
         request: the wishes.
@@ -140,8 +153,8 @@ def select(
         prediction: held-out samples.
         banned: candidates that turned out to be of no use; those that the user bans come on top.
         rng: randomness of the selection.
-        looked: the answer of a look at the same; it is searched on from there.
-        look: whether a short search is enough, and a cover that misses the promise by more than `RAISED`.
+        looked: the answer of a look at the same, or at fewer samples or candidates; it is searched on from there.
+        look: work of a search that is enough, and whose views may miss the promise; 0: the views of a plan.
     """
     plan = request.plan
     wish = Problem(
@@ -156,64 +169,42 @@ def select(
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, plan.coverage, robust.sentence, robust)
     if plan.coverage >= 1 or plan.multiplicity > 1:  # of the matrix' samples that is all that it can be asked
-        return _cover(request, wish, rng, cover.DEFAULT_WORK)
-
-    def short(selected: Selected) -> float:
-        return plan.coverage - prediction.share_of_coverable(candidates.T_object_scanner[selected.cover.views])
+        return _cover(request, wish, rng, cover.DEFAULT_WORK, looked)
 
     brief = request.costs is None and request.overlap is None and plan.solver == "auto"
-    work = _LOOK_WORK if brief else cover.DEFAULT_WORK
-    found = looked or _raised(request, wish, rng, work, short, most=RAISED if look else 1.0)
-    if look or not brief or found.cover.status is CoverStatus.PROVEN:
-        return found
-    thorough = _cover(request, replace(wish, coverage=found.target), rng, _LAST_WORK)
-    if len(thorough.cover.views) < len(found.cover.views) and short(thorough) <= found.short:
-        return replace(thorough, short=found.short)
-    return _with_bound(found, thorough.cover.lower_bound)
+
+    def solve(target: float, work: int, start: Selected | None) -> Selected:
+        found = _cover(request, replace(wish, coverage=target), rng, work if brief else cover.DEFAULT_WORK, start)
+        poses = candidates.T_object_scanner[found.cover.views]
+        return replace(found, share=prediction.share_of_coverable(poses))
+
+    if look or looked is None:
+        target = plan.coverage if looked is None or look == LOOK_WORK else looked.raised(plan.coverage)
+        looked = solve(target, look or WORK, looked)
+    return looked if look or looked.share >= plan.coverage else _raised(plan.coverage, looked, solve)
 
 
-def _raised(
-    request: Request,
-    wish: Problem,
-    rng: np.random.Generator,
-    work: int,
-    short: Callable[[Selected], float],
-    most: float,
-) -> Selected:
-    """The first cover that keeps the promise, its target raised where it has to be.
-
-    Where it would have to be raised by more than `most`, the cover that does not keep the promise.
-    """
-    target, raises, least = request.plan.coverage, 0, 0.0
-    while True:
-        found = _cover(request, replace(wish, coverage=target), rng, work)
-        least = least if raises else found.cost_bound
-        lacks = short(found)
-        found = replace(found, cost_bound=least, short=max(lacks, 0.0))
-        raises += 1
-        more = 1.0 if raises == _RAISES else min(1.0, target + lacks + _STEP)
-        if lacks <= 0 or target >= 1 or more > request.plan.coverage + most:
-            return found
-        target = more
+def _raised(asked: float, looked: Selected, solve: Callable[[float, int, Selected | None], Selected]) -> Selected:
+    """The first cover that keeps the promise, its target raised where it has to be."""
+    found, target = looked, looked.target
+    for raises in range(_RAISES):
+        target = 1.0 if raises == _RAISES - 1 else max(found.raised(asked), target + _STEP)
+        before, found = found, solve(target, _AGAIN_WORK, found)
+        found = found.bounded(before)
+        if found.share >= asked or target >= 1.0:
+            break
+    return found
 
 
-def _cover(request: Request, wish: Problem, rng: np.random.Generator, work: int) -> Selected:
+def _cover(request: Request, wish: Problem, rng: np.random.Generator, work: int, start: Selected | None) -> Selected:
     """The fewest or cheapest views for a target, which hang together where that is asked."""
     if request.overlap is not None:
         joined = cover.solve(wish, rng=rng, budget=_MOST_WORK)
         how = connection(wish, joined)
         return Selected(joined, wish.coverage, joined.sentence if how.connected else how.sentence, how)
-    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, budget=work)
+    known = None if start is None or request.plan.solver != "auto" else start.cover.views
+    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, budget=work)
     return Selected(chosen, wish.coverage, chosen.sentence, cost_bound=chosen.cost_bound)
-
-
-def _with_bound(selected: Selected, bound: int) -> Selected:
-    """With a bound that a longer search for the same target has proven."""
-    bound = max(bound, selected.cover.lower_bound)
-    proven = bound >= len(selected.cover.views)
-    status = CoverStatus.PROVEN if proven else selected.cover.status
-    cover = replace(selected.cover, lower_bound=min(bound, len(selected.cover.views)), status=status)
-    return replace(selected, cover=cover, sentence=cover.sentence)
 
 
 def check_named(plan: PlanSettings, reached: Reach) -> None:

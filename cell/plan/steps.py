@@ -21,6 +21,7 @@ from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
+from cell.plan.refined import Append
 from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import ConnectedPlan, choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
@@ -251,13 +252,25 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
     )  # fmt: skip
 
 
-def connect(run: Run, problem: Problem, surface: PartSurface) -> tuple[Problem, ConnectedPlan]:
-    """Steps 6 to 8: the problem with the samples that its promise took, and its views connected by free paths."""
+def connect(
+    run: Run, problem: Problem, surface: PartSurface, append: Append | None = None
+) -> tuple[Problem, ConnectedPlan]:
+    """Steps 6 to 8: the problem with what its promise took, and its views connected by free paths.
+
+    Args:
+        run: the open run.
+        problem: what is asked.
+        surface: the part.
+        append: makes candidates of views that were moved; None: none is moved.
+    """
     with run.step("select, order and connect") as progress:
-        chooses, matrix_before = run.rng(SELECTION), problem.M
-        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH))
-        if problem.M is not matrix_before:
+        chooses, before = run.rng(SELECTION), problem
+        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH), append)
+        if problem.M is not before.M:
             plan_files.write_measurability(run.folder, problem.M)
+        if problem.candidates is not before.candidates:
+            plan_files.write_viewpoints(run.folder, problem.candidates)
+            plan_files.write_reach(run.folder, problem.reached)
         chosen = choose_and_connect(
             problem, selected, selection_rng=chooses, motion_rng=run.rng(MOTION), progress=progress
         )
