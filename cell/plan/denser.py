@@ -12,7 +12,7 @@ import numpy as np
 
 from cell.plan.problem import Problem
 from cell.plan.refined import Append, movable, with_fewer
-from cell.plan.request import LOOK_WORK, RAISED, WORK, Selected
+from cell.plan.request import AGAIN_WORK, LOOK_WORK, RAISED, WORK, Selected
 from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
 from planner.measurability import quality
@@ -82,13 +82,20 @@ def _settled(
     problem: Problem, looked: Selected, rng: np.random.Generator, append: Append | None
 ) -> tuple[Problem, Selected]:
     """What the whole work makes of views: moved so that fewer do, searched on among all candidates, and bounded."""
+    asked = problem.request.plan.coverage
+    target = looked.raised(asked)
     if append is not None and movable(problem):
         problem, looked = with_fewer(problem, looked, append)
+    covered = looked.cover.covered_area / looked.cover.coverable_area
+    looked = replace(looked, target=min(target, covered))
     found = first_choice(problem, rng, looked=looked, look=WORK)
-    asked = problem.request.plan.coverage
-    if found.share < asked <= looked.share:  # fewer, but too few: those that do, which cover as much of the matrix
-        return problem, replace(looked, target=found.target).bounded(found)
-    return problem, found
+    if not found.share < asked <= looked.share:
+        return problem, found
+    # Fewer, but too few: a few more of the matrix' samples, or else the views that were there.
+    again = replace(found, target=found.raised(asked))
+    more = first_choice(problem, rng, looked=again, look=AGAIN_WORK).bounded(found)
+    better = more.share >= asked and len(more.cover.views) < len(looked.cover.views)
+    return problem, more if better else looked.bounded(found)
 
 
 def _adds(problem: Problem) -> bool:

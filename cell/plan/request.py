@@ -38,7 +38,7 @@ _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim
 RAISED = 0.002
 """Share by which a target is raised on the matrix before samples are added to it: one raise is usual."""
 
-LOOK_WORK, WORK, _AGAIN_WORK = cover.DEFAULT_WORK // 25, 2 * cover.DEFAULT_WORK // 5, cover.DEFAULT_WORK // 5
+LOOK_WORK, WORK, AGAIN_WORK = cover.DEFAULT_WORK // 25, 2 * cover.DEFAULT_WORK // 5, cover.DEFAULT_WORK // 5
 """Of a look, of the search that goes on from it, and of each after that, should its views fall short by little."""
 
 _MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
@@ -179,7 +179,7 @@ def select(
         return replace(found, share=prediction.share_of_coverable(poses))
 
     if look or looked is None:
-        target = plan.coverage if looked is None or look == LOOK_WORK else looked.raised(plan.coverage)
+        target = plan.coverage if looked is None or look == LOOK_WORK else looked.target
         looked = solve(target, look or WORK, looked)
     return looked if look or looked.share >= plan.coverage else _raised(plan.coverage, looked, solve)
 
@@ -189,7 +189,7 @@ def _raised(asked: float, looked: Selected, solve: Callable[[float, int, Selecte
     found, target = looked, looked.target
     for raises in range(_RAISES):
         target = 1.0 if raises == _RAISES - 1 else max(found.raised(asked), target + _STEP)
-        before, found = found, solve(target, _AGAIN_WORK, found)
+        before, found = found, solve(target, AGAIN_WORK, found)
         found = found.bounded(before)
         if found.share >= asked or target >= 1.0:
             break

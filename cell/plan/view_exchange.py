@@ -5,7 +5,8 @@ solution of one member of each group, and what it picked becomes the plan. The n
 stay what the cover says.
 
 Less than full coverage is promised on held-out samples too, which the exchange does not see: there its views are looked
-at on them, and fewer liberties taken where they fall short.
+at on them, and fewer liberties taken where they fall short. Of what the views measure beyond the promise, half may go
+for a shorter motion; what the selection had to cover of the matrix stays covered.
 """
 
 import logging
@@ -63,18 +64,20 @@ def _exchanged(
     chosen, target = selected.cover, selected.target
     matrix = Matrix(arm.M.matrix(), arm.M.features.areas, usable)
     spare = chosen.covered_area - target * chosen.coverable_area if target < 1 else 0.0
+    asked = problem.request.plan.coverage
+    least = (asked + max(selected.share, asked)) / 2
     for allowed in (spare, 0.0) if spare > 0 else (0.0,):
         found = exchange(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
             pinned=chosen.pinned.tolist(), spare=allowed,
         )  # fmt: skip
-        if problem.request.plan.coverage >= 1:
+        if asked >= 1:
             return found, found.groups
         poses = problem.candidates.T_object_scanner[found.views]
         covered = float(matrix.areas[matrix.counts(found.views.tolist()) > 0].sum())
         if covered < target * chosen.coverable_area * (1 - _ROUNDING):
             continue
-        if problem.prediction.share_of_coverable(poses) >= problem.request.plan.coverage:
+        if problem.prediction.share_of_coverable(poses) >= least:
             return found, _single(found.views)
     return found, _single(chosen.views)
 
