@@ -82,12 +82,14 @@ def _settled(
     problem: Problem, looked: Selected, rng: np.random.Generator, append: Append | None
 ) -> tuple[Problem, Selected]:
     """What the whole work makes of views: moved so that fewer do, searched on among all candidates, and bounded."""
-    asked = problem.request.plan.coverage
-    target = looked.raised(asked)
+    if not problem.request.brief:  # a look was the whole work
+        return problem, looked
+    asked, target = problem.request.plan.coverage, looked.raised(problem.request.plan.coverage)
     if append is not None and movable(problem):
         problem, looked = with_fewer(problem, looked, append)
-    covered = looked.cover.covered_area / looked.cover.coverable_area
-    looked = replace(looked, target=min(target, covered))
+    if looked.share >= asked:  # should they stay, then as views for a target that they meet
+        target = min(target, looked.cover.covered_area / looked.cover.coverable_area)
+    looked = replace(looked, target=target)
     found = first_choice(problem, rng, looked=looked, look=WORK)
     if not found.share < asked <= looked.share:
         return problem, found

@@ -25,8 +25,8 @@ Append = Callable[[Problem, Viewpoints], Problem]
 def movable(problem: Problem) -> bool:
     """Whether views may be moved: their number counts, they are at rest and grown, and none is named by the user."""
     request, plan = problem.request, problem.request.plan
-    free = not (plan.pinned or plan.banned) and plan.candidates == GROWN and plan.solver == "auto"
-    return free and request.exchangeable and request.costs is None and problem.at_rest
+    free = not (plan.pinned or plan.banned) and plan.candidates == GROWN
+    return free and request.exchangeable and request.brief and problem.at_rest
 
 
 def with_fewer(problem: Problem, selected: Selected, append: Append) -> tuple[Problem, Selected]:

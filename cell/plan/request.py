@@ -76,6 +76,11 @@ class Request:
         return plain and self.overlap is None and self.layer is None and self.order is None
 
     @property
+    def brief(self) -> bool:
+        """Whether a short search tells much: the number of views counts, which need not hang together."""
+        return self.costs is None and self.overlap is None and self.plan.solver == "auto"
+
+    @property
     def standing(self) -> float:
         """Seconds at each view, where time counts; 0 where the number of views does."""
         return 0.0 if self.costs is None else self.plan.scan_s + self.plan.settle_s
@@ -171,10 +176,10 @@ def select(
     if plan.coverage >= 1 or plan.multiplicity > 1:  # of the matrix' samples that is all that it can be asked
         return _cover(request, wish, rng, cover.DEFAULT_WORK, looked)
 
-    brief = request.costs is None and request.overlap is None and plan.solver == "auto"
-
     def solve(target: float, work: int, start: Selected | None) -> Selected:
-        found = _cover(request, replace(wish, coverage=target), rng, work if brief else cover.DEFAULT_WORK, start)
+        found = _cover(
+            request, replace(wish, coverage=target), rng, work if request.brief else cover.DEFAULT_WORK, start
+        )
         poses = candidates.T_object_scanner[found.cover.views]
         return replace(found, share=prediction.share_of_coverable(poses))
 

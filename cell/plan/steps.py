@@ -124,7 +124,8 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
         planning = decimate(reference, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         run.drawing.part_ready(run.folder.path)
-        _note_other_count(run.narrator, len(planning.faces), job.settings.faces)
+        if other := doubts.other_count(len(planning.faces), job.settings.faces):
+            run.narrator.note(other)
         candidates = first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, run.rng(_FEATURES))
         if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
@@ -255,14 +256,7 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
 def connect(
     run: Run, problem: Problem, surface: PartSurface, append: Append | None = None
 ) -> tuple[Problem, ConnectedPlan]:
-    """Steps 6 to 8: the problem with what its promise took, and its views connected by free paths.
-
-    Args:
-        run: the open run.
-        problem: what is asked.
-        surface: the part.
-        append: makes candidates of views that were moved; None: none is moved.
-    """
+    """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
         chooses, before = run.rng(SELECTION), problem
         problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH), append)
@@ -305,12 +299,3 @@ def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None 
     return reach.solve(
         poses, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker, progress=progress
     )
-
-
-def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
-    """Say when the planning mesh is not as coarse as asked for; the plan uses what came out."""
-    if abs(came_out - wanted) > max(2, 0.02 * wanted):
-        narrator.note(
-            f"the planning mesh has {came_out} faces in place of {wanted}: this mesh does not come closer (slivers, "
-            "several bodies, or fewer faces than asked for); the plan uses these"
-        )
