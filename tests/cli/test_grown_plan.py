@@ -94,7 +94,12 @@ def test_views_that_moved_are_candidates_like_others(
         for q in reached.q_of(view):
             np.testing.assert_allclose(cell.scanner_pose(q), views.T_object_scanner[view, 0], atol=2e-5)
     plan_file = json.loads((tmp_path / "run" / "plan.json").read_text())
-    assert max(view["id"] for view in plan_file["views"]) >= known
+    ids = [view["id"] for view in plan_file["views"]]
+    assert max(ids) >= known
+    # What the selection had to cover is covered, whatever was exchanged for a shorter motion.
+    areas, entries = M.features.areas, M.matrix().tocsc()
+    coverable, covered = (areas[entries[:, which].sum(axis=1) > 0].sum() for which in (reached.reachable, ids))
+    assert covered >= plan_file["coverage"]["target_on_features"] * coverable * (1 - 1e-9)
     done = run_cell("edit", "run", "--turn", "1:30", "--out", "edited", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
     done = run_cell("scan", "run", "--view", "1", cwd=tmp_path)
