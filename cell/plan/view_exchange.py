@@ -5,8 +5,8 @@ solution of one member of each group, and what it picked becomes the plan. The n
 stay what the cover says.
 
 Less than full coverage is promised on held-out samples too, which the exchange does not see: there its views are looked
-at on them, and fewer liberties taken where they fall short. Of what the views measure beyond the promise, half may go
-for a shorter motion; what the selection had to cover of the matrix stays covered.
+at on them, and fewer liberties taken where they fall short or lose more than a little beyond it. What the selection had
+to cover of the matrix stays covered.
 """
 
 import logging
@@ -28,6 +28,7 @@ from planner.values import Ints
 
 log = logging.getLogger(__name__)
 
+_LOST = 0.0002  # share of what is coverable that may go for a shorter motion, where the promise leaves it
 _ROUNDING = 1e-9  # of areas that are summed in another order
 _COVERS = 8  # covers tried where time counts; two to five are usual
 
@@ -65,7 +66,7 @@ def _exchanged(
     matrix = Matrix(arm.M.matrix(), arm.M.features.areas, usable)
     spare = chosen.covered_area - target * chosen.coverable_area if target < 1 else 0.0
     asked = problem.request.plan.coverage
-    least = (asked + max(selected.share, asked)) / 2
+    least = max(asked, selected.share - _LOST)
     for allowed in (spare, 0.0) if spare > 0 else (0.0,):
         found = exchange(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
