@@ -22,7 +22,7 @@ from rich.table import Table
 from cell.commands.failures import guarded
 
 STUDIES = {
-    "speed": "seconds against error of what presets turn, and of the whole pipeline under each preset",
+    "speed": "seconds against error of planning faces, samples on each, and rays of a scan",
     "stability": "success and error of each method over the number that breaks it, and what the program says there",
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT and a textbook search: cost, bound, seconds",
 }

@@ -1,4 +1,4 @@
-"""`python -m benchmarks speed`: seconds against error of the numbers that presets turn, and the pipeline under presets.
+"""`python -m benchmarks speed`: seconds against error of the numbers that trade one for the other.
 
 A row holds the seconds that its trial took where and when it was computed: rows of one run on one machine compare,
 rows of two do not. Errors and views are the same everywhere.
@@ -11,21 +11,16 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.methods import pipeline_under_presets as pipeline
-from benchmarks.methods.preset_knobs import KNOBS, Knob, Value, turn
-from benchmarks.methods.speed_charts import by_knob, label, pictures, presets_at
+from benchmarks.methods.knobs import KNOBS, Knob, Value, turn
+from benchmarks.methods.speed_charts import by_knob, label, pictures
 from cell.commands.options import SceneFile, from_fields
 from cell.commands.study import conducted, scene_maker
 from cell.errors import UsageError
 from cell.scene.scene import Scene
-from cell.stand_ins import NAMES
 from cell.study.options import StudyRun
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import Outcome, Trial
-
-WHOLE_PARTS = ("mseke", "mug", "petanque")
-"""Built-in parts that the whole pipeline is run on where none is asked for: large, hollow, round."""
 
 ELSEWHERE = {
     "rays": "fill",
@@ -36,9 +31,9 @@ ELSEWHERE = {
     "grid": "reconstruction",
     "plant": "plant",
 }
-"""What else trades speed for accuracy, and the benchmark that measures it; no preset turns it."""
+"""What else trades speed for accuracy, and the benchmark that measures it."""
 
-_SHOWN = ("knob", "part", "value", "presets", "seconds", "processor s", "error", "unit", "views")
+_SHOWN = ("knob", "part", "value", "seconds", "processor s", "error", "unit", "views")
 
 app = typer.Typer(add_completion=False)
 
@@ -52,8 +47,7 @@ def speed(
         list[str] | None,
         typer.Argument(
             metavar="[KNOB ...]",
-            help=f"{', '.join(KNOBS)}; {pipeline.WHOLE}: the pipeline under each preset and by the paper's method. "
-            "Default: all.",
+            help=f"{', '.join(KNOBS)}. Default: all.",
             show_default=False,
         ),
     ] = None,
@@ -62,49 +56,39 @@ def speed(
     values: Annotated[str | None, typer.Option(metavar="V,V,...", help="In place of a single knob's range.")] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Runs of each work, of which the best counts.")] = 3,
 ) -> None:
-    """Chart speed against accuracy: seconds and error of each knob, and of the whole pipeline under the presets."""
+    """Chart speed against accuracy: seconds and error of each knob."""
     wanted = chosen(names or [])
-    turned = [name for name in wanted if name != pipeline.WHOLE]
-    if values is not None and (len(turned) != 1 or len(wanted) != 1):
+    if values is not None and len(wanted) != 1:
         raise UsageError("--values are those of one knob; name it, for instance samples --values 1,4")
-    given = None if values is None else KNOBS[turned[0]].parsed(values)
-    wholes = []
-    for name in () if pipeline.WHOLE not in wanted else (part,) if part or scene else WHOLE_PARTS:
-        options = [*([] if name is None else [_absolute(name)]), *(["--scene", str(scene.absolute())] if scene else [])]
-        wholes.append((scene_maker(name, scene, {})({}), options))
+    given = None if values is None else KNOBS[wanted[0]].parsed(values)
     base = scene_maker(part, scene, {})({})
-    study = speed_study([(name, base) for name in turned], wholes, values=given, repeats=repeats)
+    study = speed_study([(name, base) for name in wanted], values=given, repeats=repeats)
     alone = run.model_copy(update={"processes": run.processes or 1})  # more than one disturb each other's timing
     conducted(lambda: study, alone, as_json=False)
 
 
 def chosen(names: Sequence[str]) -> list[str]:
-    """Knobs that were asked for, `whole` among them; none: all.
+    """Knobs that were asked for; none: all.
 
     Raises:
         UsageError: if one is none of ours; it says which benchmark measures it.
     """
-    known = [*KNOBS, pipeline.WHOLE]
+    known = [*KNOBS]
     for name in names:
         if name in ELSEWHERE:
-            raise UsageError(f"no preset turns {name}; python -m benchmarks {ELSEWHERE[name]} measures it")
+            raise UsageError(f"{name} is no knob here; python -m benchmarks {ELSEWHERE[name]} measures it")
         if name not in known:
             raise UsageError(f"there is no knob {name}; there are {', '.join(known)}")
     return list(dict.fromkeys(names)) or known
 
 
 def speed_study(
-    turns: Sequence[tuple[str, Scene]],
-    wholes: Sequence[tuple[Scene, Sequence[str]]],
-    *,
-    values: Sequence[Value] | None = None,
-    repeats: int = 3,
+    turns: Sequence[tuple[str, Scene]], *, values: Sequence[Value] | None = None, repeats: int = 3
 ) -> Study:
-    """The study of some knobs, and of the whole pipeline on some parts.
+    """The study of some knobs.
 
     Args:
         turns: name of each knob and the scene that it is turned on.
-        wholes: scene and options of `cell plan` of each part that the whole pipeline is run on.
         values: in place of a knob's range, where there is one knob.
         repeats: runs of each work, of which the best counts.
     """
@@ -113,40 +97,17 @@ def speed_study(
         for name, scene, own in ((name, scene, scene_settings(scene)) for name, scene in turns)
         for value in (values or KNOBS[name].values)
     ]
-    methods = [
-        (scene, method, Trial.of(pipeline.whole, {"options": list(options), "method": method, "files": _files(scene)}))
-        for scene, options in wholes
-        for method in pipeline.METHODS
-    ]
-    truths = [(scene, Trial.of(pipeline.measurable, scene_settings(scene))) for scene, _ in wholes]
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         found = {outcome.trial: outcome for outcome in outcomes}
-        listed = [_row(name, scene, value, found[trial]) for name, scene, value, trial in turned if trial in found]
-        for scene, truth in truths:
-            of_part = [(method, found[trial]) for each, method, trial in methods if each is scene and trial in found]
-            if truth in found and of_part:
-                # A plan's own poses may measure a speck more than the finest candidates do.
-                most = max(found[truth].values["measurable"], *(each.values["visible"] for _, each in of_part))
-                listed += [pipeline.row(_part(scene), method, each, most) for method, each in of_part]
-        return listed
+        return [_row(name, scene, value, found[trial]) for name, scene, value, trial in turned if trial in found]
 
-    trials = [trial for *_, trial in (*truths, *turned, *methods)]
+    trials = [trial for *_, trial in turned]
     return Study("speed", "Speed against accuracy", trials, rows, pictures, sentences, _SHOWN)
-
-
-def _absolute(part: str) -> str:
-    """A file's whole path, for a process in another folder; a built-in part by its name."""
-    return part if part in NAMES and not Path(part).is_file() else str(Path(part).absolute())
 
 
 def _part(scene: Scene) -> str:
     return scene.part.name if scene.part.path is None else Path(scene.part.path).stem
-
-
-def _files(scene: Scene) -> dict[str, str]:
-    found: dict[str, str] = scene_settings(scene)["files"]
-    return found
 
 
 def _row(name: str, scene: Scene, value: Value, outcome: Outcome) -> Row:
@@ -154,7 +115,6 @@ def _row(name: str, scene: Scene, value: Value, outcome: Outcome) -> Row:
         "knob": name,
         "part": _part(scene),
         "value": value,
-        "presets": " ".join(presets_at(KNOBS[name], value)),
         "seconds": outcome.seconds["work"],
         "processor s": outcome.seconds["processor"],
         "error": outcome.values["error"],
@@ -164,13 +124,12 @@ def _row(name: str, scene: Scene, value: Value, outcome: Outcome) -> Row:
 
 
 def sentences(rows: Sequence[Row]) -> list[str]:
-    """For each knob what a step from the default to either side costs and brings; then the whole pipeline."""
-    said = [
+    """For each knob what a step from the default to either side costs and brings."""
+    return [
         _sentence(name, KNOBS[name], line)
         for name, line in by_knob(rows).items()
         if any(row["value"] == KNOBS[name].default for row in line)
     ]
-    return said + pipeline.sentences([row for row in rows if row["knob"] == pipeline.WHOLE])
 
 
 def _sentence(name: str, knob: Knob, line: Sequence[Row]) -> str:

@@ -1,4 +1,4 @@
-"""The pictures of `speed`: error over processor time, a panel a knob, and the whole pipeline, a panel a part."""
+"""The pictures of `speed`: error over processor time, a panel a knob."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,29 +10,18 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from benchmarks.methods.pipeline_under_presets import PAPER, WHOLE
-from benchmarks.methods.preset_knobs import KNOBS, Knob, Value
-from cell.scene.presets import DEFAULT, PRESETS
+from benchmarks.methods.knobs import KNOBS, Knob
 from cell.study.study import Row
 
-_COLOURS = {"fast": "#ca6f1e", "balanced": "#1e8449", "accurate": "#7d3c98", PAPER: "#b03a2e"}
-_MARKS = {"fast": "v", "balanced": "*", "accurate": "^", PAPER: "s"}
-_SIZES = {"fast": 9, "balanced": 14, "accurate": 9, PAPER: 8}
-_LINE = "#2471a3"
+_LINE, _DEFAULT = "#2471a3", {"marker": "*", "color": "#1e8449", "markersize": 14}
 _BESIDE = 0.4  # points whose seconds and errors differ by less than this (of e): the second's label goes below
 
 
-def presets_at(knob: Knob, value: Value) -> list[str]:
-    """Presets that have this value."""
-    return [name for name in PRESETS if knob.of_preset(name) == value]
-
-
 def by_knob(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each knob, those of the whole pipeline left out."""
+    """The rows of each knob."""
     found: dict[str, list[Row]] = {}
     for row in rows:
-        if row["knob"] != WHOLE:
-            found.setdefault(row["knob"], []).append(row)
+        found.setdefault(row["knob"], []).append(row)
     return found
 
 
@@ -42,30 +31,19 @@ def label(knob: Knob, row: Mapping[str, Any]) -> str:
 
 
 def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
-    """All fronts on one page, and the whole pipeline."""
-    lines = by_knob(rows)
-    if lines:
+    """All fronts on one page."""
+    if lines := by_knob(rows):
         yield "speed_fronts", _fronts(lines)
-    ends = [row for row in rows if row["knob"] == WHOLE]
-    if ends:
-        yield "speed_whole", _whole(ends)
 
 
 def _fronts(lines: Mapping[str, Sequence[Row]]) -> Figure:
     figure = Figure(figsize=(4.9 * len(lines), 4.2), dpi=110, layout="constrained")
     for axes, (name, line) in zip(figure.subplots(1, len(lines), squeeze=False).flat, lines.items(), strict=True):
         _front(axes, name, line)
-    handles = [
-        figure.axes[0].plot([], [], _MARKS[name], color=_COLOURS[name], markersize=_SIZES[name], label=_of(name))[0]
-        for name in PRESETS
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    handles = figure.axes[0].plot([], [], linestyle="", label="the default", **_DEFAULT)
+    figure.legend(handles=handles, loc="outside lower center", frameon=False, fontsize=9)
     figure.suptitle("Processor time against error, one knob at a time", fontsize=11)
     return figure
-
-
-def _of(preset: str) -> str:
-    return f"{preset} (the default)" if preset == DEFAULT else preset
 
 
 def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
@@ -79,8 +57,8 @@ def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
         y = height(row["error"])
         below = any(abs(math.log(x / x0)) < _BESIDE and abs(math.log(y / y0)) < _BESIDE for x0, y0 in labelled)
         labelled.append((x, y))
-        for preset in presets_at(knob, row["value"]):
-            axes.plot(x, y, _MARKS[preset], color=_COLOURS[preset], markersize=_SIZES[preset], zorder=3)
+        if row["value"] == knob.default:
+            axes.plot(x, y, zorder=3, **_DEFAULT)
         counted = f" ({row['views']})" if knob.error_unit == "points" and "views" in row else ""
         axes.annotate(
             f"{label(knob, row)}{counted}",
@@ -97,37 +75,6 @@ def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
     _plain(axes)
     low, high = min(seconds), max(seconds)
     axes.set_xlim(low / 1.4, high * max(1.6, (high / low) ** 0.3))
-
-
-def _whole(rows: Sequence[Row]) -> Figure:
-    """A panel a part: uncovered surface over seconds, views in brackets."""
-    parts = list(dict.fromkeys(row["part"] for row in rows))
-    figure = Figure(figsize=(4.6 * len(parts) + 0.6, 4.4), dpi=110, layout="constrained")
-    for axes, part in zip(figure.subplots(1, len(parts), squeeze=False).flat, parts, strict=True):
-        line = [row for row in rows if row["part"] == part]
-        height = _with_floor(axes, [row["error"] for row in line])
-        presets = [row for row in line if row["value"] in PRESETS]
-        axes.plot(
-            [row["processor s"] for row in presets], [height(row["error"]) for row in presets], "-", color="0.6", lw=1
-        )
-        for row in line:
-            method, x, y = row["value"], row["processor s"], height(row["error"])
-            axes.plot(x, y, _MARKS[method], color=_COLOURS[method], markersize=_SIZES[method])
-            usual = method == DEFAULT  # in the middle of the line that falls to the right: left of it and below is room
-            axes.annotate(
-                f"{method}\n{row['views']} views", (x, y), xytext=(-8, -22) if usual else (7, 5),
-                textcoords="offset points", ha="right" if usual else "left", fontsize=8,
-            )  # fmt: skip
-        axes.set_xscale("log")
-        _decimal(axes.xaxis, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))  # a plan's seconds span less than a decade
-        axes.set_title(part, fontsize=10, loc="left")
-        _plain(axes)
-        low, high = min(row["processor s"] for row in line), max(row["processor s"] for row in line)
-        axes.set_xlim(low / 1.25, high * max(1.5, (high / low) ** 0.4))
-        axes.set_xlabel("processor time of cell plan [s]", fontsize=9)
-    figure.axes[0].set_ylabel("surface that could be measured and is not\n[points of visible coverage]", fontsize=9)
-    figure.suptitle("cell plan under each preset, and by the paper's method", fontsize=11)
-    return figure
 
 
 def _with_floor(axes: Axes, errors: Sequence[float]) -> Callable[[float], float]:

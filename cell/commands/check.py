@@ -25,7 +25,7 @@ def check(
     part: Annotated[
         str | None, typer.Option(help="As in cell plan: mesh file or built-in part.", rich_help_panel=PART)
     ] = None,
-    wishes: Annotated[Wishes, offers(Scene, "units", "place", "preset", "collision")],
+    wishes: Annotated[Wishes, offers(Scene, "units", "place", "collision")],
     as_json: AsJson = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""

@@ -33,7 +33,7 @@ AsJson = Annotated[
 Wishes = dict[str, object]
 """Texts and switches by the names of their options, only those that were given; `Annotated` with what is offered."""
 OfScene = Annotated[Wishes, offers(Scene)]
-OfPartAndPreset = Annotated[Wishes, offers(Scene, "units", "preset")]
+OfPart = Annotated[Wishes, offers(Scene, "units")]
 
 
 def from_fields(command: Callable[..., None]) -> Callable[..., None]:

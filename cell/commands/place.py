@@ -27,7 +27,7 @@ def place(
     part: Part = None,
     where: PlaceRange,
     scene: SceneFile = None,
-    wishes: Annotated[Wishes, offers(Scene, "units", "preset", "seed")],
+    wishes: Annotated[Wishes, offers(Scene, "units", "seed")],
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:

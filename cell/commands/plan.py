@@ -15,7 +15,6 @@ EPILOG = (
     "Examples:\n\n"
     "cell plan --place 1200,500,0\n\n"
     "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95\n\n"
-    "cell plan --preset fast\n\n"
     "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial\n\n"
     "cell plan --max-views 8 --curve\n\n"
     "cell plan --overlap 20% --coverage 0.98\n\n"

@@ -29,15 +29,6 @@ def scan(
     *,
     run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
     options: ScanOptions,
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="fast, balanced or accurate: the angle between rays, where neither --resolution nor the scene gives "
-            "one. Default: the plan's preset.",
-            show_default=False,
-        ),
-    ] = None,
     resume: Annotated[
         str | None,
         typer.Option(
@@ -64,13 +55,7 @@ def scan(
     from cell.scan import scan as scan_command
     from cell.scan.work import ScanOutcome
 
-    _require_one_question(options.model_fields_set, preset, resume, report)
-    if preset is not None and options.resolution_deg is None:
-        from cell.run import reader as run_reader
-        from cell.run.record import open_run
-        from cell.scan.preset import resolution_deg
-
-        options = options.model_copy(update={"resolution_deg": resolution_deg(run_reader.scene(open_run(run)), preset)})
+    _require_one_question(options.model_fields_set, resume, report)
     terminal = Terminal(quiet_stdout=as_json)
     ask = terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
     if report is not None:
@@ -91,14 +76,12 @@ def scan(
     raise typer.Exit(outcome.exit_code)
 
 
-def _require_one_question(given: set[str], preset: str | None, resume: str | None, report: str | None) -> None:
+def _require_one_question(given: set[str], resume: str | None, report: str | None) -> None:
     """Refuse options of a new scan beside those that go back to an old one.
 
     Raises:
         UsageError: in one sentence.
     """
-    if preset is not None and (report is not None or resume is not None):
-        raise UsageError("--preset settles a new scan; leave it away beside --report and --resume")
     if report is not None and resume is not None:
         raise UsageError("--report makes the report of what is there, --resume scans what is missing; give one of them")
     if resume is not None and given - OF_EACH_TIME:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfPartAndPreset, Part, SceneFile, Wishes, from_fields
+from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, from_fields
 from cell.errors import UsageError
 from cell.scene.option import flag
 from cell.scene.options import spelled, tables
@@ -135,7 +135,7 @@ def placement(
     z: Annotated[str, typer.Option(metavar="MM[:MM:MM]", help="Heights of the part's centre.")] = "0",
     yaw: Annotated[str, typer.Option(metavar="DEG[:DEG:DEG]", help="Turns about the vertical (A).")] = "0",
     scene: SceneFile = None,
-    wishes: OfPartAndPreset,
+    wishes: OfPart,
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
@@ -161,7 +161,7 @@ def standoff(
     values: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step.")] = "50:500:50",
     robot: Robot = False,
     scene: SceneFile = None,
-    wishes: OfPartAndPreset,
+    wishes: OfPart,
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
@@ -186,7 +186,7 @@ def scanner(
     number: ScannerNumber,
     robot: Robot = False,
     scene: SceneFile = None,
-    wishes: OfPartAndPreset,
+    wishes: OfPart,
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:

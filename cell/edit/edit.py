@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cell import scanners
 from cell.edit.known_motion import known_motion
 from cell.edit.moved import Before, measured_anew, still_reached, unswept
 from cell.edit.options import Edit, Pose
@@ -24,6 +23,7 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
+from cell.plan.appended import appended
 from cell.plan.candidates import limited
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Cell, Job, Measured, Run
@@ -39,10 +39,8 @@ from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
 from planner.cover import CoverStatus
-from planner.measurability.columns import join_measurability
 from planner.reach.reach import Reach, Verdict, join_reach
 from planner.values import Floats
-from planner.viewpoints.viewpoints import join_viewpoints
 
 _KEPT = ("reference.ply", "planning.ply")
 
@@ -175,9 +173,7 @@ def _measured(before: Before, edited: EditedViews, run: Run, job: Job, surface: 
     _require_reached(edited, reached)
     if len(edited.appended):
         with run.step("measurability of new poses") as progress:
-            more, scanner = steps.columns(run, job, surface, casters, edited.appended, progress, may_be_empty=True)
-            M = join_measurability([M, more])
-            candidates = join_viewpoints([candidates, scanners.swept(job.scanner, edited.appended)])
+            candidates, M, scanner = appended(run, job, surface, casters, (candidates, M), edited.appended, progress)
     plan_files.write_viewpoints(run.folder, candidates)
     plan_files.write_reach(run.folder, reached)
     plan_files.write_measurability(run.folder, M)

@@ -12,7 +12,8 @@ from typing import cast
 import numpy as np
 
 from cell.plan.problem import Problem
-from cell.plan.request import Selected
+from cell.plan.refined import Append, movable, with_fewer
+from cell.plan.request import AGAIN_WORK, LOOK_WORK, RAISED, WORK, Selected
 from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
 from planner.measurability import quality
@@ -21,16 +22,22 @@ from planner.measurability.matrix import Measurability, fill, measured, occlude
 from planner.measurability.rows import add_rows
 from planner.ports import SigmaScanner
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import pick_viewpoints
 
 ROUNDS = 6
 """Times that samples are added at most; each time the views are chosen again."""
 
-_FRESH = 20_000  # samples that a round looks at
+_FRESH = 20_000  # samples that are looked at
+_MORE = 4_000  # rows that a round adds at most, or twice as many as there are: each round's views say where more help
 
 
 def chosen_where_kept(
-    problem: Problem, surface: PartSurface, rng: np.random.Generator, fresh: np.random.Generator
+    problem: Problem,
+    surface: PartSurface,
+    rng: np.random.Generator,
+    fresh: np.random.Generator,
+    append: Append | None = None,
 ) -> tuple[Problem, Selected]:
     """The first choice of views, with samples added until they keep the coverage that is asked for.
 
@@ -39,21 +46,59 @@ def chosen_where_kept(
         surface: the part.
         rng: randomness of the selection.
         fresh: draws the samples.
+        append: makes candidates of views that were moved; None: none is moved.
 
     Returns:
-        The problem with its samples, and the views; they fall short only where fresh samples show nothing more.
+        The problem with its samples and candidates, and the views; they fall short only where fresh samples show
+        nothing more.
     """
     if not _adds(problem):
         return problem, first_choice(problem, rng)
-    selected = first_choice(problem, rng, look=True)
-    for _ in range(ROUNDS):
-        if not selected.short:
-            return problem, first_choice(problem, rng, looked=selected)
-        more = with_samples(problem, selected, surface, fresh)
-        if more is None:
+    asked, spread = problem.request.asked, problem.prediction.samples
+    face_areas = np.bincount(spread.planning_face, weights=spread.areas, minlength=len(surface.planning.faces)).astype(
+        np.float64, copy=False
+    )
+    selected = None
+    for _ in range(ROUNDS + 1):
+        selected = first_choice(problem, rng, looked=selected, look=LOOK_WORK)
+        if _near(selected, asked):
+            problem, selected = _settled(problem, selected, rng, append)
+            if _near(selected, asked):
+                break
+        pool = sample(surface.reference, surface.planning, _FRESH, fresh)
+        added = _needed(problem, selected, pool)
+        if not added.any():
             break
-        problem, selected = more, first_choice(more, rng, look=True)
-    return problem, first_choice(problem, rng)
+        more = _rows(problem, pick_samples(pool, added))
+        problem = replace(problem, M=add_rows(problem.M, more, face_areas))
+    return problem, first_choice(problem, rng, looked=selected)
+
+
+def _near(selected: Selected, asked: Floats) -> bool:
+    """Whether views keep the coverage that is asked for, or would with targets raised by no more than `RAISED`."""
+    return selected.keeps(asked) or bool((selected.raised(asked) <= asked + RAISED).all())
+
+
+def _settled(
+    problem: Problem, looked: Selected, rng: np.random.Generator, append: Append | None
+) -> tuple[Problem, Selected]:
+    """What the whole work makes of views: moved so that fewer do, searched on among all candidates, and bounded."""
+    if not problem.request.brief:  # a look was the whole work
+        return problem, looked
+    asked, targets = problem.request.asked, looked.raised(problem.request.asked)
+    if append is not None and movable(problem):
+        problem, looked = with_fewer(problem, looked, append)
+    if looked.keeps(asked):  # should they stay, then as views for targets that they meet
+        targets = np.minimum(targets, looked.claimed)
+    looked = replace(looked, targets=targets)
+    found = first_choice(problem, rng, looked=looked, look=WORK)
+    if found.keeps(asked) or not looked.keeps(asked):
+        return problem, found
+    # Fewer, but too few: a few more of the matrix' samples, or else the views that were there.
+    again = replace(found, targets=found.raised(asked))
+    more = first_choice(problem, rng, looked=again, look=AGAIN_WORK).bounded(found)
+    better = more.keeps(asked) and len(more.cover.views) < len(looked.cover.views)
+    return problem, more if better else looked.bounded(found)
 
 
 def _adds(problem: Problem) -> bool:
@@ -61,26 +106,21 @@ def _adds(problem: Problem) -> bool:
     return problem.request.promises and problem.request.plan.fill == "aimed"
 
 
-def with_samples(
-    problem: Problem, selected: Selected, surface: PartSurface, rng: np.random.Generator
-) -> Problem | None:
-    """The problem with rows for what the views leave; None where fresh samples show nothing that a candidate measures.
+def _needed(problem: Problem, selected: Selected, pool: SurfaceSamples) -> Bools:
+    """(S,) fresh samples that become rows; none where they show nothing that a candidate measures and the views leave.
 
     Args:
         problem: what was asked.
         selected: the views that fall short.
-        surface: the part.
-        rng: draws the fresh samples.
+        pool: S fresh samples.
     """
     known, T = problem.prediction, problem.candidates.T_object_scanner
-    fresh = sample(surface.reference, surface.planning, _FRESH, rng)
-    left = pick_samples(fresh, ~measured(T[selected.cover.views], fresh, known.scanner, known.casters))
+    left = pick_samples(pool, ~measured(T[selected.cover.views], pool, known.scanner, known.casters))
     left = pick_samples(left, measured(T[problem.usable(())], left, known.scanner, known.casters))
-    if not len(left):
-        return None
     # All fresh samples of the planning faces on which the views fail: these alone would make the faces look worse.
-    added = pick_samples(fresh, np.isin(fresh.planning_face, left.planning_face))
-    return replace(problem, M=add_rows(problem.M, _rows(problem, added)))
+    needed = np.isin(pool.planning_face, left.planning_face)
+    some = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.features), _MORE)]
+    return np.asarray(np.isin(np.arange(len(pool)), some))
 
 
 def _rows(problem: Problem, features: SurfaceSamples) -> Measurability:

@@ -20,6 +20,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan import answers, picture_process, promise, region_report, steps
 from cell.plan import curve as curves
 from cell.plan import files as plan_files
+from cell.plan.appended import behind
 from cell.plan.drawing import draw_motion, draw_views, finish_drawing
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
@@ -98,7 +99,7 @@ def _steps(run: Run, job: Job) -> int:
     candidates, reached = steps.grow_candidates(run, job, surface, cell, candidates, reached)
     measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
     problem = steps.ask(run, job, cell, measured, prediction)
-    problem, chosen = steps.connect(run, problem, surface)
+    problem, chosen = steps.connect(run, problem, surface, behind(run, job, cell, surface))
     return 3 if _below(run.narrator, finish(run, job, surface.planning, problem, chosen)) else 0
 
 

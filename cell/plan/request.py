@@ -39,10 +39,8 @@ _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim
 RAISED = 0.002
 """Share by which a target is raised on the matrix before samples are added to it: one raise is usual."""
 
-_LOOK_WORK = cover.DEFAULT_WORK // 5
-"""Of a short search: nine of ten have the views of the whole work; what that adds is mostly proof."""
-
-_LAST_WORK = cover.DEFAULT_WORK // 2  # after a look
+LOOK_WORK, WORK, AGAIN_WORK = cover.DEFAULT_WORK // 25, 2 * cover.DEFAULT_WORK // 5, cover.DEFAULT_WORK // 5
+"""Of a look, of the search that goes on from it, and of each after that, should its views fall short by little."""
 
 _MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
 
@@ -93,6 +91,11 @@ class Request:
         return plain and bool((self.asked < 1).any())
 
     @property
+    def brief(self) -> bool:
+        """Whether a short search tells much: the number of views counts, which need not hang together."""
+        return self.costs is None and self.overlap is None and self.plan.solver == "auto"
+
+    @property
     def standing(self) -> float:
         """Seconds at each view, where time counts; 0 where the number of views does."""
         return 0.0 if self.costs is None else self.plan.scan_s + self.plan.settle_s
@@ -108,8 +111,7 @@ class Selected:
         sentence: the status in words with its numbers.
         answer: what is known beyond the cover, which for most requests says all; else None.
         cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
-        short: share of what is coverable on the held-out samples that a coverage below 1 misses there; 0 where it is
-            kept, or was not looked at.
+        shares: (P,) of what is coverable on the held-out samples, measured by the views; 1 where it was not looked at.
     """
 
     cover: Cover
@@ -117,7 +119,33 @@ class Selected:
     sentence: str
     answer: Connection | RobustCover | None = None
     cost_bound: float = 0.0
-    short: float = 0.0
+    shares: Floats = field(default_factory=lambda: np.ones(1))
+
+    @property
+    def claimed(self) -> Floats:
+        """(P,) share of what is coverable that the views measure on the matrix, or at least do."""
+        several = len(self.targets) > 1
+        return self.targets if several else np.array([self.cover.covered_area / self.cover.coverable_area])
+
+    def keeps(self, asked: Floats) -> bool:
+        """Whether the views measure the shares asked for on the held-out samples."""
+        return bool((self.shares >= asked).all())
+
+    def raised(self, asked: Floats) -> Floats:
+        """(P,) targets on the matrix at which views should measure the shares asked for on the held-out samples too."""
+        gap = np.maximum(self.claimed - self.shares, 0.0)
+        return np.asarray(np.minimum(asked + gap + np.where(self.shares < asked, _STEP, 0.0), 1.0))
+
+    def bounded(self, easier: "Selected") -> "Selected":
+        """With the bounds of one that was asked for less, where they are better."""
+        known = replace(self, cost_bound=easier.cost_bound)
+        bound = min(easier.cover.lower_bound, len(self.cover.views))
+        less = bool((easier.targets <= self.targets).all())
+        if not less or self.cover.price is not None or bound <= self.cover.lower_bound:
+            return known
+        status = CoverStatus.PROVEN if bound >= len(self.cover.views) else self.cover.status
+        cover = replace(self.cover, lower_bound=bound, status=status)
+        return replace(known, cover=cover, sentence=cover.sentence)
 
     @property
     def target(self) -> float:
@@ -142,7 +170,7 @@ def select(
     banned: tuple[int, ...],
     rng: np.random.Generator,
     looked: Selected | None = None,
-    look: bool = False,
+    look: int = 0,
 ) -> Selected:
     """Answer a request.
 
@@ -150,7 +178,8 @@ def select(
     held-out ones, its target on the matrix is raised. Two promises are kept on the matrix alone: the most coverage
     with k views has no target, and probabilities are not known of samples that were not planned for.
 
-    The raises are found by short searches, which seldom miss a view; the whole work goes into the last target alone.
+    One search goes on throughout: each target, and each matrix with samples added, begins with the views that were
+    best before. A look finds the target and where samples are missing; the work goes into the last target.
 
     Args:
         request: the wishes.
@@ -160,8 +189,8 @@ def select(
         prediction: held-out samples.
         banned: candidates that turned out to be of no use; those that the user bans come on top.
         rng: randomness of the selection.
-        looked: the answer of a look at the same; it is searched on from there.
-        look: whether a short search is enough, and a cover that misses the promise by more than `RAISED`.
+        looked: the answer of a look at the same, or at fewer samples or candidates; it is searched on from there.
+        look: work of a search that is enough, and whose views may miss the promise; 0: the views of a plan.
     """
     plan = request.plan
     wish = Problem(
@@ -178,52 +207,36 @@ def select(
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, request.asked, robust.sentence, robust)
     if not request.promises:  # of the matrix' samples that is all that it can be asked
-        return _cover(request, wish, request.asked, rng, cover.DEFAULT_WORK)
+        return _cover(request, wish, request.asked, rng, cover.DEFAULT_WORK, looked)
 
-    def short(selected: Selected) -> Floats:
-        poses = candidates.T_object_scanner[selected.cover.views]
+    def solve(targets: Floats, work: int, start: Selected | None) -> Selected:
+        found = _cover(request, wish, targets, rng, work if request.brief else cover.DEFAULT_WORK, start)
+        poses = candidates.T_object_scanner[found.cover.views]
         if request.goals is None:
-            return request.asked - prediction.share_of_coverable(poses)
-        return np.where(request.asked < 1, request.asked - request.goals.shares(prediction, poses), 0.0)
+            return replace(found, shares=np.array([prediction.share_of_coverable(poses)]))
+        return replace(found, shares=np.where(request.asked < 1, request.goals.shares(prediction, poses), 1.0))
 
-    brief = request.costs is None and request.overlap is None and plan.solver == "auto"
-    work = _LOOK_WORK if brief else cover.DEFAULT_WORK
-    found = looked or _raised(request, wish, rng, work, short, most=RAISED if look else 1.0)
-    if look or not brief or found.cover.status is CoverStatus.PROVEN:
-        return found
-    thorough = _cover(request, wish, found.targets, rng, _LAST_WORK)
-    if len(thorough.cover.views) < len(found.cover.views) and short(thorough).max() <= found.short:
-        return replace(thorough, short=found.short)
-    return _with_bound(found, thorough.cover.lower_bound)
+    if look or looked is None:
+        looked = solve(request.asked if looked is None or look == LOOK_WORK else looked.targets, look or WORK, looked)
+    return looked if look or looked.keeps(request.asked) else _raised(request.asked, looked, solve)
 
 
-def _raised(
-    request: Request,
-    wish: Problem,
-    rng: np.random.Generator,
-    work: int,
-    short: Callable[[Selected], Floats],
-    most: float,
+def _raised(asked: Floats, looked: Selected, solve: Callable[[Floats, int, Selected | None], Selected]) -> Selected:
+    """The first cover that keeps the promise, the targets of its parts raised where they have to be."""
+    found = looked
+    for raises in range(_RAISES):
+        more = np.ones(len(asked)) if raises == _RAISES - 1 else np.maximum(found.raised(asked), found.targets + _STEP)
+        targets = np.where(found.shares < asked, np.minimum(more, 1.0), found.targets)
+        before, found = found, solve(targets, AGAIN_WORK, found)
+        found = found.bounded(before)
+        if found.keeps(asked) or (found.targets[found.shares < asked] >= 1).all():
+            break
+    return found
+
+
+def _cover(
+    request: Request, wish: Problem, targets: Floats, rng: np.random.Generator, work: int, start: Selected | None
 ) -> Selected:
-    """The first cover that keeps the promise, the targets of its parts raised where they have to be.
-
-    Where one would have to be raised by more than `most`, the cover that does not keep the promise.
-    """
-    targets, raises, least = request.asked, 0, 0.0
-    while True:
-        found = _cover(request, wish, targets, rng, work)
-        least = least if raises else found.cost_bound
-        lacks = short(found)
-        found = replace(found, cost_bound=least, short=max(float(lacks.max()), 0.0))
-        raises += 1
-        more = np.ones(len(targets)) if raises == _RAISES else np.minimum(1.0, targets + lacks + _STEP)
-        more = np.where(lacks > 0, more, targets)
-        if (more <= targets).all() or (more > request.asked + most).any():
-            return found
-        targets = more
-
-
-def _cover(request: Request, wish: Problem, targets: Floats, rng: np.random.Generator, work: int) -> Selected:
     """The fewest or cheapest views for the targets of all parts, which hang together where that is asked."""
     one = len(targets) == 1
     wish = replace(wish, coverage=float(targets[0]), part_coverage=() if one else tuple(targets.tolist()))
@@ -231,17 +244,9 @@ def _cover(request: Request, wish: Problem, targets: Floats, rng: np.random.Gene
         joined = cover.solve(wish, rng=rng, budget=_MOST_WORK)
         how = connection(wish, joined)
         return Selected(joined, targets, joined.sentence if how.connected else how.sentence, how)
-    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, budget=work)
+    known = None if start is None or request.plan.solver != "auto" else start.cover.views
+    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, budget=work)
     return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound)
-
-
-def _with_bound(selected: Selected, bound: int) -> Selected:
-    """With a bound that a longer search for the same target has proven."""
-    bound = max(bound, selected.cover.lower_bound)
-    proven = bound >= len(selected.cover.views)
-    status = CoverStatus.PROVEN if proven else selected.cover.status
-    cover = replace(selected.cover, lower_bound=min(bound, len(selected.cover.views)), status=status)
-    return replace(selected, cover=cover, sentence=cover.sentence)
 
 
 def check_named(plan: PlanSettings, reached: Reach) -> None:

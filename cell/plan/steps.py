@@ -21,6 +21,7 @@ from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
+from cell.plan.refined import Append
 from cell.plan.region_goals import RegionGoals, require_measurable
 from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import ConnectedPlan, choose_and_connect
@@ -125,7 +126,8 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
         planning = decimate(reference, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         run.drawing.part_ready(run.folder.path)
-        _note_other_count(run.narrator, len(planning.faces), job.settings.faces)
+        if other := doubts.other_count(len(planning.faces), job.settings.faces):
+            run.narrator.note(other)
         candidates = first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, run.rng(_FEATURES))
         if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
@@ -256,13 +258,18 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
     )  # fmt: skip
 
 
-def connect(run: Run, problem: Problem, surface: PartSurface) -> tuple[Problem, ConnectedPlan]:
-    """Steps 6 to 8: the problem with the samples that its promise took, and its views connected by free paths."""
+def connect(
+    run: Run, problem: Problem, surface: PartSurface, append: Append | None = None
+) -> tuple[Problem, ConnectedPlan]:
+    """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
-        chooses, matrix_before = run.rng(SELECTION), problem.M
-        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH))
-        if problem.M is not matrix_before:
+        chooses, before = run.rng(SELECTION), problem
+        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH), append)
+        if problem.M is not before.M:
             plan_files.write_measurability(run.folder, problem.M)
+        if problem.candidates is not before.candidates:
+            plan_files.write_viewpoints(run.folder, problem.candidates)
+            plan_files.write_reach(run.folder, problem.reached)
         chosen = choose_and_connect(
             problem, selected, selection_rng=chooses, motion_rng=run.rng(MOTION), progress=progress
         )
@@ -297,12 +304,3 @@ def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None 
     return reach.solve(
         poses, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker, progress=progress
     )
-
-
-def _note_other_count(narrator: Narrator, came_out: int, wanted: int) -> None:
-    """Say when the planning mesh is not as coarse as asked for; the plan uses what came out."""
-    if abs(came_out - wanted) > max(2, 0.02 * wanted):
-        narrator.note(
-            f"the planning mesh has {came_out} faces in place of {wanted}: this mesh does not come closer (slivers, "
-            "several bodies, or fewer faces than asked for); the plan uses these"
-        )

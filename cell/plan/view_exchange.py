@@ -5,7 +5,8 @@ solution of one member of each group, and what it picked becomes the plan. The n
 stay what the cover says.
 
 Less than full coverage is promised on held-out samples too, which the exchange does not see: there its views are looked
-at on them, and fewer liberties taken where they fall short.
+at on them, and fewer liberties taken where they fall short or lose more than a little beyond it. What the selection had
+to cover of the matrix stays covered.
 """
 
 import logging
@@ -27,6 +28,8 @@ from planner.values import Ints
 
 log = logging.getLogger(__name__)
 
+_LOST = 0.0002  # share of what is coverable that may go for a shorter motion, where the promise leaves it
+_ROUNDING = 1e-9  # of areas that are summed in another order
 _COVERS = 8  # covers tried where time counts; two to five are usual
 
 
@@ -62,15 +65,20 @@ def _exchanged(
     chosen, target = selected.cover, selected.target
     matrix = Matrix(arm.M.matrix(), arm.M.features.areas, usable)
     spare = chosen.covered_area - target * chosen.coverable_area if target < 1 else 0.0
+    asked = problem.request.plan.coverage
+    least = max(asked, float(selected.shares[0]) - _LOST)
     for allowed in (spare, 0.0) if spare > 0 else (0.0,):
         found = exchange(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
             pinned=chosen.pinned.tolist(), spare=allowed,
         )  # fmt: skip
-        if problem.request.plan.coverage >= 1:
+        if asked >= 1:
             return found, found.groups
         poses = problem.candidates.T_object_scanner[found.views]
-        if problem.prediction.share_of_coverable(poses) >= problem.request.plan.coverage:
+        covered = float(matrix.areas[matrix.counts(found.views.tolist()) > 0].sum())
+        if covered < target * chosen.coverable_area * (1 - _ROUNDING):
+            continue
+        if problem.prediction.share_of_coverable(poses) >= least:
             return found, _single(found.views)
     return found, _single(chosen.views)
 
@@ -125,17 +133,17 @@ def shorter(exchanged: tuple[Groups, Tour], own: tuple[Groups, Tour], standing: 
     return min(exchanged, own, key=seconds)
 
 
-def settled(chosen: Cover, M: Measurability, motion: Tour, picks: Ints) -> tuple[Cover, Tour]:
-    """The cover of the candidates that a motion picked, the one that adds the largest area first, and its motion.
+def of_views(chosen: Cover, M: Measurability, picks: Ints) -> tuple[Cover, Ints]:
+    """The cover of other views, not more, for the same request, and the order in which they add most area.
 
     Args:
-        chosen: the cover whose views were exchanged.
+        chosen: the cover of the request.
         M: the matrix.
-        motion: its views are indices into `picks`; all are visited.
         picks: (n,) candidates.
+
+    Returns:
+        The cover, and the (n,) indices into `picks` of its views.
     """
-    if np.array_equal(picks, chosen.views):
-        return chosen, motion
     matrix = Matrix(M.matrix(), M.features.areas, np.ones(M.shape[1], dtype=np.bool_))
     waiting = matrix.areas.copy()
     measured = [matrix.measured_by(int(view)) for view in picks]
@@ -147,8 +155,6 @@ def settled(chosen: Cover, M: Measurability, motion: Tour, picks: Ints) -> tuple
         sequence.append(best)
         added.append(gains[best])
         waiting[measured[best]] = 0.0
-    place = np.empty(len(picks), dtype=np.int64)
-    place[sequence] = np.arange(len(picks))
     lower_bound = min(chosen.lower_bound, len(picks))
     cover = replace(
         chosen,
@@ -158,6 +164,23 @@ def settled(chosen: Cover, M: Measurability, motion: Tour, picks: Ints) -> tuple
         lower_bound=lower_bound,
         status=CoverStatus.PROVEN if lower_bound == len(picks) else chosen.status,
     )
+    return cover, np.array(sequence, dtype=np.int64)
+
+
+def settled(chosen: Cover, M: Measurability, motion: Tour, picks: Ints) -> tuple[Cover, Tour]:
+    """The cover of the candidates that a motion picked, the one that adds the largest area first, and its motion.
+
+    Args:
+        chosen: the cover whose views were exchanged.
+        M: the matrix.
+        motion: its views are indices into `picks`; all are visited.
+        picks: (n,) candidates.
+    """
+    if np.array_equal(picks, chosen.views):
+        return chosen, motion
+    cover, sequence = of_views(chosen, M, picks)
+    place = np.empty(len(picks), dtype=np.int64)
+    place[sequence] = np.arange(len(picks))
     view = np.where(motion.view >= 0, place[np.maximum(motion.view, 0)], -1)
     return cover, replace(motion, order=place[motion.order], view=view)
 

@@ -116,15 +116,15 @@ class _Again:
 
 
 def first_choice(
-    problem: Problem, rng: np.random.Generator, *, looked: Selected | None = None, look: bool = False
+    problem: Problem, rng: np.random.Generator, *, looked: Selected | None = None, look: int = 0
 ) -> Selected:
     """Views that answer the request before any motion is known, for `choose_and_connect`.
 
     Args:
         problem: candidates, cell and wishes.
         rng: randomness of the selection.
-        looked: the answer of a look at the same problem; it is searched on from there.
-        look: whether a short search is enough, and views that miss what is asked for by some.
+        looked: the answer of a look at the same, or with fewer samples; it is searched on from there.
+        look: work of a search that is enough, and whose views may miss what is asked for; 0: the views of a plan.
 
     Raises:
         UnreachableError: if no view measures anything.
@@ -173,7 +173,7 @@ def _choose(
     rng: np.random.Generator,
     *,
     looked: Selected | None = None,
-    look: bool = False,
+    look: int = 0,
 ) -> Selected:
     """Views that answer the request as far as is known by now."""
     selected = select(

@@ -1,7 +1,7 @@
 """Predicted coverage of a plan on samples that the optimiser has not seen (planner/measurability/coverage.py)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,13 +71,24 @@ class Prediction:
         found = coverage.visible(T_object_scanner[order], samples, scanner, casters, progress=progress)
         return cls(samples, scanner, casters, found)
 
+    def with_more(self, T_object_scanner: Floats) -> "Prediction":
+        """With further reachable candidates (n, K, 4, 4) [m]."""
+        open_ = ~self.coverable.covered
+        found = measured(T_object_scanner, self.samples, self.scanner, self.casters, among=open_)
+        return replace(self, coverable=coverage.visible_of(np.stack([~open_, found], axis=1), self.samples))
+
     def visible(self, T_object_scanner: Floats) -> Coverage:
         """Visible coverage of views (n, K, 4, 4) [m]."""
         return coverage.visible(T_object_scanner, self.samples, self.scanner, self.casters)
 
     def share_of_coverable(self, T_object_scanner: Floats) -> float:
-        """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable."""
-        return self.visible(T_object_scanner).area / self.coverable.area if self.coverable.area > 0 else 1.0
+        """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable.
+
+        What the views measure counts as coverable: they need not be candidates.
+        """
+        visible = self.visible(T_object_scanner)
+        whole = float(self.samples.areas[self.coverable.covered | visible.covered].sum())
+        return visible.area / whole if whole > 0 else 1.0
 
     def seen(self, T_object_scanner: Floats) -> NDArray[np.bool_]:
         """(S, n) which samples each of the views (n, K, 4, 4) [m] measures."""

@@ -62,6 +62,16 @@ def off_mesh(features: SurfaceSamples, planning: TriangleMesh) -> float:
     return float(np.quantile(height, 0.95) / planning.diagonal)
 
 
+def other_count(came_out: int, wanted: int) -> str:
+    """About a planning mesh that is not as coarse as asked for; the plan uses what came out."""
+    if abs(came_out - wanted) <= max(2, 0.02 * wanted):
+        return ""
+    return (
+        f"the planning mesh has {came_out} faces in place of {wanted}: this mesh does not come closer (slivers, "
+        "several bodies, or fewer faces than asked for); the plan uses these"
+    )
+
+
 def planning_mesh(off: float, faces: int) -> str:
     """About a planning mesh.
 

@@ -4,7 +4,6 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from cell.scene import presets
 from cell.scene.fields import NotNegative, Positive, Share, Table
 from cell.scene.option import Option
 
@@ -35,10 +34,6 @@ _POSE_SD = Option(
 class PlanKeys(Table):
     """The keys of the table; None takes the part's default."""
 
-    preset: Annotated[
-        Literal["fast", "balanced", "accurate"],
-        Option(f"What is settled where neither scene file nor option says anything. {presets.line()}.", _VIEWS),
-    ] = "balanced"
     candidates: Annotated[
         Literal["grown", "optimal-scanning-zone", "view-sphere"],
         Option("Which viewpoints are looked at: one per face and others where these fail; or the paper's.", _VIEWS),

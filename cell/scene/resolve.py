@@ -12,7 +12,6 @@ import numpy as np
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece
 from cell.scene import devices
-from cell.scene.presets import PRESETS
 from cell.scene.scene import Scene
 from planner.viewpoints.viewpoints import enclosing_radius
 
@@ -121,5 +120,4 @@ def _faces(scene: Scene, part: Workpiece) -> int:
         return max(4, round(len(part.reference.faces) * scene.plan.percent_kept / 100))
     if scene.plan.faces is not None:
         return scene.plan.faces
-    usual = _FACES if scene.part.path is not None else _FACES_OF.get(part.name, _FACES)
-    return round(PRESETS[scene.plan.preset].faces_factor * usual)
+    return _FACES if scene.part.path is not None else _FACES_OF.get(part.name, _FACES)

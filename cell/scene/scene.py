@@ -335,7 +335,7 @@ def load_scene(
     options: Mapping[str, Mapping[str, object]] | None = None,
     names: Mapping[str, str] | None = None,
 ) -> Scene:
-    """Read and check a scene file; what it leaves open is filled in by its preset (`cell.scene.presets`).
+    """Read and check a scene file.
 
     Args:
         path: the TOML file; None is the built-in scene. Paths inside it are relative to its folder.
@@ -346,7 +346,6 @@ def load_scene(
     Raises:
         SceneError: with every problem of the file on a line of its own: the key, what is wrong, what would be valid.
     """
-    from cell.scene.presets import beneath
     from cell.scene.problems import sentences
 
     content: dict[str, object] = {} if path is None else scene_file.parsed(path)
@@ -356,7 +355,6 @@ def load_scene(
         if keys and isinstance(below, dict):
             below = _without_the_other_point(table, below, keys)
             content[table] = dict(keys) if replaces else {**below, **keys}
-    content = beneath(content)
     folder = Path.cwd() if path is None else path.absolute().parent
     try:
         return Scene.model_validate(content, context={"folder": folder})

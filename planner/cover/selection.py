@@ -14,6 +14,7 @@ from planner.cover.solvers import SOLVERS, answer
 from planner.cover.targets import solve_parts
 from planner.cover.told import told
 from planner.errors import PlannerError
+from planner.values import Ints
 
 CANONICAL_WORK = 40
 """Charge of checking and sorting, for each entry of the matrix."""
@@ -24,6 +25,7 @@ def solve(
     *,
     rng: np.random.Generator,
     solver: str = "auto",
+    start: Ints | None = None,
     budget: int = DEFAULT_WORK,
     time_limit_s: float | None = None,
     clock: Callable[[], float] = time.perf_counter,
@@ -37,6 +39,8 @@ def solve(
         problem: what is asked for.
         rng: random choices of the search.
         solver: a name in `SOLVERS`.
+        start: (n,) columns of a choice to begin with, which need not meet what is asked for; others are left out where
+            they may not be used. None, and where views have to hang together: the greedy choice.
         budget: units of work for everything together (500 million are about a second of one core).
         time_limit_s: wall-clock guard [s]; reported in the status when it fires.
         clock: seconds, for the guard.
@@ -47,10 +51,10 @@ def solve(
     if solver not in SOLVERS:
         raise PlannerError(f"there is no solver {solver!r}; choose one of {', '.join(SOLVERS)}")
     if problem.part_coverage or problem.weights is not None:
-        begun = clock()
+        since = clock()
 
         def ask(single: Problem, share: float) -> Cover:
-            left = None if time_limit_s is None else max(time_limit_s - (clock() - begun), 0.0)
+            left = None if time_limit_s is None else max(time_limit_s - (clock() - since), 0.0)
             return solve(single, rng=rng, solver=solver, budget=int(share * budget), time_limit_s=left, clock=clock)
 
         return solve_parts(problem, ask)
@@ -59,7 +63,8 @@ def solve(
     work.spend(CANONICAL_WORK * found.whole.n_entries)
     if len(found.rest.adjacent):
         return connected_cover(problem, found, rng, work, solver)
-    inner, bound, fewest = answer(found.rest, solver, rng, work)
+    begun = None if start is None else np.flatnonzero(np.isin(found.columns[found.rest_columns], start))
+    inner, bound, fewest = answer(found.rest, solver, rng, work, begun)
     columns = np.concatenate((found.fixed, found.rest_columns[inner]))
     if problem.max_views is None:
         bound += found.whole.cost(columns) - found.rest.cost(inner)

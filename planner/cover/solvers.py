@@ -132,7 +132,9 @@ SOLVERS: dict[str, Solver] = {
 """`greedy` has nothing to add: its choice and the bound come first for every solver."""
 
 
-def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> tuple[Ints, int, int]:
+def answer(
+    sets: Sets, solver: str, rng: np.random.Generator, work: Budget, start: Ints | None = None
+) -> tuple[Ints, int, int]:
     """Reduce a problem, run a solver, and lift what it found.
 
     Args:
@@ -140,12 +142,17 @@ def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> t
         solver: a name in `SOLVERS`.
         rng: random choices.
         work: budget; at its end it still has what is best of the reduced problem.
+        start: a choice to begin with; it is completed where it does not do.
 
     Returns:
         The best choice, a bound on the objective, and, with a number of columns allowed, how many fewer ones need at
         least to leave as little open.
     """
-    early = _early(sets, rng, work) if solver == "auto" and 0 < work.left < EARLY_WORK * sets.n_entries else None
+    early = None
+    if start is not None:
+        early = prune(sets, complete(sets, start if sets.most < 0 else start[: sets.most]))
+    if solver == "auto" and 0 < work.left < EARLY_WORK * sets.n_entries:
+        early = _early(sets, early, rng, work)
     reduction = reduce(sets, work)
     inner, relaxation = _run(reduction, early, solver, rng, work)
     chosen = reduction.lift(inner)
@@ -159,12 +166,14 @@ def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> t
     return chosen, paid + min(work.lower_bound, found), fewest
 
 
-def _early(sets: Sets, rng: np.random.Generator, work: Budget) -> Ints | None:
-    """A short search on the problem as it is; None where nothing is asked for."""
+def _early(sets: Sets, start: Ints | None, rng: np.random.Generator, work: Budget) -> Ints | None:
+    """A short search on the problem as it is, from the better of start and greedy; None where nothing is asked for."""
     work.begin(sets.tolerance)
     if sets.trivial:
         return None
     chosen, spent = greedy(sets)
+    if start is not None and sets.objective(start) <= sets.objective(chosen):
+        chosen = start
     work.offer(chosen, sets.objective(chosen))
     work.spend(spent)
     with work.ended_by_ctrl_c(), work.portion(EARLY_SHARE):
@@ -185,11 +194,11 @@ def _run(
         return nothing, None
     if sets.most < 0:
         work.prove(int(sets.costs.min()))  # one column at least, should Ctrl-C come before the bound
-    chosen, spent = greedy(sets)
-    work.offer(chosen, sets.objective(chosen))
-    if early is not None:
+    if early is not None:  # it stays where others are no better
         kept = prune(sets, complete(sets, reduction.left_of(early)))
         work.offer(kept, sets.objective(kept))
+    chosen, spent = greedy(sets)
+    work.offer(chosen, sets.objective(chosen))
     relaxation = None
     with work.ended_by_ctrl_c():
         work.spend(spent)

@@ -7,17 +7,20 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
 from planner.surface.sample import join_samples
+from planner.values import Floats
 
 
-def add_rows(measurability: Measurability, more: Measurability) -> Measurability:
+def add_rows(measurability: Measurability, more: Measurability, face_areas: Floats) -> Measurability:
     """M with further features below its own.
 
-    A planning face keeps the area that its features stood for and shares it equally among all that it has now; a face
-    that had none brings its own features' area. All areas together stay what they were.
+    All features of a planning face share its area equally, so that many on one face do not make it larger. All areas
+    together stay what they were.
 
     Args:
         measurability: M.
         more: the same columns over other features, with sigma where M has it.
+        face_areas: (F,) area of the surface that belongs to each planning face, in any unit; above zero where there is
+            a feature.
 
     Raises:
         PlannerError: if the columns differ, or only one of the two has sigma.
@@ -31,11 +34,8 @@ def add_rows(measurability: Measurability, more: Measurability) -> Measurability
         raise PlannerError("only one of the matrices has a layer of sigma; calculate it for both")
     own, new = measurability.features, more.features
     features = join_samples([own, new])
-    faces = int(features.planning_face.max(initial=-1)) + 1
-    before = np.bincount(own.planning_face, weights=own.areas, minlength=faces)
-    number = np.bincount(features.planning_face, minlength=faces)
-    had = before[features.planning_face] > 0
-    areas = np.where(had, before[features.planning_face] / number[features.planning_face], features.areas)
+    number = np.bincount(features.planning_face)
+    areas = (face_areas[: len(number)] / np.maximum(number, 1))[features.planning_face]
     sigma = None
     if measurability.sigma is not None and more.sigma is not None:
         sigma = np.concatenate([measurability.sigma, more.sigma])

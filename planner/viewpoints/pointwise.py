@@ -9,7 +9,8 @@ k-th element is
 
 Any stretch of it fills the unit cube evenly, so that a search may go on where it has stopped, and every point may be
 given a stretch of its own. `carried` takes poses that measure neighbours of a point and moves them a little by the same
-lattice: in a niche few poses of all succeed, and they lie together. Nothing is random: equal inputs give equal poses.
+lattice: in a niche few poses of all succeed, and they lie together; `moved` does so with one pose. Nothing is
+random: equal inputs give equal poses.
 
 `Frustum` is where in the scanner frame a surface that faces the laser is measured, asked of the scanner's own law: so
 it is that of any scanner. Object frame, metres, radians.
@@ -166,6 +167,26 @@ def carried(
     T[:, :3, 3] = point + np.einsum("nij,nj->ni", turn, T[:, :3, 3] - point)
     T[:, :3, :3] = turn @ T[:, :3, :3]
     return Aimed(T, row).pick(_accepted(T, row, targets, scanner))
+
+
+def moved(T_object_scanner: Floats, distance: float, share: float, stretch: tuple[int, int], number: int) -> Floats:
+    """(n, 4, 4) poses about a given one [m]: moved, and turned about the point that it is aimed at.
+
+    Args:
+        T_object_scanner: (4, 4) the pose [m].
+        distance: to the point that it is aimed at [m].
+        share: of the largest way and turn of `carried`, 0 to 1.
+        stretch: of the lattice.
+        number: which of many poses it is: each has a stretch of its own.
+    """
+    u = _lattice(np.array([number]), stretch)
+    turn = rotations((2 * u[:, 3:] - 1) * (_TURN * share))
+    R, t = T_object_scanner[:3, :3], T_object_scanner[:3, 3]
+    aim = t + distance * R[:, 2]
+    T = np.tile(np.eye(4), (len(u), 1, 1))
+    T[:, :3, :3] = turn @ R
+    T[:, :3, 3] = aim + turn @ (t - aim) + (2 * u[:, :3] - 1) * (_SHIFT * share * distance)
+    return T
 
 
 def seeing(aimed: Aimed, targets: Targets, scanner: Scanner, casters: Sequence[RayCaster]) -> Aimed:

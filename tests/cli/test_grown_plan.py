@@ -6,6 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+from cell.api import plan
+from cell.errors import SceneError, UsageError
+from cell.run import reader
+from cell.run.cell import read_cell
+from cell.run.record import open_finished
+from cell.scene.scene import load_scene
+from planner.measurability.matrix import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -38,3 +47,60 @@ def test_the_former_generator_is_gone(tmp_path: Path, run_cell: Run) -> None:
     done = run_cell("plan", "--candidates", "targeted", cwd=tmp_path)
     assert done.returncode == 2
     assert "choose 'grown'" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["plan", "check", "place", "scan"])
+def test_presets_are_gone(command: str, tmp_path: Path, run_cell: Run) -> None:
+    """One sentence that names what to give instead, exit code 2, nothing left behind."""
+    done = run_cell(command, *(["run"] if command == "scan" else []), "--preset", "fast", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("cell: --preset is gone")
+    assert "faces and samples" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_preset_of_a_scene_file_or_of_a_keyword_is_gone(tmp_path: Path) -> None:
+    """The same sentence, with the key as it was written."""
+    (tmp_path / "scene.toml").write_text("[plan]\npreset = 'fast'\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"plan\.preset is gone.*faces and samples"):
+        load_scene(tmp_path / "scene.toml")
+    with pytest.raises(UsageError, match=r"^preset is gone.*faces and samples"):
+        plan("mug", preset="fast")
+
+
+def test_views_that_moved_are_candidates_like_others(
+    part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
+) -> None:
+    """They stand behind the candidates that a plan without them has; reach and matrix say of them what is so.
+
+    Recounted from the files: each column by the rays of its own pose, each joint solution by forward kinematics. What
+    is driven is checked by `cell edit`, which makes everything anew, and by the proof that every scan begins with.
+    """
+    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--candidates", "grown", "--faces", "60")
+    for name, coverage in (("all", "1"), ("run", "0.97")):
+        done = run_cell(*arguments, "--coverage", coverage, "--no-cache", "--out", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    run, others = (open_finished(tmp_path / name) for name in ("run", "all"))
+    known, views = len(reader.candidates(others)), reader.candidates(run)
+    assert len(views) > known
+    np.testing.assert_array_equal(views.T_object_scanner[:known], reader.candidates(others).T_object_scanner)
+    T, M, reached = views.T_object_scanner[known:], reader.measurability(run), reader.reached(run)
+    cell = read_cell(run)
+    found = measured(T, M.features, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
+    np.testing.assert_array_equal(M.matrix().tocsc()[:, np.arange(known, len(views))].toarray(), found)
+    assert reached.reachable[known:].all()
+    for view in range(known, len(views)):
+        for q in reached.q_of(view):
+            np.testing.assert_allclose(cell.scanner_pose(q), views.T_object_scanner[view, 0], atol=2e-5)
+    plan_file = json.loads((tmp_path / "run" / "plan.json").read_text())
+    ids = [view["id"] for view in plan_file["views"]]
+    assert max(ids) >= known
+    # What the selection had to cover is covered, whatever was exchanged for a shorter motion.
+    areas, entries = M.features.areas, M.matrix().tocsc()
+    coverable, covered = (areas[entries[:, which].sum(axis=1) > 0].sum() for which in (reached.reachable, ids))
+    assert covered >= plan_file["coverage"]["target_on_features"] * coverable * (1 - 1e-9)
+    done = run_cell("edit", "run", "--turn", "1:30", "--out", "edited", cwd=tmp_path)
+    assert done.returncode in (0, 3), done.stderr
+    done = run_cell("scan", "run", "--view", "1", cwd=tmp_path)
+    assert done.returncode in (0, 3), done.stderr

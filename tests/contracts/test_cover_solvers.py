@@ -20,7 +20,7 @@ def instance(seed, n_rows=60, n_columns=40, density=0.1):
 
 def run(M, areas, solver, coverage=1.0, seed=5, **options):
     """Solve with a fresh generator and the tests' budget; options go to the problem or to `solve`."""
-    told = {name: options.pop(name) for name in ("budget", "time_limit_s", "clock") if name in options}
+    told = {name: options.pop(name) for name in ("budget", "time_limit_s", "clock", "start") if name in options}
     problem = Problem(M, areas, coverage=coverage, **options)
     return solve(problem, rng=np.random.default_rng(seed), solver=solver, **{"budget": WORK} | told)
 
@@ -230,3 +230,25 @@ def test_a_kill_is_not_taken_for_a_wish_for_the_best_so_far(monkeypatch):
     M, areas = instance(4, 150, 100, 0.05)
     with pytest.raises(Killed):
         run(M, areas, "local-search")
+
+
+@pytest.mark.parametrize("coverage", [0.5, 0.9, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_search_that_begins_with_a_choice_is_no_worse(solver, coverage, seed):
+    """Whether the choice is a cover or not; what may not be used is left out; a best one stays as it is."""
+    M, areas = instance(seed)
+    best = run(M, areas, "exact", coverage, budget=10 * WORK)
+    again = run(M, areas, solver, coverage, start=best.views)
+    np.testing.assert_array_equal(np.sort(again.views), np.sort(best.views))
+    for start in (best.views[:1], np.arange(M.shape[1]), np.zeros(0, dtype=np.int64)):
+        result = run(M, areas, solver, coverage, start=start, banned=[int(best.views[0])])
+        assert best.views[0] not in result.views
+        usable = M.copy()
+        usable[:, best.views[0]] = False
+        assert covered_share(usable, areas, result.views) >= coverage - 1e-12
+
+
+def test_a_beginning_of_more_views_than_are_allowed_is_cut(solver):
+    """With a number of columns."""
+    M, areas = instance(1)
+    assert len(run(M, areas, solver, max_views=3, start=np.arange(10)).views) <= 3

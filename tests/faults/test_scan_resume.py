@@ -291,14 +291,6 @@ def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_c
     assert np.array_equal(list((run_folder).glob("executions")), [])
 
 
-@pytest.mark.parametrize("what", ["--resume", "--report"])
-def test_a_preset_is_for_a_new_scan(what: str, run_folder: Path, run_cell: Run) -> None:
-    """A preset beside what is there already would be overlooked."""
-    done = run_cell("scan", str(run_folder), what, "latest", "--preset", "balanced", cwd=run_folder.parent)
-    assert done.returncode == 2
-    assert "--preset settles a new scan" in done.stderr
-
-
 def test_a_finished_execution_of_one_view_is_taken_up_where_that_view_is_lost(run_folder: Path, run_cell: Run) -> None:
     """All scans lost; and what a report had made of them is not left beside an execution that runs."""
     run_cell("scan", str(run_folder), "--resolution", "2", "--view", "2", cwd=run_folder.parent)

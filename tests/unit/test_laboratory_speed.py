@@ -7,13 +7,10 @@ import pytest
 
 from benchmarks.__main__ import REGISTRY
 from benchmarks.best_of import best_of
-from benchmarks.methods import pipeline_under_presets as pipeline
-from benchmarks.methods.preset_knobs import KNOBS, samples
+from benchmarks.methods.knobs import KNOBS, samples
 from benchmarks.methods.speed import ELSEWHERE, chosen, pictures, sentences, speed_study
-from benchmarks.methods.speed_charts import presets_at
 from cell.errors import UsageError
 from cell.narrator import Quiet
-from cell.scene.presets import PRESETS
 from cell.scene.scene import load_scene
 from cell.study.bench import Bench
 from cell.study.study import conduct
@@ -24,11 +21,10 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", list(KNOBS))
-def test_every_value_that_a_preset_has_is_on_its_front(name: str) -> None:
-    """So that each mark of the picture is measured."""
+def test_the_default_is_on_its_front(name: str) -> None:
+    """So that the mark of the picture is measured, between others."""
     knob = KNOBS[name]
-    for preset in PRESETS:
-        assert knob.of_preset(preset) in knob.values, preset
+    assert knob.default in knob.values[1:-1]
     assert len(set(knob.values)) == len(knob.values) >= 3
     assert knob.truth
     assert knob.error_unit in knob.measure
@@ -44,16 +40,9 @@ def test_the_page_has_the_same_table() -> None:
         assert row in page, row
 
 
-def test_a_preset_differs_from_the_default_in_every_knob() -> None:
-    """That is what makes them the knobs of this study."""
-    for knob in KNOBS.values():
-        assert {knob.of_preset(preset) for preset in PRESETS} > {knob.default}
-    assert presets_at(KNOBS["samples"], 16) == []
-
-
 def test_what_is_no_knob_is_refused_with_where_it_is_measured() -> None:
-    """No words are all knobs and the whole pipeline."""
-    assert chosen([]) == [*KNOBS, pipeline.WHOLE]
+    """No words are all knobs."""
+    assert chosen([]) == [*KNOBS]
     with pytest.raises(UsageError, match="there is no knob sampels; there are decimation, samples"):
         chosen(["samples", "sampels"])
     for name, benchmark in ELSEWHERE.items():
@@ -85,43 +74,25 @@ def test_a_value_of_another_kind_is_refused(name: str, text: str) -> None:
 
 def _outcome(trial: Trial) -> Outcome:
     """What a trial might give: time grows, error falls."""
-    seconds = {"work": 2.0, "processor": 1.5, "scan work": 4.0, "scan processor": 3.0, "total": 9.0}
-    if trial.function.endswith(":measurable"):
-        return Outcome(trial, {"measurable": 0.9, "candidates": 10, "reachable": 5}, "", seconds)
-    if trial.function.endswith(":whole"):
-        own = {"views": 9, "lower_bound": 8, "visible": 0.88, "motion_s": 7.0, "sampled": 0.8, "rms_um": None}
-        return Outcome(trial, own, "", seconds)
+    seconds = {"work": 2.0, "processor": 1.5, "total": 9.0}
     error = 0.0 if '"value": 16' in trial.settings else 2.0
     return Outcome(trial, {"error": error, "more": {"views": 5}}, "", seconds)
 
 
-def test_rows_sentences_and_pictures_of_knobs_and_of_the_whole() -> None:
-    """One row a value, one a way to run the whole; an error of zero has a place on a logarithmic axis."""
+def test_rows_sentences_and_pictures_of_knobs() -> None:
+    """One row a value; an error of zero has a place on a logarithmic axis."""
     scene = load_scene(None, {"part": {"name": "mug"}})
-    study = speed_study([("samples", scene), ("scan", scene)], [(scene, ["mug"])])
+    study = speed_study([("samples", scene), ("scan", scene)])
     rows = study.rows([_outcome(trial) for trial in study.trials])
-    knobs = [row for row in rows if row["knob"] != pipeline.WHOLE]
-    assert [row["value"] for row in knobs] == [*KNOBS["samples"].values, *KNOBS["scan"].values]
-    assert {row["presets"] for row in knobs if row["knob"] == "samples"} == {"fast", "balanced", "accurate", ""}
-    ends = [row for row in rows if row["knob"] == pipeline.WHOLE]
-    assert [row["value"] for row in ends] == list(pipeline.METHODS)
+    assert [row["value"] for row in rows] == [*KNOBS["samples"].values, *KNOBS["scan"].values]
     assert {row["part"] for row in rows} == {"mug"}
-    assert ends[0]["error"] == pytest.approx(2.0)
     said = sentences(rows)
-    assert len(said) == 2 + 3
+    assert len(said) == 2
     assert "1.00 times the time" in said[0]
     drawn = dict(pictures(rows))
-    assert list(drawn) == ["speed_fronts", "speed_whole"]
+    assert list(drawn) == ["speed_fronts"]
     for figure in drawn.values():
         figure.canvas.draw()  # type: ignore[attr-defined]
-
-
-def test_a_truth_that_failed_leaves_out_only_its_part() -> None:
-    """An error against nothing would be a lie."""
-    scene = load_scene(None, {"part": {"name": "mug"}})
-    study = speed_study([("samples", scene)], [(scene, ["mug"])])
-    rows = study.rows([_outcome(trial) for trial in study.trials if not trial.function.endswith(":measurable")])
-    assert {row["knob"] for row in rows} == {"samples"}
 
 
 def test_more_samples_bring_the_claim_closer() -> None:
@@ -141,18 +112,14 @@ def test_the_best_of_a_few_runs_counts() -> None:
 
 
 @pytest.mark.slow
-def test_fronts_and_the_pipeline_of_a_small_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reduced: two values of each knob by a worker, and a plan and a scan as processes of their own."""
+def test_fronts_of_a_small_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reduced: two values of each knob by a worker."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     scene = load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 60}})
-    study = speed_study([(name, scene) for name in KNOBS], [], values=(1, 2), repeats=1)
+    study = speed_study([(name, scene) for name in KNOBS], values=(1, 2), repeats=1)
     with Processes(1) as workers:
         result = conduct(study, workers, out=tmp_path / "fronts", narrator=Quiet())
     assert result.failed == []
     assert len(result.rows) == 2 * len(KNOBS)
     assert all(row["processor s"] > 0 and row["error"] >= 0 for row in result.rows)
     assert (result.folder / "speed_fronts.png").stat().st_size > 1000
-    found = pipeline.whole({"options": ["petanque", "--faces", "60"], "method": "fast", "files": {}})
-    assert found["views"] >= found["lower_bound"]
-    assert 0 < found["visible"] < 1
-    assert found["seconds"]["processor"] > 0

@@ -26,15 +26,15 @@ def _matrix(dense, planning_face, area):
     return Measurability(rows.indptr.astype(np.int64), rows.indices.astype(np.int32), features, len(dense[0]))
 
 
-def test_entries_stand_below_each_other_and_faces_keep_their_area():
-    """Against the dense stack; a face with one feature of 3 and two new ones gives each 1; a new face its own area."""
+def test_entries_stand_below_each_other_and_share_the_area_of_their_face():
+    """Against the dense stack; a face of 6 with three features gives each 2; the sum stays what it was."""
     M = _matrix([[1, 0, 1], [0, 0, 0]], [4, 7], 3.0)
     more = _matrix([[0, 1, 0], [1, 1, 1], [0, 0, 1]], [4, 4, 9], 0.5)
-    both = add_rows(M, more)
+    face_areas = np.array([9, 9, 9, 9, 6, 9, 9, 3, 9, 1.0])
+    both = add_rows(M, more, face_areas)
     dense = [[1, 0, 1], [0, 0, 0], [0, 1, 0], [1, 1, 1], [0, 0, 1]]
     np.testing.assert_array_equal(both.matrix().toarray(), np.array(dense, dtype=bool))
-    scale = 6.0 / 6.5  # the sum stays what it was
-    np.testing.assert_allclose(both.features.areas, np.array([1.0, 3.0, 1.0, 1.0, 0.5]) * scale)
+    np.testing.assert_allclose(both.features.areas, np.array([2.0, 3.0, 2.0, 2.0, 1.0]) * 0.6)
     np.testing.assert_array_equal(both.features.planning_face, [4, 7, 4, 4, 9])
     np.testing.assert_array_equal(both.features.points, np.concatenate([M.features.points, more.features.points]))
 
@@ -43,8 +43,8 @@ def test_sigma_is_kept_or_refused():
     """Both matrices have the layer or neither; other columns are refused."""
     M, more = _matrix([[1, 1]], [0], 1.0), _matrix([[0, 1]], [0], 1.0)
     layered = [replace(m, sigma=np.full(len(m.indices), s, dtype=np.float32)) for m, s in ((M, 1.0), (more, 2.0))]
-    np.testing.assert_array_equal(add_rows(*layered).sigma, np.array([1, 1, 2], dtype=np.float32))
+    np.testing.assert_array_equal(add_rows(*layered, np.ones(1)).sigma, np.array([1, 1, 2], dtype=np.float32))
     with pytest.raises(PlannerError, match="only one"):
-        add_rows(M, layered[1])
+        add_rows(M, layered[1], np.ones(1))
     with pytest.raises(PlannerError, match="of 3 viewpoints"):
-        add_rows(M, _matrix([[0, 1, 0]], [0], 1.0))
+        add_rows(M, _matrix([[0, 1, 0]], [0], 1.0), np.ones(1))

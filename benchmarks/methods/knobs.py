@@ -1,4 +1,4 @@
-"""The numbers that presets turn: planning faces, samples on each, rays of a scan; seconds and error of one value.
+"""Numbers that trade speed for accuracy: planning faces, samples on each, rays of a scan; seconds and error of each.
 
 Each function takes the bench, the knob's value and how often to repeat, and gives an error against a truth, with the
 seconds that the work took. The truths are computed once a process. No robot.
@@ -20,7 +20,6 @@ from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
 from cell.scene.plan_settings import PlanSettings
-from cell.scene.presets import DEFAULT, PRESETS
 from cell.scene.scene import Scanner
 from cell.study.bench import Bench
 from cell.study.scenes import bench_of
@@ -66,7 +65,7 @@ class Knob:
         title: what is turned, for people.
         unit: of its values, as beside a number; "" for a count.
         values: its range, the fastest first.
-        of_preset: the value that a preset has.
+        default: the value that a plan and a scan take.
         truth: what an error is measured against.
         measure: what the error is, with its unit.
         error_unit: unit of the error alone.
@@ -76,16 +75,11 @@ class Knob:
     title: str
     unit: str
     values: tuple[Value, ...]
-    of_preset: Callable[[str], Value]
+    default: Value
     truth: str
     measure: str
     error_unit: str
     turn: Callable[[Bench, Any, int], KnobResult]
-
-    @property
-    def default(self) -> Value:
-        """The value of the default preset."""
-        return self.of_preset(DEFAULT)
 
     def parsed(self, text: str) -> list[Value]:
         """Values of an option, separated by commas, of the kind that the knob has.
@@ -171,29 +165,21 @@ def _nearest(bench: Bench) -> NearestSurface:
     return NearestSurface(bench.part.reference)
 
 
-def _samples_of(preset: str) -> int:
-    return int(PRESETS[preset].plan.get("samples_per_face", PlanSettings.model_fields["samples_per_face"].default))
-
-
-def _resolution_of(preset: str) -> float:
-    given = PRESETS[preset].scanner.get("resolution_deg", Scanner.model_fields["resolution_deg"].default)
-    return float(given[0])
-
-
 KNOBS: Mapping[str, Knob] = {
     "decimation": Knob(
-        "faces of the planning mesh", "x default", (0.125, 0.25, 0.5, 1.0, 2.0),
-        lambda preset: PRESETS[preset].faces_factor,
+        "faces of the planning mesh", "x default", (0.125, 0.25, 0.5, 1.0, 2.0), 1.0,
         "what all candidates of a mesh of four times the default faces measure together",
         "surface that the plan misses of it [points]", "points", decimation,
     ),
     "samples": Knob(
-        "surface samples per face, aimed at", "", (1, 2, 4, 8, 16), _samples_of,
+        "surface samples per face, aimed at", "", (1, 2, 4, 8, 16),
+        PlanSettings.model_fields["samples_per_face"].default,
         "visible coverage on 100,000 samples that the matrix has not seen",
         "coverage that the matrix claims for its plan, off by [points]", "points", samples,
     ),
     "scan": Knob(
-        "angle between the rays of a scan", "deg", (2.0, 1.0, 0.5, 0.25, 0.125), _resolution_of,
+        "angle between the rays of a scan", "deg", (2.0, 1.0, 0.5, 0.25, 0.125),
+        Scanner.model_fields["resolution_deg"].default[0],
         "the part's own surface; 30 um of noise along the rays",
         "rms deviation of the surface made of the scans [um]", "um", scan,
     ),

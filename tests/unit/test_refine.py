@@ -1,0 +1,101 @@
+"""Views moved so that fewer do: what comes out is measured anew, pose by pose, by the code that fills the matrix."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.rays.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner.cover import Problem, solve
+from planner.measurability.matrix import fill, measured
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.pointwise import moved
+from planner.viewpoints.refine import Standing, fewer
+from planner.viewpoints.viewpoints import looking_at
+
+STANDOFF = 0.1
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A ball of 60 mm, 300 samples, 40 candidates that look at its centre, and a cover of 98 % of it."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    features = sample(mesh, mesh, 300, np.random.default_rng(1))
+    scanner = LaserArea(fov_deg=(40, 40), range_mm=(50, 150), baseline_mm=20, sensor_grazing_max_deg=75)
+    caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
+    outward = np.random.default_rng(2).normal(size=(40, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    candidates = looking_at(0.03 * outward, outward, np.full(40, -1), [STANDOFF], [0.0])
+    M = fill(candidates, features, scanner, caster)
+    chosen = solve(Problem(M.matrix(), features.areas, coverage=0.98), rng=np.random.default_rng(0)).views
+    views = Standing(
+        candidates.T_object_scanner[chosen, 0], np.full(len(chosen), STANDOFF), np.arange(len(chosen)),
+        np.zeros(len(chosen), dtype=bool), M.matrix().tocsc()[:, chosen].toarray(),
+    )  # fmt: skip
+    return features, scanner, caster, views
+
+
+def _arm(scanner, caster, takes_up=lambda T: np.ones(len(T), dtype=bool)):
+    return Arm(scanner, (caster,), takes_up, np.eye(4)[None])
+
+
+def _fewer(case, *, takes_up=lambda T: np.ones(len(T), dtype=bool), short=lambda views: 0.0, work=20_000):
+    features, scanner, caster, views = case
+    areas = features.areas / features.areas.sum()
+    goal = float(areas[views.measured.any(axis=1)].sum())
+    targets = Targets.of(features.points, features.normals)
+    return goal, fewer(views, targets, areas, _arm(scanner, caster, takes_up), goal=goal, short=short, work=work)
+
+
+def test_fewer_views_measure_as_much(case):
+    """Each view's rows are those that it measures when asked alone; views that stay where they were are the same."""
+    features, scanner, caster, views = case
+    goal, after = _fewer(case)
+    assert len(after) < len(views)
+    alone = measured(after.T_object_scanner[:, None], features, scanner, (caster,), each=True)
+    np.testing.assert_array_equal(after.measured, alone)
+    assert features.areas[alone.any(axis=1)].sum() / features.areas.sum() >= goal * (1 - 1e-12)
+    still = ~after.moved
+    np.testing.assert_array_equal(after.T_object_scanner[still], views.T_object_scanner[after.origin[still]])
+    R = after.T_object_scanner[:, :3, :3]
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+    assert len(np.unique(after.origin)) == len(after)
+
+
+def test_equal_input_gives_equal_views(case):
+    """To the bit."""
+    (_, one), (_, other) = _fewer(case), _fewer(case)
+    np.testing.assert_array_equal(one.T_object_scanner, other.T_object_scanner)
+
+
+def test_what_the_arm_does_not_take_up_is_not_taken(case):
+    """Of an arm that reaches one half of space, no view leaves it; of one that reaches nothing, none moves."""
+    _, _, _, views = case
+    _, after = _fewer(case, takes_up=lambda T: T[:, 0, 2, 3] > 0)
+    assert (after.T_object_scanner[after.moved, 2, 3] > 0).all()
+    _, after = _fewer(case, takes_up=lambda T: np.zeros(len(T), dtype=bool))
+    assert not after.moved.any()
+    assert len(after) <= len(views)
+
+
+def test_views_that_fall_short_elsewhere_are_not_taken(case):
+    """A promise that is never kept leaves the views as they were; without work nothing is tried either."""
+    _, _, _, views = case
+    for after in (_fewer(case, short=lambda views: 0.5)[1], _fewer(case, work=0)[1]):
+        assert len(after) == len(views)
+        np.testing.assert_array_equal(after.T_object_scanner, views.T_object_scanner)
+
+
+def test_moved_poses_stay_about_their_aim():
+    """Turned about the point, then shifted by no more than the share; a share of 0 moves nothing."""
+    T = looking_at(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), np.array([-1]), [0.2], [0.3]).T_object_scanner[0, 0]
+    for share in (0.0, 0.5, 1.0):
+        found = moved(T, 0.2, share, (0, 200), 3)
+        aim = found[:, :3, 3] + 0.2 * found[:, :3, 2]
+        assert np.abs(aim).max() <= 0.15 * share * 0.2 + 1e-12
+        turn = np.arccos(np.clip((np.einsum("nij,ij->n", found[:, :3, :3], T[:3, :3]) - 1) / 2, -1, 1))
+        assert np.degrees(turn).max() <= 15 * share * np.sqrt(3) + 1e-5
