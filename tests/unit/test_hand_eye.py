@@ -45,7 +45,7 @@ def _seen(plane: bool, seed: int = 0, count: int = 8, tilt: float = 50.0, noise:
 
 
 @pytest.mark.parametrize("plane", [False, True])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_exact_scans_give_the_mount(plane: bool, seed: int) -> None:
     """To rounding, from any beginning; nothing is open and no other mount fits."""
     found = solve(_seen(plane, seed), PoseError(), np.random.default_rng(seed))
@@ -93,18 +93,19 @@ def test_against_least_squares_in_other_coordinates(plane: bool) -> None:
     np.testing.assert_allclose(found.T[:3, :3], Rotation.from_euler("xyz", solved[3:6]).as_matrix(), atol=2e-5)
 
 
-def test_the_standard_deviations_are_the_scatter_of_mounts() -> None:
-    """16 noisy sets of one set of poses: mean square error over said variance is one, to a factor of 2.5."""
+@pytest.mark.parametrize(("sets", "factor"), [(4, 4.0), pytest.param(16, 2.5, marks=pytest.mark.slow)])
+def test_the_standard_deviations_are_the_scatter_of_mounts(sets: int, factor: float) -> None:
+    """Noisy sets of one set of poses: mean square error over said variance is one, to a factor."""
     rng, exact = np.random.default_rng(5), _seen(plane=False, count=12)
     ratios = []
-    for _ in range(16):
+    for _ in range(sets):
         off = np.stack(
             [_pose(Rotation.from_rotvec(rng.normal(0, 3e-4, 3)).as_matrix(), rng.normal(0, 3e-5, 3)) for _ in range(12)]
         )
         found = solve(Observed(exact.T_base_flange @ off, exact.points, False), PoseError(3e-5, 3e-4), rng)
         assert found.covariance is not None
         ratios.append((found.T[:3, 3] - MOUNT[:3, 3]) ** 2 / np.diag(found.covariance)[:3])
-    assert 0.4 < float(np.mean(ratios)) < 2.5
+    assert 1 / factor < float(np.mean(ratios)) < factor
 
 
 def test_degenerate_sets_are_told() -> None:
