@@ -164,9 +164,12 @@ def _require_plain(scene: Scene) -> None:
         "--pose-sd": plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0,
         "--cost time": plan.cost == "time",
         "--pin and --ban": bool(plan.pinned or plan.banned),
+        "a region of the part": bool(scene.region),
     }
     if wish := next((name for name, wished in asked.items() if wished), None):
         raise UsageError(f"{wish} is for a part that is known; leave it away here, and plan with it on model.ply")
+    if scene.placement.origin_mm is not None:
+        raise UsageError("--place-origin says where a file's origin stands; give --place, the middle of the cylinder")
     if on := [fixture.name for fixture in scene.fixtures if fixture.attached_to == "object"]:
         raise UsageError(
             f"the fixture '{on[0]}' is attached to the part's frame, which nobody knows; attach it to base"
