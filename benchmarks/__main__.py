@@ -54,6 +54,7 @@ REGISTRY = {
     "plan": "the main job as a whole process: stages, memory, prediction error on every part",
     "plant": "the dynamic arm: tracking error beside simulation speed; time steps, integrators and gains that diverge",
     "scan": "the execution as a whole process: seconds, memory, coverage achieved beside predicted, registration",
+    "explore": "parts without a model: true coverage and views beside the plan that knows it, contacts",
     "density": "dense beside visible coverage, the spacing that plans tell beside that of their scans",
     "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",
     "sigma": "the model of a point's standard deviation beside observed scatter; what its layer costs",

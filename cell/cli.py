@@ -21,6 +21,7 @@ from cell.commands import (
     diff,
     edit,
     emulate,
+    explore,
     export,
     locate,
     part,
@@ -51,6 +52,7 @@ app.command(epilog=part.EPILOG)(part.part)
 app.command(epilog=view.EPILOG)(view.view)
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=scan.EPILOG)(scan.scan)
+app.command(epilog=explore.EPILOG)(explore.explore)
 app.command(epilog=why.EPILOG)(why.why)
 app.command(epilog=diff.EPILOG)(diff.diff)
 app.command(epilog=edit.EPILOG)(edit.edit)

@@ -88,6 +88,22 @@ class Drawing:
                 self._process.stdin.flush()
 
 
+class Undrawn(Drawing):
+    """No pictures: for plans that a program makes for itself."""
+
+    def __init__(self) -> None:
+        """Nothing is sent anywhere."""
+
+    def finish(self, folder: RunFolder) -> None:
+        """Nothing is waited for."""
+
+    def send(self, picture: str, path: Path, **arrays: ArrayLike) -> None:
+        """Nothing is drawn."""
+
+    def _post(self, what: str, path: Path, **arrays: ArrayLike) -> None:
+        pass
+
+
 @contextmanager
 def beside() -> Iterator[Drawing]:
     """A process that draws; it is ended with the block, whatever happens in it, but for pictures that are begun."""

@@ -6,7 +6,7 @@ next one starts.
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -48,6 +48,7 @@ def plan(
     use_cache: bool,
     narrator: Narrator,
     steps_of: Callable[[Run, Job], int] | None = None,
+    drawn: bool = True,
 ) -> Path:
     """Plan and write the run folder.
 
@@ -60,6 +61,7 @@ def plan(
         use_cache: whether matrices may be taken from and left in the cache.
         narrator: is told what goes on.
         steps_of: what is done once part, scanner and folder are there, in place of steps 2 to 9.
+        drawn: whether `steps_of` draws; else it has nobody to draw for it.
 
     Returns:
         The run folder.
@@ -67,7 +69,7 @@ def plan(
     Raises:
         CellError: with one sentence and the exit code; the run folder keeps what was finished, its status and stage.
     """
-    with picture_process.beside() as drawing:
+    with picture_process.beside() if drawn else nullcontext(picture_process.Undrawn()) as drawing:
         with narrator.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
             part = with_regions(part, scene)

@@ -242,8 +242,9 @@ def placed(scene: Scene, T_base_object: Floats, T_object_centre: Floats) -> Scen
 
 
 def _plan(resolved: ResolvedScene) -> dict[str, object]:
-    """The keys of `[plan]`; what earlier versions took convex pieces for is taken as triangles."""
-    keys = {name: getattr(resolved.plan, name) for name in PlanKeys.model_fields if name != "percent_kept"}
+    """The keys of `[plan]` that go together; what earlier versions took convex pieces for is taken as triangles."""
+    left_out = {"percent_kept", "coverage" if resolved.plan.max_views is not None else ""}
+    keys = {name: getattr(resolved.plan, name) for name in PlanKeys.model_fields if name not in left_out}
     return keys | {"collision": "hull" if resolved.plan.collision == "hull" else "exact"}
 
 

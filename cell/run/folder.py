@@ -24,7 +24,7 @@ from pydantic import JsonValue
 
 from cell import signals
 from cell.errors import CellError, FileError
-from cell.run import digest
+from cell.run import digest, ply
 from cell.run.manifest_json import Manifest, NamedFile
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
@@ -147,24 +147,8 @@ class RunFolder:
         self.adopt(name)
 
     def write_mesh(self, name: str, mesh: TriangleMesh) -> None:
-        """Write a mesh as binary PLY in millimetres, with the region of each face where it has such.
-
-        Vertices are doubles, so that the file holds exactly what was used; trimesh's writer would round to float32.
-        """
-        vertices = np.ascontiguousarray(mesh.vertices * 1000.0, dtype="<f8")
-        regions = mesh.region is not None
-        faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3), *[("region", "<i4")] * regions])
-        faces["n"], faces["v"] = 3, mesh.faces
-        if mesh.region is not None:
-            faces["region"] = mesh.region
-        header = (
-            "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres\n"
-            f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
-            f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
-            + "property int region\n" * regions
-            + "end_header\n"
-        )
-        self._write(name, header.encode() + vertices.tobytes() + faces.tobytes())
+        """Write a mesh as binary PLY in millimetres, with the region of each face where it has such."""
+        self._write(name, ply.written(mesh))
 
     def adopt(self, name: str) -> None:
         """Record the sha256 of an artefact that another function has written into the folder."""

@@ -1,4 +1,4 @@
-"""The binary PLY files of a run folder read back: exactly the numbers that were written, nothing merged."""
+"""The binary PLY files of a run folder: exactly the numbers that were used, and read back with nothing merged."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,27 @@ def mesh(content: bytes) -> TriangleMesh:
     faces = read["face"]
     region = faces["region"] if faces.dtype.names and "region" in faces.dtype.names else None
     return TriangleMesh(places(read["vertex"]), faces["vertex_indices"], region)
+
+
+def written(mesh: TriangleMesh) -> bytes:
+    """A mesh [m] as a file in millimetres, with the region of each face where it has such.
+
+    Vertices are doubles, so that the file holds exactly what was used; trimesh's writer would round to float32.
+    """
+    vertices = np.ascontiguousarray(mesh.vertices * 1000.0, dtype="<f8")
+    regions = mesh.region is not None
+    faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3), *[("region", "<i4")] * regions])
+    faces["n"], faces["v"] = 3, mesh.faces
+    if mesh.region is not None:
+        faces["region"] = mesh.region
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
+        + "property int region\n" * regions
+        + "end_header\n"
+    )
+    return header.encode() + vertices.tobytes() + faces.tobytes()
 
 
 def places(vertices: NDArray[np.void]) -> Floats:

@@ -3,17 +3,15 @@
 What is made of the scans stands in `cell.scan.post_processing`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
-
-from pydantic import JsonValue
+from typing import TypeVar
 
 from cell import signals
-from cell.acquisition import SIMULATED, sources
-from cell.acquisition.sources import Acquisition
-from cell.errors import DriverFailureError, FileError, UsageError
+from cell.acquisition import SIMULATED
+from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.plant import factory
 from cell.proof import scene_now
@@ -24,19 +22,23 @@ from cell.run.executions import RecordedExecution, read_execution
 from cell.run.record import RunRecord, read_manifest, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, lock, resources, safety
+from cell.scan.driven import acquisition_of, cell_with, drive, drivers_errors_as_ours, write_motion
 from cell.scan.executed_scans import usable
-from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
-from cell.scan.legs import Legs, legs_of
+from cell.scan.execution_folder import ExecutionFolder
+from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
 from cell.scan.way import Released, of_legs, of_plan
 from cell.scan.work import ScanOutcome, Work
-from drivers.clock import Clock
 from drivers.contract import Driver
-from drivers.errors import DriverError
 from drivers.setpoints import from_rad, to_deg
+from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
+
+Outcome = TypeVar("Outcome")
+Then = Callable[[Work, RunCell, Motion], Outcome]
+"""What is made of an execution whose scans are on disk; it also finishes the execution's folder."""
 
 _VIEW, _ANEW = "the way to view {} and back,", "the new way and the rest of the plan"
 
@@ -61,21 +63,45 @@ def scan(
     Raises:
         CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
     """
+    return execute_and(_reported, run_folder, options, argv=argv, narrator=narrator, ask=ask)
+
+
+def execute_and(
+    then: Then[Outcome],
+    run_folder: Path,
+    options: ScanOptions,
+    *,
+    argv: Sequence[str],
+    narrator: Narrator,
+    ask: safety.Ask | None,
+    stands: TriangleMesh | None = None,
+) -> Outcome:
+    """Execute the plan of a run folder; see `scan`.
+
+    Args:
+        then: what is made of it.
+        run_folder: of a finished plan.
+        options: what was asked for.
+        argv: for the manifest.
+        narrator: is told what goes on.
+        ask: puts a question to a person; None where nobody is there.
+        stands: the part on which simulated rays fall [m], object frame; None is the plan's.
+    """
     proven = prove(run_folder)
     scene_now.require_same(proven, options.files_now, narrator, wire=scan_driver.on_a_wire(options.driver))
     run, motion = proven.run, proven.motion
     legs = legs_of(motion, options.view)
     released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
-    cell = read_cell(run, options.resolution_deg)
+    cell = cell_with(stands, read_cell(run, options.resolution_deg))
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = scan_driver.prepare(options, motion, cell, factory.of_run(run), narrator.note)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
-    _acquisition(kept, cell, seed, run.folder, narrator)  # what cannot be asked of it leaves no execution behind
+    acquisition_of(kept, cell, seed, run.folder, narrator)  # what cannot be asked of it leaves no execution behind
     if options.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
         connected.enter_context(signals.driving())
-        with _drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
+        with drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
             speed = _allowed_speed(driver, options, cell, released, ask)
             safety.ready(driver, reset=options.reset, stop_first=False, time_scale=options.accept_time_scale)
@@ -84,8 +110,10 @@ def scan(
         folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC), way)
         connected.enter_context(lock.held(folder.path))
         if options.view is not None:
-            _write_motion(folder, legs.motion(motion))
-        return _executed(connected, Work(run, folder, narrator), legs, driver, clock, cell, motion, options, speed)
+            write_motion(folder, legs.motion(motion))
+        work = Work(run, folder, narrator)
+        drive(connected, work, legs, driver, clock, cell, options, speed)
+        return then(work, cell, motion)
 
 
 def resume(
@@ -111,11 +139,11 @@ def resume(
     Raises:
         CellError: with one sentence and the exit code; the execution keeps what it has.
     """
-    with lock.held(lock.folder_of(run_folder, execution)):
-        return _resumed(run_folder, execution, options, argv=argv, narrator=narrator, ask=ask)
+    return resume_and(_reported, run_folder, execution, options, argv=argv, narrator=narrator, ask=ask)
 
 
-def _resumed(
+def resume_and(
+    then: Then[Outcome],
     run_folder: Path,
     execution: str,
     options: ScanOptions | None,
@@ -123,8 +151,23 @@ def _resumed(
     argv: Sequence[str],
     narrator: Narrator,
     ask: safety.Ask | None,
-) -> ScanOutcome:
-    """Go on, while nobody else does."""
+    stands: TriangleMesh | None = None,
+) -> Outcome:
+    """Go on with an execution, while nobody else does; see `resume` and `execute_and`."""
+    with lock.held(lock.folder_of(run_folder, execution)):
+        return _resumed(then, run_folder, execution, options, argv, narrator, ask, stands)
+
+
+def _resumed(
+    then: Then[Outcome],
+    run_folder: Path,
+    execution: str,
+    options: ScanOptions | None,
+    argv: Sequence[str],
+    narrator: Narrator,
+    ask: safety.Ask | None,
+    stands: TriangleMesh | None,
+) -> Outcome:
     proven = prove(run_folder)
     run, motion = proven.run, proven.motion
     recorded = read_execution(run, execution)
@@ -132,7 +175,7 @@ def _resumed(
     begun = resumable(run, recorded)
     settled = begun.resumed(options or ScanOptions())
     scene_now.require_same(proven, settled.files_now, narrator, wire=scan_driver.on_a_wire(settled.driver))
-    cell = read_cell(run, begun.resolution_deg)
+    cell = cell_with(stands, read_cell(run, begun.resolution_deg))
     seed = recorded.manifest.require_seed(recorded.folder)
     legs, done = legs_of(motion, begun.view), {scan.stop for scan in scans}
     if recorded.manifest.status == "finished" and done >= {leg.stop for leg in legs.legs if leg.stop}:
@@ -144,7 +187,7 @@ def _resumed(
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
         connected.enter_context(signals.driving())
-        with _drivers_errors_as_ours():
+        with drivers_errors_as_ours():
             connected.enter_context(driver)
             planned = of_plan(proven) if begun.view is None else of_legs(proven, legs, _VIEW.format(begun.view))
             if ask is None and settled.confirm_motion is None:  # nobody will agree later: leave the arm alone
@@ -159,7 +202,9 @@ def _resumed(
             execute.require_drivable(rest.legs, driver, speed)
         folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
         folder.resume(list(argv), settled.driver, **_kept(rest, released))
-        return _executed(connected, Work(run, folder, narrator), rest.legs, driver, clock, cell, motion, settled, speed)
+        work = Work(run, folder, narrator)
+        drive(connected, work, rest.legs, driver, clock, cell, settled, speed)
+        return then(work, cell, motion)
 
 
 def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
@@ -211,68 +256,11 @@ def _allowed_speed(
     return speed
 
 
-def _executed(
-    connected: ExitStack,
-    work: Work,
-    legs: Legs,
-    driver: Driver,
-    clock: Clock,
-    cell: RunCell,
-    motion: Motion,
-    options: ScanOptions,
-    speed: float,
-) -> ScanOutcome:
-    """Drive and scan the legs, then report what the execution has."""
+def _reported(work: Work, cell: RunCell, motion: Motion) -> ScanOutcome:
+    """Report what the execution has."""
     folder = work.folder
-    connected.enter_context(folder.kept_on_failure())
-    connected.enter_context(_drivers_errors_as_ours())
-    with work.step(EXECUTING) as progress, driver:
-        scale = driver.capabilities.time_scale
-        folder.note(
-            controller=driver.capabilities.controller, speed_fraction=round(speed, 6),
-            **({} if scale == 1 else {"time_scale": scale}),
-        )  # fmt: skip
-        seed = folder.manifest.require_seed(folder.path)
-        source = _acquisition(folder.manifest.options, cell, seed, folder.path, work.narrator)
-        folder.note(source=source.source)
-        seconds = execute.run(legs, driver, cell, source, folder, speed=speed, clock=clock, progress=progress)
-        folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
     summary = results(work, cell, motion, read_execution(work.run, folder.path.name))
     if summary.missing_views:  # what was to come did not: the same as an execution that was stopped
         return ScanOutcome(folder.finish(FileError.exit_code, "incomplete"), FileError.exit_code, summary)
     code = exit_code_of(summary, cell)
     return ScanOutcome(folder.finish(code), code, summary)
-
-
-def _acquisition(
-    kept: Mapping[str, JsonValue], cell: RunCell, seed: int, folder: Path, narrator: Narrator
-) -> Acquisition:
-    """Where the points come from, by the options that the execution was begun with."""
-    kind, argument = sources.load(str(kept.get("acquire", SIMULATED)))
-    return kind(argument, sources.Context(cell, kept, seed, folder, narrator.note))
-
-
-_LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")
-
-
-def _write_motion(folder: ExecutionFolder, motion: Motion) -> None:
-    """What is driven where that is not the plan's motion, so that it can be replayed."""
-    folder.write_arrays(
-        MOTION,
-        **{
-            name: getattr(motion, name)
-            for name in ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
-        },
-        pose=motion.pose,
-        line=motion.line,
-        **{f"limit_{name}": getattr(motion.limits, name) for name in _LIMITS},
-    )
-
-
-@contextmanager
-def _drivers_errors_as_ours() -> Iterator[None]:
-    """A driver's error ends the command with its code."""
-    try:
-        yield
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error

@@ -18,6 +18,7 @@ from cell.cli import app
 from cell.commands import options
 from cell.emulate.options import EmulateOptions
 from cell.errors import SceneError, UsageError
+from cell.explore.options import ExploreOptions
 from cell.export.options import ExportOptions
 from cell.locate.options import Locating
 from cell.replay.options import ReplayOptions
@@ -34,7 +35,10 @@ FILE_ONLY = {
     "settle_s": "a fact of the arm, which no plan changes",
     "ensemble": "more of it changes seconds, hardly a plan",
 }
-MODELS = (Scene, ScanOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions, EmulateOptions, Locating, HandEye)
+MODELS = (
+    *(Scene, ScanOptions, ExploreOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions, EmulateOptions, Locating),
+    HandEye,
+)
 ROOT: Any = typer.main.get_command(app)
 
 

@@ -17,7 +17,7 @@ from cell.plan import files as plan_files
 from cell.rays.occluders import occluder_triangles
 from cell.replay.model import dress
 from cell.run import reader as run_reader
-from cell.run.cell import read_cell, taken_as_triangles, world_of
+from cell.run.cell import read_cell, scene_of_run, taken_as_triangles, world_of
 from cell.run.folder import RunFolder
 from cell.run.record import RunRecord, open_run
 from cell.scanners.laser_area import LaserArea
@@ -69,10 +69,13 @@ def written(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, blob: Callable[[int], trimesh.Trimesh]
 ) -> tuple[RunRecord, World]:
     """A run folder that holds what an execution reads of the cell, with every kind of fixture; and the plan's world."""
-    home = tmp_path_factory.mktemp("scene")
+    return _written(tmp_path_factory.mktemp("scene"), part_file, {})
+
+
+def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[RunRecord, World]:
     trimesh.creation.annulus(20, 40, 60).export(home / "horn.stl")
     (home / "scene.toml").write_text(SCENE)
-    scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": "mm"}})
+    scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": "mm"}, "plan": plan})
     part = workpiece.load(part_file, "mm")
     scene = by_part(scene, part)
     settings = resolve(scene, part)
@@ -117,6 +120,13 @@ def test_the_resolution_can_be_another(written: tuple[RunRecord, World]) -> None
     assert read_cell(run, 3.0).scanner.grid_shape == (20, 20)
     with pytest.raises(UsageError, match="--resolution 150"):
         read_cell(run, 150.0)
+
+
+def test_a_plan_of_at_most_so_many_views_is_read_back(tmp_path: Path, part_file: Path) -> None:
+    """Beside `max_views` a scene has no coverage, though the settled plan says one."""
+    run, _ = _written(tmp_path, part_file, {"max_views": 3})
+    plan = scene_of_run(run).plan
+    assert (plan.max_views, plan.coverage) == (3, run_reader.scene(run).plan.coverage)
 
 
 def test_a_changed_cell_is_refused(written: tuple[RunRecord, World], tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from cell.run.execution_json import ExecutionReport
+from cell.run.explore_json import ExploreFile
 from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
@@ -25,6 +26,7 @@ FILES = {
     "manifest.json of a run and of an execution; what is not known is left out": Manifest,
     "report.json of an execution": ExecutionReport,
     "why/why.json": WhyReport,
+    "explore.json of an exploration": ExploreFile,
 }
 
 

@@ -1,0 +1,66 @@
+"""`cell explore` as the command line gives it: options in, a table or one JSON object out."""
+
+import json
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.commands.options import AsJson, OfScene, Part, SceneFile, Wishes, from_fields
+from cell.explore.options import OF_SCAN, ExploreOptions
+from cell.scan.options import ScanOptions
+from cell.scene.option import flag, offers, read
+from cell.scene.options import scene_of
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell explore mug --place 1200,500,0\n\n"
+    "cell explore part.stl --units mm --place 1200,500,0 --policy two-stage --out sim_runs/first\n\n"
+    "cell explore --cylinder 200,120 --place 1100,300,60 --acquire command:./take --points-frame scanner "
+    "--points-units mm --driver modbus://192.168.0.10:502\n\n"
+    "The same command with the same --out goes on where it was stopped.\n\n"
+    "Exit codes: 0 done, 2 usage or scene, 4 nothing reachable, 5 driver, 6 files or points that cannot be, 70 bug, "
+    "130 Ctrl-C."
+)
+
+OfScan = Annotated[Wishes, offers(ScanOptions, *OF_SCAN)]
+
+
+@from_fields
+def explore(
+    *,
+    part: Part = None,
+    scene: SceneFile = None,
+    options: ExploreOptions,
+    scanning: OfScan,
+    wishes: OfScene,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder to make, or to go on in. Default: sim_runs/explore-<UTC>.", rich_help_panel="Output"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure a part that nobody has a model of: a first ring of views, then what stays open, a batch at a time.
+
+    PART stands in the cell and is hidden from the planning; in simulation the truth is told beside. --max-views is the
+    budget of views.
+    """
+    from cell.commands.terminal import Terminal
+    from cell.explore import report
+    from cell.explore.explore import explore as run
+
+    terminal = Terminal(quiet_stdout=as_json)
+    checked = scene_of(scene, wishes, part, flag)
+    folder = out or Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    ask = terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
+    scans = read(ScanOptions, scanning, flag)
+    file = run(checked, options, scans, out=folder, argv=sys.argv[1:], narrator=terminal, ask=ask)
+    if as_json:
+        sys.stdout.write(json.dumps(file.as_json(), indent=2, allow_nan=False) + "\n")
+        return
+    terminal.pairs(f"Exploration of {file.part}", [*report.table(file), ("folder", str(folder))])
+    if file.model_middle_mm is not None:
+        place = ",".join(f"{value:g}" for value in file.model_middle_mm)
+        terminal.then(("cell", "plan", folder / file.model, "--units", "mm", "--place", place))

@@ -1,0 +1,76 @@
+"""What is believed of the part, as `cell plan` wants it: a part to measure, and unseen space that nothing may touch.
+
+Both are surfaces about voxels (marching cubes on the distance from their middles). The believed part is the tight one:
+it is what rays are thought to meet. What arm and housing keep away from holds every voxel that is not free as a whole.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from cell.explore.hidden import Cylinder, with_stand
+from cell.part import workpiece
+from cell.part.workpiece import Workpiece
+from cell.run import ply
+from cell.scene.scene import MeshFixture, Scene
+from planner.explore.space import FREE, VoxelSpace
+from planner.surface.mesh import TriangleMesh
+from planner.values import Bools
+
+UNSEEN = "unseen"
+"""The fixture of a stage that is the space not seen free: it collides, and hides nothing."""
+
+_TIGHT, _SMOOTH = 0.75, 0.7  # of an edge: the believed surface's distance, and how far the distances are smoothed
+_WHOLE = 0.87  # of an edge: half of a voxel's diagonal, so that its corners are inside
+
+
+def part_of(space: VoxelSpace, name: str) -> Workpiece:
+    """The believed part, its name saying that it is no model.
+
+    Args:
+        space: what is known.
+        name: of the part.
+    """
+    mesh = _about(space, space.believed(), _TIGHT, _SMOOTH)
+    believed = workpiece.from_arrays(f"{name} as believed", mesh.vertices, mesh.faces, "m")
+    return replace(believed, findings=())  # its bodies are no news
+
+
+def write_unseen(space: VoxelSpace, path: Path) -> None:
+    """Write what arm and housing keep away from as a mesh file in millimetres."""
+    mesh = _about(space, np.asarray(space.state != FREE), _WHOLE, 0.0)
+    path.write_bytes(ply.written(mesh))
+
+
+def scene_of(scene: Scene, cylinder: Cylinder, believed: Workpiece, unseen: Path) -> Scene:
+    """The scene of a stage: the believed part where the hidden one stands, unseen space about it.
+
+    Args:
+        scene: of the exploration.
+        cylinder: about its placement.
+        believed: in the explored frame.
+        unseen: the file of `write_unseen`.
+    """
+    place = np.asarray(scene.placement.position_mm)
+    centre = place + 1000 * believed.centre
+    space = MeshFixture(
+        name=UNSEEN, shape="mesh", path=str(unseen.absolute()), units="mm", occludes=False,
+        position_mm=tuple(place.tolist()),
+    )  # fmt: skip
+    scene = with_stand(scene, cylinder)
+    placement = scene.placement.model_copy(update={"position_mm": tuple(centre.tolist()), "abc_deg": (0.0, 0.0, 0.0)})
+    part = scene.part.model_copy(update={"path": None, "units": None})
+    return scene.model_copy(update={"placement": placement, "part": part, "fixtures": (*scene.fixtures, space)})
+
+
+def _about(space: VoxelSpace, chosen: Bools, level: float, smooth: float) -> TriangleMesh:
+    """The surface at a distance from the middles of voxels, and the distances smoothed [edges of a voxel]."""
+    from skimage.measure import marching_cubes  # takes a third of a second to import
+
+    distance = ndimage.distance_transform_edt(~chosen)
+    if smooth:
+        distance = ndimage.gaussian_filter(distance, smooth)
+    vertices, faces, _, _ = marching_cubes(distance.astype(np.float32), level, gradient_direction="descent")
+    return TriangleMesh(space.low + space.edge * (vertices.astype(np.float64) + 0.5), faces.astype(np.int32))

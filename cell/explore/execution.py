@@ -1,0 +1,71 @@
+"""A stage is driven and scanned, or gone on with where it was stopped; its points are read back from disk."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cell.errors import FileError
+from cell.narrator import Narrator
+from cell.run import reader
+from cell.run.cell import RunCell
+from cell.run.executions import execution_ids, read_execution
+from cell.run.record import open_finished
+from cell.scan import scan
+from cell.scan.executed_scans import ExecutedScan, usable
+from cell.scan.options import ScanOptions
+from cell.scan.safety import Ask
+from cell.scan.work import Work
+from planner.surface.mesh import TriangleMesh
+from planner.timing.motion import Motion
+
+
+def executed(
+    stage: Path,
+    options: ScanOptions,
+    *,
+    argv: Sequence[str],
+    narrator: Narrator,
+    ask: Ask | None,
+    stands: TriangleMesh | None,
+) -> tuple[ExecutedScan, ...]:
+    """The scans of a stage, taken now as far as they are not on disk.
+
+    Args:
+        stage: its run folder.
+        options: of the execution.
+        argv: for the manifest.
+        narrator: is told what goes on.
+        ask: puts a question to a person; None where nobody is there.
+        stands: the hidden part, explored frame; None where points are not simulated.
+
+    Raises:
+        FileError: if a view has no points.
+        CellError: as `cell scan`.
+    """
+    run = open_finished(stage)
+    known = execution_ids(run)
+    if known and read_execution(run, known[-1]).manifest.status != "finished":
+        scan.resume_and(
+            _taken, stage, known[-1], options, argv=argv, narrator=narrator, ask=ask, stands=stands
+        )  # fmt: skip
+    elif not known:
+        scan.execute_and(_taken, stage, options, argv=argv, narrator=narrator, ask=ask, stands=stands)
+    scans, left_out = usable(read_execution(run, "latest"), reader.plan(run).views)
+    if left_out:
+        raise FileError(left_out[0])
+    return scans
+
+
+def _taken(work: Work, cell: RunCell, motion: Motion) -> None:
+    """Finish an execution that only has to have its scans; nothing is reported, as there is no reference."""
+    folder, planned = work.folder, reader.plan(work.run).views
+    scans, _ = usable(read_execution(work.run, folder.path.name), planned)
+    for number in range(1, len(planned) + 1):
+        if number in {scan.stop for scan in scans}:
+            folder.adopt(f"scans/{number:04d}.npz")
+    missing = sorted({*range(1, len(planned) + 1)} - {scan.stop for scan in scans})
+    if missing:
+        folder.finish(FileError.exit_code, "incomplete")
+        raise FileError(
+            f"view {missing[0]} of {folder.path} has no points; the same command goes on there once they can be had"
+        )
+    folder.finish(0)

@@ -1,0 +1,212 @@
+"""`cell explore`: views of a part that nobody has a model of, a batch at a time.
+
+`explore` shows the whole on one screen. What is believed of the part is planned for as a part (`cell.explore.stage`),
+the batch is executed on the part that stands there, and its rays change what is believed.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cell.errors import FileError, SceneError
+from cell.explore import belief, report, truth
+from cell.explore.execution import executed
+from cell.explore.options import EVERY_BATCH, ExploreOptions
+from cell.explore.policies import POLICIES, Batch, So
+from cell.explore.prepare import Exploring, begun, prepared
+from cell.explore.stage import Asked, EnoughError, plan_stage
+from cell.explore.state import Known, scans_of
+from cell.narrator import Narrator
+from cell.run import reader
+from cell.run.explore_json import ExploredStage, ExploreFile, OpenReason
+from cell.run.record import open_finished
+from cell.scan import lock
+from cell.scan.executed_scans import ExecutedScan
+from cell.scan.options import ScanOptions
+from cell.scan.safety import Ask
+from cell.scene.scene import Scene
+from planner.explore.space import OCCUPIED, VoxelSpace
+from planner.surface.sample import SurfaceSamples, pick_samples
+from planner.values import Floats
+
+_FILES = "files:"
+_OUTSIDE = 0.01
+"""Share of a stage's points beyond the cylinder, or in space that was seen free, above which something is wrong."""
+
+
+def explore(
+    scene: Scene,
+    options: ExploreOptions,
+    scanning: ScanOptions,
+    *,
+    out: Path,
+    argv: Sequence[str],
+    narrator: Narrator,
+    ask: Ask | None = None,
+) -> ExploreFile:
+    """Explore, or go on with an exploration of the same options that was stopped.
+
+    Args:
+        scene: the checked scene; its part is what stands there, `plan.max_views` the budget of views.
+        options: of the exploration.
+        scanning: of each execution.
+        out: its folder.
+        argv: for the manifests.
+        narrator: is told what goes on.
+        ask: puts a question to a person; None where nobody is there.
+
+    Raises:
+        CellError: with one sentence and the exit code; what was finished stays in the folder.
+    """
+    work = prepared(scene, options, scanning, out, argv, narrator, ask)
+    file = work.paths.begin(begun(work))
+    with lock.held(work.paths.root):
+        known = work.paths.known(len(file.stages), work.unknown)
+        while file.status != "finished":
+            number = len(file.stages) + 1
+            batch, ended = _next(work, file)
+            try:
+                folder = _planned(work, number, known, batch, ended)
+            except EnoughError as error:
+                file = _finished(work, file, str(error), error.open)
+                break
+            scans = _executed(work, folder)
+            known = _learned(known, folder, scans, work)
+            work.paths.keep(number, known)
+            file = file.model_copy(update={"stages": (*file.stages, _stage_of(work, folder, scans, known.space))})
+            work.paths.write(file)
+    return file
+
+
+def _next(work: Exploring, file: ExploreFile) -> tuple[Batch, str]:
+    """The next batch; one without views, and why there is none."""
+    budget, limit = work.scene.plan.max_views, work.options.max_seconds
+    left = None if budget is None else budget - file.views
+    if left is not None and left <= 0:
+        return Batch(0), f"the {budget} views of the budget are used up"
+    seconds = sum(stage.seconds for stage in file.stages)
+    if limit is not None and seconds >= limit:
+        return Batch(0), f"the {limit:g} s of motion of the budget are used up"
+    batch = POLICIES[work.options.policy](work.options, So(len(file.stages), left))
+    return (Batch(0), "all batches of the policy were executed") if batch is None else (batch, "")
+
+
+def _planned(work: Exploring, number: int, known: Known, batch: Batch, ended: str) -> Path:
+    """The run folder of a stage's plan; one that finished before the exploration was stopped is taken.
+
+    Raises:
+        EnoughError: if there is no batch, or none is worth its views.
+    """
+    paths = work.paths
+    if paths.stage(number).is_dir():
+        return paths.stage(number)
+    paths.clear(number)
+    believed = belief.part_of(known.space, work.name)
+    belief.write_unseen(known.space, paths.unseen(number))
+    scene = belief.scene_of(work.scene, work.cylinder, believed, paths.unseen(number))
+    asked = Asked(known.space, known.record, batch, work.options.least_gain if number > 1 else 0.0, ended)
+    try:
+        return plan_stage(scene, believed, asked, paths.stage(number), work.narrator)
+    except EnoughError:
+        paths.clear(number)
+        paths.unseen(number).unlink()
+        raise
+
+
+def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
+    """The scans of a stage; its motion is released by its own digest."""
+    word = work.options.confirm_motion
+    if word == EVERY_BATCH:
+        word = open_finished(folder).digest
+    options = work.scanning.model_copy(update={"confirm_motion": word})
+    if options.acquire.startswith(_FILES):  # views are numbered from 1 in each stage
+        options = options.model_copy(update={"acquire": f"{options.acquire.rstrip('/')}/{folder.name}"})
+    stands = None if work.hidden is None else work.hidden.mesh
+    return executed(folder, options, argv=work.argv, narrator=work.narrator, ask=work.ask, stands=stands)
+
+
+def _learned(known: Known, folder: Path, scans: Sequence[ExecutedScan], work: Exploring) -> Known:
+    """What is known after a stage."""
+    _require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
+    before, after = known.space, known.space
+    for scan in scans:
+        T, eye = scan.T_reported, work.eye
+        source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (eye.source, eye.sensor))
+        after = after.seen_from(scan.points, [source, sensor])
+        after = after.judged_from(scan.points, source, eye.blank(scan.points, T), eye.near, eye.far)
+    rows, surface = _expected(folder)
+    rows = pick_samples(rows, ~before.seen(rows.points))
+    tries = before.tries_at(rows.points)
+    record = known.record
+    if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
+        shares = rows.areas / record.weights(tries) / surface
+        record = record.with_stage(tries, shares, after.seen(rows.points).astype(np.float64))
+    return Known(after.tried(rows.points[after.open_still(rows.points, rows.normals)]), record)
+
+
+def _require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
+    """Stop where a stage's points (N, 3) [m] cannot be.
+
+    Raises:
+        FileError: if nothing was hit, the part reaches out of its cylinder, or it moved.
+    """
+    if not len(points):
+        raise FileError(f"no ray of {folder} came back; look at --place, --cylinder and the scanner's range")
+    if (out := float(space.outside(points).mean())) > _OUTSIDE:
+        raise FileError(
+            f"{100 * out:.1f} % of the points of {folder} lie outside the cylinder; nothing more is moved: explore "
+            "anew with a larger --cylinder, or with the part in its middle"
+        )
+    if (gone := space.contradicted(points)) > _OUTSIDE:
+        raise FileError(
+            f"{100 * gone:.1f} % of the points of {folder} lie in space that was seen free; the part was moved, or the "
+            "poses are off; nothing more is moved: explore anew"
+        )
+
+
+def _expected(folder: Path) -> tuple[SurfaceSamples, float]:
+    """The rows that a stage's views should have measured, and the area of what was believed [m^2]."""
+    run = open_finished(folder)
+    M, views = reader.measurability(run), reader.plan(run).views
+    rows = np.asarray(M.matrix()[:, [view.id for view in views]].sum(axis=1)).ravel() > 0
+    return pick_samples(M.features, rows), float(reader.mesh(run, "reference.ply").areas.sum())
+
+
+def _stage_of(work: Exploring, folder: Path, scans: Sequence[ExecutedScan], space: VoxelSpace) -> ExploredStage:
+    """What explore.json says of a stage."""
+    run, mesh = open_finished(folder), belief.part_of(space, work.name).reference
+    return ExploredStage(
+        folder=folder.relative_to(work.paths.root).as_posix(),
+        digest=run.digest,
+        views=len(scans),
+        points=sum(len(scan.points) for scan in scans),
+        seconds=round(reader.motion(run).duration, 6),
+        expected_mm2=round(1e6 * float(_expected(folder)[0].areas.sum()), 3),
+        surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
+        open_mm2=round(1e6 * float(mesh.areas[~space.seen(mesh.centres)].sum()), 3),
+    )
+
+
+def _finished(work: Exploring, file: ExploreFile, ended: str, still_open: tuple[OpenReason, ...]) -> ExploreFile:
+    """The model of all scans, the truth in simulation, and the report."""
+    if not file.stages:
+        raise SceneError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
+    scans = scans_of(work.paths, file.stages)
+    with work.narrator.stage("merge and reconstruct"):
+        middle = report.write_model(work.paths.root, scans, np.asarray(work.scene.placement.position_mm))
+    found = None
+    if work.part is not None and work.hidden is not None:
+        folder = truth.plan_truth(work.scene, work.part, work.paths.root, work.narrator)
+        with work.narrator.stage("the truth beside it"):
+            stages = tuple(work.paths.root / stage.folder for stage in file.stages)
+            found = truth.truth_of(folder, work.hidden, truth.Explored(stages, scans))
+    file = file.model_copy(
+        update={
+            "status": "finished", "ended": ended, "open": still_open, "truth": found,
+            "model": "" if middle is None else report.MODEL, "model_middle_mm": middle,
+        }
+    )  # fmt: skip
+    report.write(work.paths.root, file)
+    work.paths.write(file)
+    return file

@@ -1,0 +1,61 @@
+"""Which batch comes next: one function a policy, all with one signature, in `POLICIES`."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from cell.explore.options import ExploreOptions
+
+
+@dataclass(frozen=True, slots=True)
+class So:
+    """How far an exploration is.
+
+    Attributes:
+        stages: executed.
+        left: views that may still be taken; None: as many as it wants.
+    """
+
+    stages: int
+    left: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """What the next stage is asked for.
+
+    Attributes:
+        views: that measure the most; None: the fewest for the scene's coverage.
+        whole: whether surface that was seen counts as well; otherwise only what is open does.
+    """
+
+    views: int | None
+    whole: bool = False
+
+
+_FEW, _ROUGH = 4, 10
+"""Views of the first ring: what follows batch by batch corrects it; a rough model that all else rests on wants more."""
+
+Policy = Callable[[ExploreOptions, So], Batch | None]
+
+
+def stepwise(options: ExploreOptions, so: So) -> Batch | None:
+    """A ring, then few views at a time for what is open by then, planned anew after each batch."""
+    return Batch(_within(so, options.batch if so.stages else options.ring or _FEW))
+
+
+def two_stage(options: ExploreOptions, so: So) -> Batch | None:
+    """A ring gives a rough model, and one set cover on it all the other views.
+
+    W. R. Scott, "Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
+    """
+    if so.stages == 0:
+        return Batch(_within(so, options.ring or _ROUGH))
+    return Batch(so.left, whole=True) if so.stages == 1 else None
+
+
+POLICIES: Mapping[str, Policy] = MappingProxyType({"stepwise": stepwise, "two-stage": two_stage})
+
+
+def _within(so: So, wanted: int) -> int:
+    return wanted if so.left is None else min(wanted, so.left)

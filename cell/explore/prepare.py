@@ -1,0 +1,222 @@
+"""What an exploration begins with: the part that stands there, the cylinder about it, the scanner, the voxels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from cell import scanners
+from cell.acquisition import SIMULATED
+from cell.errors import SceneError, UsageError
+from cell.explore.hidden import Cylinder, Hidden, cylinder_about
+from cell.explore.options import SPACINGS, VOXELS, ExploreOptions
+from cell.explore.state import Paths, digest_of
+from cell.narrator import Narrator
+from cell.part import workpiece
+from cell.part.workpiece import Workpiece
+from cell.run.explore_json import ExploredCylinder, ExploreFile
+from cell.run.folder import SCHEMA
+from cell.scan.options import OF_EACH_TIME, ScanOptions
+from cell.scan.safety import Ask
+from cell.scene import devices
+from cell.scene.resolve import Settings, resolve
+from cell.scene.scene import Scene
+from planner.errors import PlannerError
+from planner.explore.space import VoxelSpace
+from planner.ports import Scanner
+from planner.values import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Eye:
+    """Where a scanner looks, scanner frame.
+
+    Attributes:
+        source: (3,) [m].
+        sensor: (3,) [m].
+        rays: (R, 3) unit vectors, those of a scan.
+        near: distance from the source to where it begins to measure [m].
+        far: to where it ends [m].
+        apart: angle between neighbouring rays [rad].
+    """
+
+    source: Floats
+    sensor: Floats
+    rays: Floats
+    near: float
+    far: float
+    apart: float
+
+    @classmethod
+    def of(cls, scanner: Scanner, scene: Scene) -> "Eye":
+        """Of a scanner and the scene that it is settled in."""
+        assert scene.scanner.range_mm is not None
+        near, far = (limit / 1000 for limit in scene.scanner.range_mm)
+        rays = np.asarray(scanner.ray_directions())
+        apart = float(np.arccos(np.clip(rays[0] @ rays[1], -1.0, 1.0)))
+        return cls(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, near, far, apart)
+
+    def blank(self, points: Floats, T: Floats) -> Floats:
+        """(M, 3) directions of the rays beside which no point came back, in the frame of points (N, 3) [m].
+
+        Args:
+            points: of one scan.
+            T: (4, 4) pose of the scanner in that frame [m].
+        """
+        seen = (points - T[:3, 3]) @ T[:3, :3] - self.source
+        seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-12)
+        away = cKDTree(seen).query(self.rays, distance_upper_bound=2 * self.apart)[0] if len(seen) else np.inf
+        return np.asarray(self.rays[np.isinf(np.broadcast_to(away, len(self.rays)))] @ T[:3, :3].T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exploring:
+    """What an exploration works with.
+
+    Attributes:
+        scene: checked, its scanner settled.
+        options: of the exploration.
+        scanning: of each execution.
+        part: the part, where its mesh is read: in simulation.
+        hidden: the same in the explored frame.
+        cylinder: about it.
+        unknown: all of the cylinder.
+        eye: of the scanner.
+        paths: where everything is.
+        narrator: is told what goes on.
+        ask: puts a question to a person; None where nobody is there.
+        argv: for the manifests.
+    """
+
+    scene: Scene
+    options: ExploreOptions
+    scanning: ScanOptions
+    part: Workpiece | None
+    hidden: Hidden | None
+    cylinder: Cylinder
+    unknown: VoxelSpace
+    eye: Eye
+    paths: Paths
+    narrator: Narrator
+    ask: Ask | None
+    argv: Sequence[str]
+
+    @property
+    def name(self) -> str:
+        """What the part is called."""
+        return self.part.name if self.part is not None else Path(self.scene.part.source).stem
+
+
+def prepared(
+    scene: Scene, options: ExploreOptions, scanning: ScanOptions, out: Path, argv: Sequence[str], narrator: Narrator,
+    ask: Ask | None,
+) -> Exploring:  # fmt: skip
+    """The part, where there is one to be read, its cylinder, and a scanner that stands still.
+
+    Raises:
+        UsageError: if the cylinder is not known, or what was asked for cannot be explored with.
+    """
+    _require_plain(scene)
+    part = hidden = None
+    if scanning.acquire == SIMULATED:
+        with narrator.stage("load the part"):
+            part = workpiece.load(scene.part.source, scene.part.units)
+            hidden = Hidden.of(scene, part)
+    if options.cylinder_mm is not None:
+        diameter, height = options.cylinder_mm
+        cylinder = Cylinder(diameter / 2000, height / 1000, given=True)
+    elif hidden is not None:
+        cylinder = cylinder_about(hidden)
+    else:
+        raise UsageError(
+            "nobody knows how large the part is; give --cylinder DIAMETER,HEIGHT in mm, about --place, that holds it"
+        )
+    known = part or _as_workpiece(cylinder)
+    settled = devices.by_part(scene, known)
+    settings = resolve(settled, known)
+    scanner = scanners.make(settled.scanner.type, settings.scanner)
+    if getattr(scanner, "T_view_scanner", np.eye(4)[None]).shape[0] > 1:
+        raise SceneError(
+            f"the scanner {settled.scanner.type} sweeps, and from where each of its points was seen is not kept; "
+            "explore with a scanner that stands still, such as laser-area"
+        )
+    unknown = _unknown(options, scanning, settings, cylinder)
+    return Exploring(
+        settled, options, scanning, part, hidden, cylinder, unknown, Eye.of(scanner, settled), Paths(out), narrator,
+        ask, argv,
+    )  # fmt: skip
+
+
+def _require_plain(scene: Scene) -> None:
+    """Refuse wishes that name candidates or surface, which nobody knows before there is a part.
+
+    Raises:
+        UsageError: naming the first.
+    """
+    plan = scene.plan
+    asked = {
+        "fill 'rays'": plan.fill == "rays",
+        "--k-fold": plan.multiplicity > 1,
+        "--overlap": plan.overlap_mm2 is not None or plan.overlap_share is not None,
+        "--pose-sd": plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0,
+        "--cost time": plan.cost == "time",
+        "--pin and --ban": bool(plan.pinned or plan.banned),
+        "a region of the part": bool(scene.region),
+    }
+    if wish := next((name for name, wished in asked.items() if wished), None):
+        raise UsageError(f"{wish} is for a part that is known; leave it away here, and plan with it on model.ply")
+    if scene.placement.origin_mm is not None:
+        raise UsageError("--place-origin says where a file's origin stands; give --place, the middle of the cylinder")
+    if on := [fixture.name for fixture in scene.fixtures if fixture.attached_to == "object"]:
+        raise UsageError(
+            f"the fixture '{on[0]}' is attached to the part's frame, which nobody knows; attach it to base"
+        )
+
+
+def _as_workpiece(cylinder: Cylinder) -> Workpiece:
+    """The cylinder as a part, by whose size a scanner is chosen."""
+    mesh = trimesh.creation.cylinder(cylinder.radius, cylinder.height)
+    return workpiece.from_arrays("cylinder", mesh.vertices, mesh.faces, "m")
+
+
+def _unknown(options: ExploreOptions, scanning: ScanOptions, settings: Settings, cylinder: Cylinder) -> VoxelSpace:
+    """The cylinder's voxels, by default so large that points fall into each where the scanner looks squarely.
+
+    Raises:
+        UsageError: if there would be too many.
+    """
+    resolution = scanning.resolution_deg or float(np.max(settings.scanner.get("resolution_deg", 0.0)))
+    spacing = max(settings.standoffs) * float(np.tan(np.radians(resolution)))
+    usual = max(2 * cylinder.radius / VOXELS, cylinder.height / VOXELS, SPACINGS * spacing)
+    try:
+        edge = usual if options.voxel_mm is None else options.voxel_mm / 1000
+        return VoxelSpace.of_cylinder(cylinder.radius, cylinder.height, edge)
+    except PlannerError as error:
+        raise UsageError(f"--voxel or --cylinder cannot be: {error}") from error
+
+
+def begun(work: Exploring) -> ExploreFile:
+    """explore.json before the first stage."""
+    options, scanning = work.options.model_dump(mode="json", exclude={"confirm_motion"}), work.scanning
+    said = work.scene.model_dump(mode="json"), scanning.model_dump(mode="json", exclude=set(OF_EACH_TIME)), options
+    cylinder = work.cylinder
+    return ExploreFile(
+        schema=SCHEMA,
+        part=work.name,
+        status="running",
+        ended="",
+        inputs=digest_of(*said, None if work.part is None else work.part.sha256),
+        seed=work.scene.plan.seed,
+        policy=work.options.policy,
+        source=scanning.acquire,
+        options=options,
+        cylinder=ExploredCylinder(
+            diameter_mm=round(2000 * cylinder.radius, 6), height_mm=round(1000 * cylinder.height, 6),
+            middle_mm=work.scene.placement.position_mm, given=cylinder.given,
+        ),
+        voxel_mm=round(1000 * work.unknown.edge, 6),
+        stages=(),
+    )  # fmt: skip

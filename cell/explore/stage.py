@@ -1,0 +1,232 @@
+"""One stage's plan: steps 2 to 9 of `cell plan` on what is believed of the part, for what is open of it.
+
+The run folder that comes out is proven, driven and read back as any other. Its coverage is that of the believed
+surface which the batch is asked for; the matrix and its rows are weighted with the probability that a view which
+should measure something open does (`planner.explore.gain`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cell import scanners
+from cell.errors import UnreachableError
+from cell.explore.policies import Batch
+from cell.explore.reasons import reasons
+from cell.narrator import Narrator
+from cell.part.workpiece import Workpiece
+from cell.plan import files as plan_files
+from cell.plan import pipeline, steps
+from cell.plan.candidates import GROWN, arm_of, first, grow, limited
+from cell.plan.problem import Problem
+from cell.plan.steps import Cell, Job, Measured, Run
+from cell.plan.summary import Further, plan_report
+from cell.plan.view_plan import ConnectedPlan
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import PartSurface
+from cell.rays.prediction import Prediction
+from cell.robot.kinematics import Kr16Kinematics
+from cell.run.explore_json import OpenReason
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import compile_world
+from planner.explore.gain import Record
+from planner.explore.space import VoxelSpace
+from planner.measurability.columns import spread_measurability
+from planner.ports import RayCaster, Scanner
+from planner.reach.reach import Reach, join_reach
+from planner.surface.decimate import decimate
+from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
+
+_DRAWN, _KEPT = 20_000, 3_000
+"""Samples of the believed surface that are drawn, and of those that are asked for at most."""
+
+_ROWS, _SCOUTS = 10, 11  # streams of randomness of their own, beside those of `cell.plan.steps`
+
+
+class EnoughError(UnreachableError):
+    """No further batch is worth its views.
+
+    Attributes:
+        open: what stays open, and why.
+    """
+
+    def __init__(self, message: str, still_open: tuple[OpenReason, ...] = ()) -> None:
+        super().__init__(message)
+        self.open = still_open
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """What a stage is planned for.
+
+    Attributes:
+        space: what is known.
+        record: what became of what was open before.
+        batch: what is asked for; no views: only why what is open stays open.
+        least_gain: share of the believed surface that it must be expected to add for each view.
+        ended: why there is no further batch, where none is asked for.
+    """
+
+    space: VoxelSpace
+    record: Record
+    batch: Batch
+    least_gain: float
+    ended: str = ""
+
+
+def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narrator: Narrator) -> Path:
+    """Plan a batch and write its run folder.
+
+    Args:
+        scene: of the stage.
+        believed: the part.
+        asked: what it is planned for.
+        out: the folder to make.
+        narrator: is told what goes on.
+
+    Raises:
+        EnoughError: if no batch is asked for, the best is expected to add too little, or none can be measured.
+        CellError: as `cell plan`.
+    """
+    own = {"max_views": asked.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
+    plan = scene.plan.model_copy(update=own)
+
+    def work(run: Run, job: Job) -> int:
+        return _steps(run, job, asked)
+
+    return pipeline.plan(
+        scene.model_copy(update={"plan": plan}), part=believed, scene_path=None, out=out, argv=(), use_cache=False,
+        narrator=narrator, steps_of=work, drawn=False,
+    )  # fmt: skip
+
+
+def _steps(run: Run, job: Job, asked: Asked) -> int:
+    """Steps 2 to 9 and the report."""
+    surface, scouts, candidates = _sample_surface(run, job, asked)
+    cell = _compile_cell(run, job, surface)
+    with run.step("reach and grow") as progress:
+        reached = steps.reach_of(job, cell, candidates, progress)
+        casters = steps.casters_of(surface, cell)
+        scanner = limited(job.scene, job.scanner)
+        arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
+        if job.scene.plan.candidates == GROWN:
+            grown = grow(candidates, reached.reachable, scouts, arm)
+            reached = join_reach([reached, steps.reach_of(job, cell, grown)])
+            candidates = join_viewpoints([candidates, grown])
+        plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_reach(run.folder, reached)
+    explained = _explained(asked, scouts, candidates, reached, scanner, casters)
+    if not reached.reachable.any():
+        raise EnoughError("the arm reaches no view of what is open", explained())
+    if asked.batch.views == 0:
+        raise EnoughError(asked.ended, explained())
+    with run.step("measurability") as progress:
+        usable = np.flatnonzero(reached.reachable)
+        M, scanner = steps.columns(run, job, surface, casters, pick_viewpoints(candidates, usable), progress)
+        M = spread_measurability(M, usable, len(candidates))
+        plan_files.write_measurability(run.folder, M)
+        measured = Measured(candidates, reached, M, scanner, casters)
+        poses = candidates.T_object_scanner[usable]
+        prediction = Prediction.of(scouts, scanner, casters, poses, progress)
+    problem = steps.ask(run, job, cell, measured, prediction)
+    try:
+        problem, chosen = steps.connect(run, problem, surface)
+    except UnreachableError as error:
+        raise EnoughError(str(error), explained()) from error
+    if told := _too_little(chosen, surface, asked):
+        raise EnoughError(told, explained())
+    _finish(run, job, surface, problem, chosen)
+    return 0
+
+
+def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, SurfaceSamples, Viewpoints]:
+    """Planning mesh, rows of the matrix, points that candidates are grown for, and candidates that face the rows.
+
+    Raises:
+        EnoughError: if nothing is open.
+    """
+    with run.step("decimate and sample"):
+        reference = job.part.reference
+        planning = decimate(reference, min(job.settings.faces, len(reference.faces)))
+        plan_files.write_meshes(run.folder, reference, planning)
+        rows, scouts = (
+            _open(sample(reference, planning, _DRAWN, run.rng(stream)), asked) for stream in (_ROWS, _SCOUTS)
+        )
+        if not len(rows) or not len(scouts):
+            raise EnoughError("nothing is open")
+        candidates = first(job.scene, job.settings, job.part, planning)
+        if (candidates.face >= 0).all():
+            candidates = pick_viewpoints(candidates, np.isin(candidates.face, rows.planning_face))
+        return (
+            PartSurface(reference, planning, rows, EmbreeRayCaster(reference.vertices, reference.faces)),
+            scouts,
+            candidates,
+        )
+
+
+def _open(samples: SurfaceSamples, asked: Asked) -> SurfaceSamples:
+    """What is asked for of the samples, weighted, thinned evenly to `_KEPT`."""
+    space = asked.space
+    still_open = ~space.seen(samples.points)
+    chosen = np.flatnonzero(still_open | asked.batch.whole)
+    areas = np.where(still_open, asked.record.weights(space.tries_at(samples.points)), 1.0) * samples.areas
+    every = max(1.0, len(chosen) / _KEPT)
+    kept = chosen[np.unique((np.arange(0, len(chosen), every)).astype(np.int64))]
+    scale = len(chosen) / max(len(kept), 1)
+    return SurfaceSamples(
+        samples.points[kept], samples.normals[kept], scale * areas[kept], samples.face[kept],
+        samples.planning_face[kept],
+    )  # fmt: skip
+
+
+def _compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
+    """The cell; the believed part stands inside unseen space, which no scene of a person's may."""
+    with run.step("compile the cell"):
+        world = compile_world(
+            job.scene, surface.reference.vertices, part_faces=surface.reference.faces,
+            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
+        )  # fmt: skip
+        described = scanners.described(job.scene.scanner.type, job.scanner)
+        faces = len(surface.planning.faces)
+        plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
+        return Cell(world, MujocoCollisionChecker(world), Kr16Kinematics.from_model(world.model))
+
+
+def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> str:
+    """Why a batch is not worth its views; "" where it is."""
+    expected = chosen.cover.covered_area / len(chosen.cover.views) / float(surface.reference.areas.sum())
+    if asked.batch.whole or expected >= asked.least_gain:
+        return ""
+    return (
+        f"a further view is expected to add {100 * expected:.3f} % of the believed surface, less than the "
+        f"{100 * asked.least_gain:g} % asked for"
+    )
+
+
+def _explained(
+    asked: Asked, scouts: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner,
+    casters: Sequence[RayCaster],
+) -> Callable[[], tuple[OpenReason, ...]]:  # fmt: skip
+    """Gives the reasons why what is open stays open."""
+
+    def reasons_now() -> tuple[OpenReason, ...]:
+        left = pick_samples(scouts, ~asked.space.seen(scouts.points))
+        tries = asked.space.tries_at(left.points)
+        left = replace(left, areas=left.areas / asked.record.weights(tries))
+        return reasons(left, tries, candidates, reached, scanner, casters)
+
+    return reasons_now
+
+
+def _finish(run: Run, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:
+    """Prove and time the motion, and write what is known of the plan."""
+    chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
+    with run.step("report"):
+        further = Further(steps.what_is_lost(run, problem, chosen))
+        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, further)
+        plan_files.write_plan(run.folder, report, chosen, problem.candidates)
+        plan_files.write_report(run.folder, report)

@@ -1,0 +1,142 @@
+"""An exploration on disk and in memory: what is kept after each stage, and taken up again by the same command.
+
+    explore.json               what was done (`cell.run.explore_json`); a stage that it names is finished
+    stages/0001/               run folder of the batch: plan, and its execution
+    stages/0001.unseen.ply     what arm and housing kept away from
+    stages/0001.voxels.npz     the voxels after it
+    truth/                     in simulation: the plan that knows the model
+
+explore.json is written last, so a stage is in it whole or not at all. A plan whose stage is not in it is gone on with.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cell.errors import FileError, UsageError
+from cell.run import explore_json, reader
+from cell.run.executions import read_execution
+from cell.run.explore_json import ExploredStage, ExploreFile
+from cell.run.folder import json_text
+from cell.run.record import npz, open_finished, understood
+from cell.scan.executed_scans import ExecutedScan, usable
+from planner.explore.gain import Record
+from planner.explore.space import VoxelSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known: the space about the part, and what became of what was open."""
+
+    space: VoxelSpace
+    record: Record
+
+
+@dataclass(frozen=True, slots=True)
+class Paths:
+    """Where everything of an exploration is."""
+
+    root: Path
+
+    @property
+    def file(self) -> Path:
+        """explore.json."""
+        return self.root / explore_json.NAME
+
+    def stage(self, number: int) -> Path:
+        """The run folder of a stage, from 1."""
+        return self.root / "stages" / f"{number:04d}"
+
+    def unseen(self, number: int) -> Path:
+        """What was not seen before a stage."""
+        return self.root / "stages" / f"{number:04d}.unseen.ply"
+
+    def voxels(self, number: int) -> Path:
+        """What was known after a stage."""
+        return self.root / "stages" / f"{number:04d}.voxels.npz"
+
+    def begin(self, file: ExploreFile) -> ExploreFile:
+        """The exploration as it is on disk; one that is not there yet is begun.
+
+        Raises:
+            UsageError: if what is there is another exploration.
+            FileError: if the folder cannot be made, or is none of an exploration.
+        """
+        if self.file.is_file():
+            known = explore_json.read(self.file)
+            if known.inputs != file.inputs:
+                raise UsageError(
+                    f"{self.root} is an exploration with other options, another part or another scene; repeat its own "
+                    "command to go on with it, or choose another --out"
+                )
+            return known
+        if self.root.exists():
+            raise FileError(f"{self.root} exists and is no exploration; choose another --out")
+        try:
+            (self.root / "stages").mkdir(parents=True)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise FileError(f"{self.root} cannot be made: {reason}; choose a writable --out") from error
+        self.write(file)
+        return file
+
+    def write(self, file: ExploreFile) -> None:
+        """Write explore.json: whole or not at all."""
+        temporary = self.file.with_name(f"{explore_json.NAME}.tmp")
+        try:
+            with temporary.open("w", encoding="utf-8") as stream:
+                stream.write(json_text(file.as_json()))
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(self.file)
+        except OSError as error:
+            raise FileError(f"{self.file} cannot be written: {error.strerror or error}") from error
+
+    def keep(self, number: int, known: Known) -> None:
+        """Write what is known after a stage."""
+        space, record = known.space, known.record
+        np.savez_compressed(
+            self.voxels(number), allow_pickle=False, state=space.state, votes=space.votes, tries=space.tries,
+            expected=record.expected,
+            measured=record.measured,
+        )  # fmt: skip
+
+    def known(self, number: int, unknown: VoxelSpace) -> Known:
+        """What was known after a stage; `unknown` is before the first.
+
+        Raises:
+            FileError: if it is missing or damaged.
+        """
+        if number == 0:
+            return Known(unknown, Record.empty())
+        path = self.voxels(number)
+        if not path.is_file():
+            raise FileError(f"{path} is missing; explore anew")
+        stored = npz(path, path.read_bytes())
+        with understood(path):
+            space = replace(unknown, state=stored["state"], votes=stored["votes"], tries=stored["tries"])
+            return Known(space, Record(stored["expected"], stored["measured"]))
+
+    def clear(self, number: int) -> None:
+        """Take away what is left of a stage's plan that did not finish."""
+        for path in self.root.glob(f"{self.stage(number).relative_to(self.root)}.part*"):
+            shutil.rmtree(path)
+
+
+def scans_of(paths: Paths, stages: tuple[ExploredStage, ...]) -> tuple[ExecutedScan, ...]:
+    """The scans of all stages, in driving order."""
+    found: list[ExecutedScan] = []
+    for stage in stages:
+        run = open_finished(paths.root / stage.folder)
+        found += usable(read_execution(run, "latest"), reader.plan(run).views)[0]
+    return tuple(found)
+
+
+def digest_of(*said: object) -> str:
+    """sha256 of JSON values."""
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,119 @@
+"""What a simulation knows and the planning does not: the true part, its coverage, and the fewest views for that.
+
+The bound is that of `cell plan --curve` on the true model, a run folder of its own (truth/): no so many of *its*
+candidates measure more of its samples. Coverage is visible coverage on the held-out samples, as everywhere.
+"""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from cell.explore.hidden import Hidden
+from cell.narrator import Narrator
+from cell.part.workpiece import Workpiece
+from cell.plan import pipeline
+from cell.rays.prediction import held_out
+from cell.run import reader
+from cell.run.cell import read_cell, world_of
+from cell.run.explore_json import BoundAt, Truth
+from cell.run.json_table import JsonTable, parsed
+from cell.run.record import artefact, open_finished
+from cell.scan.executed_scans import ExecutedScan
+from cell.scene.scene import Scene
+from cell.world import clearance
+from cell.world.collision import MujocoCollisionChecker
+from planner.measurability.coverage import added
+from planner.measurability.matrix import measured
+
+FOLDER = "truth"
+
+
+class _Point(JsonTable):
+    n_views: int = Field(description="how many")
+    covered: float = Field(description="share of the surface")
+    upper_bound: float = Field(description="share of the surface")
+
+
+class _Curve(JsonTable):
+    """The part of curve.json that is read here."""
+
+    points: tuple[_Point, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Explored:
+    """What was executed.
+
+    Attributes:
+        stages: run folders, in order.
+        scans: of all stages, in driving order.
+    """
+
+    stages: tuple[Path, ...]
+    scans: tuple[ExecutedScan, ...]
+
+
+def plan_truth(scene: Scene, part: Workpiece, folder: Path, narrator: Narrator) -> Path:
+    """`cell plan --curve` on the true model, below the exploration; the one that is there, where there is one."""
+    out = folder / FOLDER
+    if out.is_dir():
+        return out
+    for left in folder.glob(f"{FOLDER}.part*"):  # of one that was stopped
+        shutil.rmtree(left)
+    plan = scene.plan.model_copy(update={"max_views": None, "curve": True})
+    return pipeline.plan(
+        scene.model_copy(update={"plan": plan}), part=part, scene_path=None, out=out, argv=(), use_cache=True,
+        narrator=narrator,
+    )  # fmt: skip
+
+
+def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
+    """The truth beside an exploration.
+
+    Args:
+        truth: run folder of the plan that knows the model.
+        hidden: the part in the explored frame.
+        explored: what was executed.
+    """
+    run = open_finished(truth)
+    cell, report = read_cell(run), reader.report(run)
+    samples = held_out(cell.reference, cell.planning, run.seed)
+    to_object = np.linalg.inv(hidden.T_explored_object)
+    poses = np.stack([to_object @ _true_pose(scan) for scan in explored.scans])[:, None]
+    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
+    by_views = np.cumsum(added(seen))
+    points = parsed(_Curve, artefact(run, "curve.json"), truth / "curve.json").points
+    most = min(float(by_views[-1]), max(point.upper_bound for point in points))
+    nearest, between = _nearest(run.folder, explored.stages)
+    return Truth(
+        visible=float(by_views[-1]),
+        by_views=tuple(round(float(share), 6) for share in by_views),
+        known_model_visible=report.coverage.visible,
+        known_model_views=report.n_views,
+        coverable=report.coverage.coverable,
+        fewest=min(point.n_views for point in points if point.upper_bound >= most),
+        bound=tuple(BoundAt(views=p.n_views, found=p.covered, at_most=p.upper_bound) for p in points),
+        nearest_mm=round(1000 * nearest, 4),
+        nearest=between,
+    )
+
+
+def _true_pose(scan: ExecutedScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """(4, 4) from where the rays went out, explored frame [m]."""
+    return scan.T_reported if scan.T_true is None else scan.T_true
+
+
+def _nearest(truth: Path, stages: Sequence[Path]) -> tuple[float, str]:
+    """Smallest distance [m] of arm or tool to anything in the true cell along the motions of all stages, and what."""
+    run = open_finished(truth)
+    checker = MujocoCollisionChecker(world_of(run, reader.mesh(run, "reference.ply")))
+    found: list[tuple[float, str]] = []
+    for stage in stages:
+        motion = reader.motion(open_finished(stage))
+        measured_ = clearance.of_motion(checker, motion.via_q, motion.segment, int(motion.segment.max()) + 1)
+        found += list(zip(measured_.distance.tolist(), measured_.between, strict=True))
+    return min(found)

@@ -1,0 +1,93 @@
+"""What `cell scan` drives and scans, and what it keeps of it, once it is known that it may."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from pydantic import JsonValue
+
+from cell.acquisition import SIMULATED, sources
+from cell.acquisition.sources import Acquisition
+from cell.errors import DriverFailureError
+from cell.narrator import Narrator
+from cell.rays.embree import EmbreeRayCaster
+from cell.run.cell import RunCell
+from cell.scan import execute
+from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
+from cell.scan.legs import Legs
+from cell.scan.options import ScanOptions
+from cell.scan.work import Work
+from drivers.clock import Clock
+from drivers.contract import Driver
+from drivers.errors import DriverError
+from planner.surface.mesh import TriangleMesh
+from planner.timing.motion import Motion
+
+
+def cell_with(stands: TriangleMesh | None, cell: RunCell) -> RunCell:
+    """The cell, with another part than the plan's where one stands there."""
+    if stands is None:
+        return cell
+    return replace(cell, reference=stands, part_caster=EmbreeRayCaster(stands.vertices, stands.faces))
+
+
+def drive(
+    connected: ExitStack,
+    work: Work,
+    legs: Legs,
+    driver: Driver,
+    clock: Clock,
+    cell: RunCell,
+    options: ScanOptions,
+    speed: float,
+) -> None:
+    """Drive and scan the legs; what goes wrong from here on is kept in the execution's folder."""
+    folder = work.folder
+    connected.enter_context(folder.kept_on_failure())
+    connected.enter_context(drivers_errors_as_ours())
+    with work.step(EXECUTING) as progress, driver:
+        scale = driver.capabilities.time_scale
+        folder.note(
+            controller=driver.capabilities.controller, speed_fraction=round(speed, 6),
+            **({} if scale == 1 else {"time_scale": scale}),
+        )  # fmt: skip
+        seed = folder.manifest.require_seed(folder.path)
+        source = acquisition_of(folder.manifest.options, cell, seed, folder.path, work.narrator)
+        folder.note(source=source.source)
+        seconds = execute.run(legs, driver, cell, source, folder, speed=speed, clock=clock, progress=progress)
+        folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
+
+
+def acquisition_of(
+    kept: Mapping[str, JsonValue], cell: RunCell, seed: int, folder: Path, narrator: Narrator
+) -> Acquisition:
+    """Where the points come from, by the options that the execution was begun with."""
+    kind, argument = sources.load(str(kept.get("acquire", SIMULATED)))
+    return kind(argument, sources.Context(cell, kept, seed, folder, narrator.note))
+
+
+_LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")
+
+
+def write_motion(folder: ExecutionFolder, motion: Motion) -> None:
+    """What is driven where that is not the plan's motion, so that it can be replayed."""
+    folder.write_arrays(
+        MOTION,
+        **{
+            name: getattr(motion, name)
+            for name in ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
+        },
+        pose=motion.pose,
+        line=motion.line,
+        **{f"limit_{name}": getattr(motion.limits, name) for name in _LIMITS},
+    )
+
+
+@contextmanager
+def drivers_errors_as_ours() -> Iterator[None]:
+    """A driver's error ends the command with its code."""
+    try:
+        yield
+    except DriverError as error:
+        raise DriverFailureError(str(error)) from error

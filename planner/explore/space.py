@@ -1,0 +1,205 @@
+"""What is known of the space about a part: free, occupied or unknown voxels within an upright cylinder.
+
+A part stands somewhere in the cylinder; all of it is unknown at first, all beyond it is free. A ray that came back says
+two things: its point is on the part, and both its legs (source to point, point to sensor) crossed nothing. What did
+not come back says nothing: it may have missed the part, or met it too steeply. So a voxel is
+
+    occupied  where a point lies in it, whatever else crossed it;
+    free      where a leg crossed it and no point lies in it;
+    unknown   otherwise.
+
+What did not come back still makes it less likely that the part is where its ray went: `votes` counts, for what is
+believed and planned for, never for what is safe.
+
+The part may be in every voxel that is not free, to within a voxel: a leg may pass beside a piece of surface that lies
+in the same voxel, and what is thinner than the rays are apart may be missed altogether. Object frame, metres: its
+origin is the cylinder's middle, z is its axis.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from planner.errors import PlannerError
+from planner.values import Bools, Floats, Ints, Value
+
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+
+MOST_VOXELS = 8_000_000
+"""Of a grid; two arrays of bytes and one of 8-byte counters are made of it."""
+
+_PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
+_NEAR = 1.1  # edges from the middle of a voxel that is measured to a believed surface above it, and little beyond
+_ALL_ROUND = np.ones((3, 3, 3), dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VoxelSpace(Value):
+    """The voxels.
+
+    Attributes:
+        low: (3,) lowest corner of the grid [m].
+        edge: of a voxel [m].
+        state: (X, Y, Z) UNKNOWN, FREE or OCCUPIED.
+        votes: (X, Y, Z) views with a ray through a voxel that did not come back, less those that saw a point before it.
+        tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
+        radius: of the cylinder [m].
+        height: of the cylinder [m].
+    """
+
+    low: Annotated[Floats, "3"]
+    edge: float
+    state: Annotated[NDArray[np.uint8], "X Y Z"]
+    votes: Annotated[NDArray[np.int16], "X Y Z"]
+    tries: Annotated[NDArray[np.uint8], "X Y Z"]
+    radius: float
+    height: float
+
+    @classmethod
+    def of_cylinder(cls, radius: float, height: float, edge: float) -> "VoxelSpace":
+        """All unknown.
+
+        Args:
+            radius: of the cylinder [m].
+            height: of the cylinder [m].
+            edge: of a voxel [m].
+
+        Raises:
+            PlannerError: if one of them is not positive, or the grid would have too many voxels.
+        """
+        if not min(radius, height, edge) > 0:
+            raise PlannerError(f"radius {radius:g}, height {height:g} and edge {edge:g} must be above 0 (in metres)")
+        half = np.ceil(np.array([radius, radius, height / 2]) / edge) + _PADDING
+        shape = tuple(int(2 * n) for n in half)
+        if np.prod([float(n) for n in shape]) > MOST_VOXELS:
+            raise PlannerError(f"voxels of {1000 * edge:g} mm are too many for the cylinder; choose larger ones")
+        low = -half * edge
+        nothing = np.zeros(shape, np.uint8)
+        space = cls(low, edge, nothing, nothing.astype(np.int16), nothing, radius, height)
+        return replace(space, state=np.where(space._within(edge / 2), UNKNOWN, FREE).astype(np.uint8))
+
+    def centres(self, chosen: Bools) -> Floats:
+        """(n, 3) middles of the chosen voxels [m]."""
+        return np.asarray(self.low + self.edge * (np.argwhere(chosen) + 0.5))
+
+    def outside(self, points: Floats) -> Bools:
+        """(N,) which points (N, 3) [m] are beyond the cylinder by more than a voxel."""
+        beyond = np.hypot(points[:, 0], points[:, 1]) > self.radius + self.edge
+        return np.asarray(beyond | (np.abs(points[:, 2]) > self.height / 2 + self.edge))
+
+    def at(self, points: Floats, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """(N,) the value of an (X, Y, Z) array at each of the points (N, 3) [m]; beyond the grid that of its border."""
+        found: NDArray[np.generic] = values[tuple(self._place(points).T)]
+        return found
+
+    def seen_from(self, points: Floats, stands: Sequence[Floats]) -> "VoxelSpace":
+        """With the points of one view, and its legs.
+
+        Args:
+            points: (N, 3) measured [m].
+            stands: (3,) places from which every point was in sight [m]: the source, the sensor.
+        """
+        crossed = np.zeros(self.state.shape, dtype=np.bool_)
+        for stand in stands:
+            legs = points - stand
+            length = np.linalg.norm(legs, axis=1, keepdims=True)
+            kept = np.maximum(1.0 - self.edge / np.maximum(length, 1e-12), 0.0)  # noise moves a point along its leg
+            crossed |= self._crossed(np.broadcast_to(stand, points.shape), stand + kept * legs)
+        state = np.array(self.state)
+        state[crossed & (state == UNKNOWN)] = FREE
+        state[tuple(self._place(points[~self.outside(points)]).T)] = OCCUPIED
+        return replace(self, state=state)
+
+    def judged_from(self, points: Floats, source: Floats, blank: Floats, near: float, far: float) -> "VoxelSpace":
+        """With the votes of one view.
+
+        Args:
+            points: (N, 3) measured [m].
+            source: (3,) where the rays began [m].
+            blank: (M, 3) unit directions of the rays that did not come back.
+            near: from where on they would have [m].
+            far: to where they would have [m].
+        """
+        length = np.linalg.norm(points - source, axis=1, keepdims=True)
+        onward = (points - source) / np.maximum(length, 1e-12)
+        behind = self._crossed(points + self.edge * onward, source + np.maximum(far, length) * onward)
+        through = self._crossed(source + near * blank, source + far * blank)
+        return replace(self, votes=self.votes + (through & ~behind) - behind)
+
+    def contradicted(self, points: Floats) -> float:
+        """Share of points (N, 3) [m] in space that is free, all its neighbours too: what moved has such points."""
+        far = ~ndimage.binary_dilation(self.state != FREE, _ALL_ROUND)
+        return float(self.at(points, far & self._within(0.0)).mean()) if len(points) else 0.0
+
+    def believed(self) -> Bools:
+        """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
+
+        A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
+        that no leg has crossed yet.
+        """
+        solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0))
+        labels, count = ndimage.label(solid, _ALL_ROUND)
+        hit = np.zeros(count + 1, dtype=np.bool_)
+        hit[labels[self.state == OCCUPIED]] = True
+        return np.asarray(solid if not hit.any() else hit[labels])
+
+    def seen(self, points: Floats) -> Bools:
+        """(N,) which points (N, 3) of a believed surface [m] are as near to a voxel with a point as that surface is.
+
+        Gaps of one voxel between measured ones count as measured: rays that meet the part at an angle lie far apart.
+        """
+        measured = self.state == OCCUPIED
+        measured |= ndimage.binary_closing(measured, _ALL_ROUND)
+        if not measured.any():
+            return np.zeros(len(points), dtype=np.bool_)
+        near = cKDTree(self.centres(measured)).query(points, distance_upper_bound=_NEAR * self.edge)[0]
+        return np.asarray(np.isfinite(near), dtype=np.bool_)
+
+    def open_still(self, points: Floats, normals: Floats) -> Bools:
+        """(N,) which points of an earlier believed surface are neither seen nor free.
+
+        Args:
+            points: (N, 3) [m].
+            normals: (N, 3) outward unit normals.
+        """
+        inside = points - self.edge * normals
+        return np.asarray(~self.seen(points) & (self.at(inside, self.state) != FREE), dtype=np.bool_)
+
+    def tried(self, points: Floats) -> "VoxelSpace":
+        """With one more try for the voxels of points (N, 3) [m], each voxel once."""
+        tries = np.array(self.tries)
+        place = tuple(np.unique(self._place(points), axis=0).T)
+        tries[place] = np.minimum(tries[place].astype(np.int64) + 1, 255).astype(np.uint8)
+        return replace(self, tries=tries)
+
+    def tries_at(self, points: Floats) -> Ints:
+        """(N,) the most tries within two voxels of each point (N, 3) [m]: what is open there is one patch."""
+        return np.asarray(self.at(points, ndimage.maximum_filter(self.tries, 5)), dtype=np.int64)
+
+    def _crossed(self, starts: Floats, ends: Floats) -> Bools:
+        """(X, Y, Z) the voxels that legs from (N, 3) to (N, 3) cross [m]."""
+        from planner.explore.traverse import cross  # puts off numba
+
+        count = np.zeros(self.state.size, dtype=np.int64)
+        begin, end = (np.ascontiguousarray(each, dtype=np.float64) for each in (starts, ends))
+        cross(begin, end, np.array(self.low), self.edge, self._shape, count)
+        return np.asarray(count > 0).reshape(self.state.shape)
+
+    @property
+    def _shape(self) -> Ints:
+        return np.array(self.state.shape, dtype=np.int64)
+
+    def _place(self, points: Floats) -> Ints:
+        """(N, 3) the voxel of each point, the nearest of the grid."""
+        return np.clip(np.floor((points - self.low) / self.edge).astype(np.int64), 0, self._shape - 1)
+
+    def _within(self, more: float) -> Bools:
+        """(X, Y, Z) whose middle is in the cylinder, or so much beyond [m]."""
+        x, y, z = (low + self.edge * (np.arange(n) + 0.5) for low, n in zip(self.low, self._shape, strict=True))
+        disc = np.hypot(x[:, None], y[None]) <= self.radius + more
+        return np.asarray(disc[:, :, None] & (np.abs(z) <= self.height / 2 + more))

@@ -1,0 +1,223 @@
+"""`cell explore` end to end on the small part: what is on disk, the same bytes again, the truth, what is refused."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.triangle_cell import TriangleCell
+from cell.explore.hidden import Hidden
+from cell.part import workpiece
+from cell.plan import curve
+from cell.run import explore_json, reader
+from cell.run.cell import world_of
+from cell.run.record import open_finished
+from cell.scene.options import scene_of
+from planner.explore.space import FREE
+from planner.surface.closest import NearestSurface
+
+PLACE = (
+    "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
+    "--candidates", "optimal-scanning-zone",
+)  # fmt: skip
+OPTIONS = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "2", "--max-views", "5")
+
+
+@pytest.fixture(scope="module")
+def explored(
+    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> Path:
+    """A finished exploration of the small part. Read it, never change it."""
+
+    def make(folder: Path) -> None:
+        command = ("explore", part_file, "--units", "mm", *OPTIONS, "--out", "explored", "--json")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(curve, "coverage_curve", partial(curve.coverage_curve, budget=100_000_000))  # 5 s by default
+            done = run_cell(*command, cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "stdout").write_text(done.stdout)
+
+    return made_once("explored", make) / "explored"
+
+
+def test_the_file_says_what_was_done(explored: Path) -> None:
+    """Stages, digests and views of explore.json are those of the run folders; the JSON that is printed is the file."""
+    file = explore_json.read(explored / "explore.json")
+    assert (file.status, file.views) == ("finished", 5)
+    assert [stage.views for stage in file.stages] == [3, 2]
+    assert "5 views of the budget" in file.ended
+    for stage in file.stages:
+        run = open_finished(explored / stage.folder)
+        assert stage.digest == run.digest
+        assert stage.views == len(reader.plan(run).views)
+    printed = json.loads((explored.parent / "stdout").read_text())
+    assert printed == json.loads((explored / "explore.json").read_text())
+    assert (explored / "report.md").read_text().count("stages/000") == 2
+
+
+def test_the_truth_beside_it_is_that_of_the_part(explored: Path) -> None:
+    """Coverage grows with the views and stays below what no views exceed; nothing came near the true part."""
+    known = explore_json.read(explored / "explore.json").truth
+    assert known is not None
+    assert (np.diff(known.by_views) >= 0).all()
+    assert known.visible == pytest.approx(known.by_views[-1])
+    at_most = {point.views: point.at_most for point in known.bound}
+    assert all(share <= at_most[n] + 0.02 for n, share in enumerate(known.by_views, start=1) if n in at_most)
+    assert 1 <= known.fewest <= 5
+    assert known.visible > 0.6
+    assert known.nearest_mm > 0
+
+
+def _contacts(exploration: Path) -> dict[str, int]:
+    """Configurations along all motions in which triangles meet, by pair, the true part in its place."""
+    truth = open_finished(exploration / "truth")
+    part = reader.mesh(truth, "reference.ply")
+    judge, found = TriangleCell(world_of(truth, part), part), dict[str, int]()
+    for stage in explore_json.read(exploration / "explore.json").stages:
+        found |= judge.contacts(reader.motion(open_finished(exploration / stage.folder)).q)
+    return found
+
+
+def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path) -> None:
+    """Triangles of arm, tool and true part in python-fcl, at every sample of the motions."""
+    assert _contacts(explored) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mug", "petanque"])
+@pytest.mark.parametrize("policy", ["stepwise", "two-stage"])
+def test_nothing_touches_a_built_in_part(
+    name: str, policy: str, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """The same of the default options; and the views measure most of what reachable ones do."""
+    done = run_cell(
+        "explore", name, "--place", "1200,500,0", "--policy", policy, "--max-views", "16", "--out", "out", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    known = explore_json.read(tmp_path / "out" / "explore.json").truth
+    assert known is not None
+    assert known.nearest_mm > 0
+    assert known.visible > 0.85 * known.coverable
+    assert _contacts(tmp_path / "out") == {}
+
+
+def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, part_file: Path) -> None:
+    """What the planning takes for free lies beyond the true part, but for a voxel that holds a piece of it."""
+    scene = scene_of(None, {"place": (1100, 400, 100), "units": "mm"}, part_file)
+    mesh = Hidden.of(scene, workpiece.load(str(part_file), "mm")).mesh
+    file = explore_json.read(explored / "explore.json")
+    stored = np.load(explored / "stages" / "0002.voxels.npz")
+    edge = file.voxel_mm / 1000
+    low = -edge * np.array(stored["state"].shape) / 2
+    centres = low + edge * (np.argwhere(stored["state"] == FREE) + 0.5)
+    depth = -NearestSurface(mesh).signed(centres)
+    assert depth.max() < np.sqrt(3) * edge
+
+
+def _plan_killed(stage: Path) -> None:
+    stage.rename(stage.with_name(f"{stage.name}.part"))
+
+
+def _execution_killed(stage: Path) -> None:
+    execution = stage / "executions" / "0001"
+    (execution / "scans" / "0002.npz").unlink()
+    manifest = json.loads((execution / "manifest.json").read_text())
+    manifest |= {"status": "running", "artefacts": {}}
+    (execution / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize("killed", [pytest.param(_plan_killed, marks=pytest.mark.slow), _execution_killed])
+def test_the_same_command_goes_on_where_it_was_killed(
+    killed: Callable[[Path], None],
+    explored: Path,
+    tmp_path: Path,
+    part_file: Path,
+    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+) -> None:
+    """A stage that explore.json does not name is made again, to the same bytes, from a killed plan or execution."""
+    again = tmp_path / "explored"
+    shutil.copytree(explored, again)
+    file = explore_json.read(again / "explore.json")
+    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
+    (again / "explore.json").write_text(json.dumps(before.as_json()))
+    killed(again / "stages" / "0002")
+    (again / "stages" / "0002.voxels.npz").unlink()
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for name in ("explore.json", "report.md", "model.ply", "stages/0002.voxels.npz"):
+        assert (again / name).read_bytes() == (explored / name).read_bytes(), name
+
+
+def test_points_of_files_need_no_model(
+    explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """The first stage's points from files, one folder a stage: a model comes out, and no truth, as none is known."""
+    cylinder = explore_json.read(explored / "explore.json").cylinder
+    scans = sorted((explored / "stages" / "0001" / "executions" / "0001" / "scans").glob("*.npz"))
+    (tmp_path / "points" / "0001").mkdir(parents=True)
+    for scan in scans:
+        points = 1000 * np.load(scan)["points"] + np.array(cylinder.middle_mm)
+        np.savetxt(tmp_path / "points" / "0001" / f"{scan.stem}.xyz", points)
+    done = run_cell(
+        "explore", *OPTIONS[:-1], "3", "--cylinder", f"{cylinder.diameter_mm},{cylinder.height_mm}", "--acquire",
+        "files:points", "--points-frame", "base", "--points-units", "mm", "--out", "out", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    file = explore_json.read(tmp_path / "out" / "explore.json")
+    assert file.truth is None
+    assert file.source == "files:points"
+    assert file.stages[0].points == sum(len(np.load(scan)["points"]) for scan in scans)
+    assert (tmp_path / "out" / "model.ply").is_file()
+
+
+def test_other_options_do_not_go_on_there(
+    explored: Path, tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """The folder of another exploration is left alone, as is one that is none."""
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--ring", "4", "--out", explored, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "other options" in done.stderr
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path)
+    assert done.returncode == 6
+    assert "no exploration" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--acquire", "files:points"), "give --cylinder"),
+        (("--voxel", "0.01"), "choose larger ones"),
+        (("--pin", "3"), "leave it away"),
+        (("--scene", "line.toml"), "sweeps"),
+    ],
+)
+def test_what_cannot_be_explored_is_refused_before_anything_is_made(
+    options: tuple[str, ...],
+    told: str,
+    tmp_path: Path,
+    part_file: Path,
+    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+) -> None:
+    """In one sentence, with no folder left behind."""
+    (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n')
+    done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert told in done.stderr
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
+    tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """Points beyond it end the exploration; the scans stay."""
+    done = run_cell(
+        "explore", part_file, "--units", "mm", *OPTIONS, "--cylinder", "70,70", "--out", "new", cwd=tmp_path
+    )
+    assert done.returncode == 6, done.stderr
+    assert "outside the cylinder" in done.stderr
+    assert explore_json.read(tmp_path / "new" / "explore.json").stages == ()

@@ -1,0 +1,47 @@
+"""`cell explore` on a wire: each batch is released by its own digest, or all by one word; nothing moves before."""
+
+import re
+import subprocess
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.plan import curve
+from cell.run import explore_json
+
+OPTIONS = (
+    "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
+    "--candidates", "optimal-scanning-zone", "--resolution", "1", "--ring", "1", "--batch", "1", "--max-views", "2",
+    "--accept-time-scale", "20",
+)  # fmt: skip
+
+
+def test_every_batch_waits_for_a_word(
+    tmp_path: Path,
+    part_file: Path,
+    emulate: Callable[..., Any],
+    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without a word nothing moves; a digest releases its batch alone; `explore` releases the rest."""
+    monkeypatch.setattr(curve, "coverage_curve", partial(curve.coverage_curve, budget=10_000_000))  # 5 s by default
+    emulated, out = emulate("modbus", "--time-scale", "20"), tmp_path / "out"
+    command = ("explore", part_file, "--units", "mm", *OPTIONS, "--driver", emulated.url, "--out", out)
+    refused = run_cell(*command, cwd=tmp_path)
+    assert refused.returncode == 2, refused.stderr
+    assert emulated.entries("move") == []
+    first = re.search(r"--confirm-motion ([0-9a-f]{8})", refused.stderr)
+    assert first, refused.stderr
+    refused = run_cell(*command, "--confirm-motion", first[1], cwd=tmp_path)
+    assert refused.returncode == 2, refused.stderr
+    moved = len(emulated.entries("move"))
+    assert moved > 0
+    known = explore_json.read(out / "explore.json")
+    assert [stage.digest[:8] for stage in known.stages] == [first[1]]
+    done = run_cell(*command, "--confirm-motion", "explore", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(emulated.entries("move")) > moved
+    assert explore_json.read(out / "explore.json").views == 2

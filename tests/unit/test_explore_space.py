@@ -1,0 +1,127 @@
+"""Voxels about a part that nobody knows: the walk through the grid, what points and their legs say, what is open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planner.errors import PlannerError
+from planner.explore.gain import MOST_TRIES, Record
+from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
+from planner.explore.traverse import cross
+from planner.values import Floats, Ints
+
+
+def _crossed(starts: Floats, ends: Floats, low: Floats, edge: float, shape: tuple[int, int, int]) -> Ints:
+    """Brute force: each leg against the box of each voxel, by slabs."""
+    count = np.zeros(shape, dtype=np.int64)
+    with np.errstate(divide="ignore"):
+        for start, end in zip(starts, ends, strict=True):
+            for voxel in np.ndindex(shape):
+                walls = (low + edge * (np.array(voxel) + np.array([[0.0], [1.0]])) - start) / (end - start)
+                begin, stop = max(walls.min(axis=0).max(), 0.0), min(walls.max(axis=0).min(), 1.0)
+                count[voxel] += begin < stop
+    return count
+
+
+def test_a_leg_crosses_the_voxels_whose_boxes_it_meets() -> None:
+    """Random legs that begin and end within and beyond the grid cross what brute force finds."""
+    rng = np.random.default_rng(0)
+    shape, low, edge = (5, 4, 6), np.array([-0.2, 0.1, 0.3]), 0.1
+    size = edge * np.array(shape)
+    starts, ends = low + size * rng.uniform(-0.6, 1.6, (2, 200, 3))
+    crossed = np.zeros(np.prod(shape), dtype=np.int64)
+    cross(starts, ends, low, edge, np.array(shape), crossed)
+    assert np.array_equal(crossed.reshape(shape), _crossed(starts, ends, low, edge, shape))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_leg_along_an_axis_crosses_its_row(axis: int) -> None:
+    """A component of zero divides nothing; a leg beside the grid crosses nothing."""
+    start, end = np.full((2, 3), 0.25), np.full((2, 3), 0.25)
+    start[:, axis], end[:, axis] = -1.0, 2.0
+    start[1, (axis + 1) % 3] = end[1, (axis + 1) % 3] = 5.0
+    crossed = np.zeros(64, dtype=np.int64)
+    cross(start, end, np.zeros(3), 0.1, np.array([4, 4, 4]), crossed)
+    row = np.zeros((4, 4, 4), dtype=np.int64)
+    row[tuple(slice(None) if k == axis else 2 for k in range(3))] = 1
+    assert np.array_equal(crossed.reshape(4, 4, 4), row)
+
+
+def _space() -> VoxelSpace:
+    return VoxelSpace.of_cylinder(0.05, 0.06, 0.004)
+
+
+def test_the_cylinder_alone_is_unknown_at_first() -> None:
+    """Voxels with their middle in it are unknown, those a voxel beyond free."""
+    space = _space()
+    x, y, z = space.centres(np.ones(space.state.shape, dtype=bool)).T
+    beyond = np.maximum(np.hypot(x, y) - 0.05, np.abs(z) - 0.03)
+    state = space.state.ravel()
+    assert (state[beyond <= 0] == UNKNOWN).all()
+    assert (state[beyond > 0.004] == FREE).all()
+
+
+@pytest.mark.parametrize(("radius", "height", "edge"), [(0.0, 0.1, 0.01), (0.1, 0.1, -1.0), (1.0, 1.0, 1e-4)])
+def test_cylinders_that_cannot_be_are_refused(radius: float, height: float, edge: float) -> None:
+    """In a sentence that says what would be valid."""
+    with pytest.raises(PlannerError, match=r"must be above 0|too many"):
+        VoxelSpace.of_cylinder(radius, height, edge)
+
+
+def _ball_seen_from(space: VoxelSpace, stand: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Points of a ball of 30 mm that are in sight of a place 0.3 m away, and that place."""
+    normals = rng.standard_normal((20_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = 0.03 * normals
+    return points[np.einsum("ij,ij->i", stand - points, normals) > 0], stand
+
+
+def test_space_is_free_only_where_the_part_is_not() -> None:
+    """A ball seen from all round: what is free is beyond it, by at most a voxel's diagonal; its points are occupied."""
+    space, rng = _space(), np.random.default_rng(1)
+    everything = []
+    for direction in rng.standard_normal((40, 3)):
+        direction = direction / np.linalg.norm(direction)
+        points, stand = _ball_seen_from(space, 0.3 * direction, rng)
+        space = space.seen_from(points, [stand])
+        everything.append(points)
+    depth = 0.03 - np.linalg.norm(space.centres(space.state == FREE), axis=1)
+    assert depth.max() < np.sqrt(3) * space.edge
+    points = np.concatenate(everything)
+    assert (space.at(points, space.state) == OCCUPIED).all()
+    assert space.seen(points).all()
+    assert space.contradicted(points) == 0
+    assert space.contradicted(points + np.array([0.02, 0.0, 0.0])) > 0.05  # the ball was moved
+    assert not space.outside(points).any()
+    assert space.outside(points + np.array([0.05, 0.0, 0.0])).any()
+
+
+def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
+    """An unknown voxel apart from all points is no part of the belief; before the first point everything is."""
+    space = _space()
+    assert np.array_equal(space.believed(), space.state != FREE)
+    state = np.full(space.state.shape, FREE, dtype=np.uint8)
+    state[10, 10, 10], state[11, 11, 11], state[20, 20, 12] = OCCUPIED, UNKNOWN, UNKNOWN
+    believed = replace(space, state=state).believed()
+    assert believed.sum() == 2
+    assert believed[11, 11, 11]
+
+
+def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
+    """Two points of one voxel are one try."""
+    space = _space().tried(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
+    assert space.tries.max() == 1
+    assert space.tries_at(np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]])).tolist() == [1, 0]
+
+
+def test_the_probability_follows_the_record_and_never_grows_with_tries() -> None:
+    """Nothing known: halved with each try. Much known: the share that was measured, limited by that of fewer tries."""
+    unknown = Record.empty().probability
+    assert unknown == pytest.approx([0.5 ** max(n, 0) for n in range(MOST_TRIES + 1)])
+    tries = np.repeat([0, 1, 2], 1000)
+    measured = np.concatenate([np.arange(1000) < 600, np.arange(1000) < 100, np.ones(1000)]).astype(float)
+    known = Record.empty().with_stage(tries, np.full(3000, 1.0), measured).probability
+    assert known[:3] == pytest.approx([0.6, 0.1, 0.1], abs=1e-3)
+    assert (np.diff(known) <= 0).all()
+    assert (known > 0).all()
