@@ -108,7 +108,8 @@ def canonical(problem: Problem) -> Canonical:
     covered = np.add.reduceat(units[part.indices], start[:-1]) if len(chosen) else units[:0]
     given = costs if problem.costs is None else np.asarray(problem.costs, dtype=np.float64)  # unrounded: fewer ties
     held = set_hash(start, part.indices.astype(np.int64) * (1 + int(part.data.max(initial=1))) + part.data)
-    order = np.lexsort((chosen, given[chosen], group[chosen], held, -covered))
+    first = part.indices[start[:-1]]
+    order = np.lexsort((chosen, given[chosen], group[chosen], held, first, -covered))
     columns = chosen[order]
     group_units[group[np.setdiff1d(pinned, chosen)]] = 0  # pinned columns that cover nothing open theirs in any case
     most = -1 if problem.max_views is None else min(problem.max_views - len(pinned), len(chosen))

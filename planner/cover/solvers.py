@@ -23,9 +23,12 @@ SEARCH_SHARES = (0.2, 0.4)
 PROOF_SHARE = 0.75
 """`auto`: share of what is left for the integer programme."""
 
-EARLY_WORK, EARLY_SHARE = 100, 0.4
-"""`auto` with less work left than this for each entry, about what reductions take, begins with a search on the problem
-as it is, for this share."""
+EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
+"""`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
+many chunks of work."""
+
+SCARCE, SCARCE_SHARE = 100, 0.4
+"""The share where less work is left than this for each entry, which reductions take."""
 
 HOPEFUL_EXCESS = 0.1
 """`auto` tries the integer programme on a choice that exceeds the bound by at most this share, or by 2 columns."""
@@ -133,7 +136,7 @@ SOLVERS: dict[str, Solver] = {
 
 
 def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> tuple[Ints, int, int]:
-    """Reduce a problem, run a solver, and lift what it found.
+    """A first choice, a reduced problem for a solver, and what it found lifted.
 
     Args:
         sets: the problem; a graph is not looked at.
@@ -145,13 +148,14 @@ def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> t
         The best choice, a bound on the objective, and, with a number of columns allowed, how many fewer ones need at
         least to leave as little open.
     """
-    early = _early(sets, rng, work) if solver == "auto" and 0 < work.left < EARLY_WORK * sets.n_entries else None
-    reduction = reduce(sets, work)
-    inner, relaxation = _run(reduction, early, solver, rng, work)
-    chosen = reduction.lift(inner)
+    forced = reduce(sets, work, only_forced=True)
+    first = _first(forced.sets, solver, rng, work)
+    reduction = reduce(forced.sets, work)
+    inner, relaxation = _run(reduction, first, solver, rng, work)
+    chosen, first = forced.lift(reduction.lift(inner)), forced.lift(first)
     paid = sets.objective(chosen) - reduction.sets.objective(inner)  # what the forced columns cost
-    if early is not None and sets.objective(early) < sets.objective(chosen):
-        chosen = early
+    if sets.objective(first) < sets.objective(chosen):
+        chosen = first
     found = sets.objective(chosen) - paid
     fewest = 0
     if relaxation and sets.most >= 0:
@@ -159,24 +163,25 @@ def answer(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> t
     return chosen, paid + min(work.lower_bound, found), fewest
 
 
-def _early(sets: Sets, rng: np.random.Generator, work: Budget) -> Ints | None:
-    """A short search on the problem as it is; None where nothing is asked for."""
+def _first(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> Ints:
+    """The greedy choice, and for `auto` what a short search makes of it."""
     work.begin(sets.tolerance)
-    if sets.trivial:
-        return None
     chosen, spent = greedy(sets)
+    if sets.trivial:
+        return chosen[:0]
     work.offer(chosen, sets.objective(chosen))
-    work.spend(spent)
-    with work.ended_by_ctrl_c(), work.portion(EARLY_SHARE):
-        if work.spend(0):
-            Search(sets, chosen, rng).run(work)
+    share = SCARCE_SHARE if work.left < SCARCE * sets.n_entries else EARLY_SHARE
+    with work.ended_by_ctrl_c(), work.portion(share):
+        if work.spend(spent) and solver == "auto" and sets.n_columns > SMALL:
+            Search(sets, chosen, rng).run(work, EARLY_CHUNKS)
+    assert work.best is not None, "the greedy choice is there"
     return work.best
 
 
 def _run(
-    reduction: Reduction, early: Ints | None, solver: str, rng: np.random.Generator, work: Budget
+    reduction: Reduction, first: Ints, solver: str, rng: np.random.Generator, work: Budget
 ) -> tuple[Ints, Relaxation | None]:
-    """Greedy, bound and the chosen solver; the best so far when Ctrl-C ends it."""
+    """Bound and the chosen solver; the best so far when Ctrl-C ends it."""
     sets = reduction.sets
     work.begin(sets.tolerance)
     if sets.trivial:
@@ -185,14 +190,10 @@ def _run(
         return nothing, None
     if sets.most < 0:
         work.prove(int(sets.costs.min()))  # one column at least, should Ctrl-C come before the bound
-    chosen, spent = greedy(sets)
-    work.offer(chosen, sets.objective(chosen))
-    if early is not None:
-        kept = prune(sets, complete(sets, reduction.left_of(early)))
-        work.offer(kept, sets.objective(kept))
+    kept = prune(sets, complete(sets, reduction.left_of(first)))
+    work.offer(kept, sets.objective(kept))
     relaxation = None
     with work.ended_by_ctrl_c():
-        work.spend(spent)
         relaxation = Relaxation(sets)
         work.prove(relaxation.value)
         if work.spend(12 * sets.n_entries):
@@ -201,5 +202,5 @@ def _run(
             with work.portion(BOUND_SHARE):
                 raise_bound(relaxation, work.objective, work)
         SOLVERS[solver](Job(sets, rng, work, relaxation))
-    assert work.best is not None, "the greedy choice is there"
+    assert work.best is not None, "the first choice is there"
     return work.best, relaxation
