@@ -36,6 +36,9 @@ ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 6_000_000, 450_000, (450, 30), 360
 """Charge of what lies between two calls back of the integer programme at its root and in its tree, and of each entry;
 below so many rows and columns in proportion. By these it is ended: HiGHS tells no iterations while it runs."""
 
+OPEN_ROWS = 2
+"""Times as much is charged at a root where rows may stay open."""
+
 ROOT_CALLS = 20
 """The integer programme begins where the budget pays for so many of them."""
 
@@ -193,7 +196,8 @@ class Model:
         highs = self.highs
         size, entries = highs.getNumCol() + highs.getNumRow(), highs.getNumNz()
         root, node = (int(most * min(size / LARGE, 1.0)) for most in (ROOT_WORK, NODE_WORK))
-        return root + PER_ENTRY[0] * entries, node + PER_ENTRY[1] * entries
+        root += PER_ENTRY[0] * entries
+        return (root if self.sets.full else root * OPEN_ROWS), node + PER_ENTRY[1] * entries
 
     def _run_integer(self, budget: Budget) -> None:
         estimate, (root, node) = 0, self.call_work

@@ -11,10 +11,10 @@ deficit.
 Gains are added up for the columns that are looked at instead of being kept for all: steps are two to ten times cheaper.
 Configuration checking goes with the kept scores; without it files came to their best at least as soon.
 
-Where rows may stay open for good, the area itself is the weight, and what moved may not move back for some steps (tabu
-search; Glover 1989, doi:10.1287/ijoc.1.3.190). The same search finds the most area with a number of columns; it looks
-at all columns of the row that it drew. Parts of a graph too many count as one more deficit, whose weight grows while
-they last.
+Where rows may stay open for good, the area itself is the weight, what moved may not move back for some steps (tabu
+search; Glover 1989, doi:10.1287/ijoc.1.3.190), and all columns of the row that was drawn are looked at. The same search
+finds the most area with a number of columns. Parts of a graph too many count as one more deficit, whose weight grows
+while they last.
 
 The loops are in `search_kernels`; they run in chunks, between which the clock, Ctrl-C and the budget are heard. A
 search that has found nothing for long goes on with fresh weights.
@@ -32,7 +32,7 @@ from planner.values import Ints
 if TYPE_CHECKING:
     from planner.cover.search_kernels import State
 
-FAR, FARTHEST = 12_000, 1.0
+FAR, FARTHEST = 60_000, 1.0
 """With so many columns, which no near cache holds, work costs twice what it costs with few; and the most on top."""
 
 CHUNK_WORK = 5_000_000

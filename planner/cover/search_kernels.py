@@ -19,9 +19,10 @@ import numpy as np
 
 from planner.compiled import compiled
 
-MOVE_WORK, ROW_WORK, ENTRY_WORK, BIT_WORK, MEMBER_WORK, CANDIDATE_WORK, DRAW_WORK = 20, 13, 2, 1, 10, 12, 15
-"""Charge in quarter units of a move, each of its rows, each entry or bit that is added up, each member and candidate
-that is looked at, and of drawing it: fitted to processor time on files of 200 to 5000 rows (within 10 %)."""
+MOVE_WORK, ROW_WORK, ENTRY_WORK, BIT_WORK = 10, 7, 3, 2
+MEMBER_WORK, DRAWN_MEMBER_WORK, CANDIDATE_WORK, DRAWN_CANDIDATE_WORK = 10, 18, 10, 35
+"""Charge in quarter units of a move, each of its rows, each entry and bit that is added up; of looking at a member or a
+candidate in turn, and at one that is drawn: fitted to processor time on files of 200 to 5000 rows (within 15 %)."""
 
 SAMPLE = 50
 """Members of an open row that are looked at where it has more; of a choice of `MANY` members likewise."""
@@ -194,7 +195,7 @@ def leaving(s: State, tabu: int, parts: int, tenure: int) -> Any:
     priced, once, loads = numbers[PRICED] > 0, numbers[ONCE] > 0, len(s.column_load) > 0
     size = numbers[MEMBERS]
     looked_at = size if size <= MANY else SAMPLE
-    numbers[WORK] += (MEMBER_WORK + (0 if looked_at == size else DRAW_WORK)) * looked_at
+    numbers[WORK] += (MEMBER_WORK if looked_at == size else DRAWN_MEMBER_WORK) * looked_at
     for k in range(looked_at):
         position = k if looked_at == size else draw(random, size)
         column = columns[MEMBER, position]
@@ -283,7 +284,7 @@ def entering(s: State, row: int, left: int, parts: int, tenure: int, sample: int
         if best < 0 or difference > 0 or (difference == 0 and columns[STAMP, column] < stamp):
             best, most, price, stamp = column, gain, cost, columns[STAMP, column]
     looked_at = sample if sampled else count
-    looking = CANDIDATE_WORK + (DRAW_WORK if sampled else 0) + (CANDIDATE_WORK * size if parts > 1 else 0)
+    looking = DRAWN_CANDIDATE_WORK if sampled else CANDIDATE_WORK * (1 + (size if parts > 1 else 0))
     numbers[WORK] += touched + looking * looked_at
     return best
 
@@ -305,7 +306,7 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
     """
     numbers = s.numbers
     graph = len(s.adjacent) > 0
-    looked_at: Any = np.int64(s.columns.shape[1] if most else SAMPLE)
+    looked_at: Any = np.int64(SAMPLE if full else s.columns.shape[1])
     numbers[WORK] = 0
     for position in range(numbers[FIRST_MEMBERS]):
         move(s, s.columns[STACK, position], IN)

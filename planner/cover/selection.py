@@ -15,7 +15,7 @@ from planner.cover.targets import solve_parts
 from planner.cover.told import told
 from planner.errors import PlannerError
 
-CANONICAL_WORK = 40
+CANONICAL_WORK = 50
 """Charge of checking and sorting, for each entry of the matrix."""
 
 

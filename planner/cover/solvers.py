@@ -31,7 +31,8 @@ SCARCE, SCARCE_SHARE = 100, 0.4
 """The share where less work is left than this for each entry, which reductions take."""
 
 HOPEFUL_EXCESS = 0.1
-"""`auto` tries the integer programme on a choice that exceeds the bound by at most this share, or by 2 columns."""
+"""`auto` tries the integer programme on a choice that exceeds the bound by at most 2 columns or, where no row may stay
+open, this share."""
 
 SMALL = 30
 """With no more columns than this the integer programme is tried before the search, and whatever the gap."""
@@ -68,7 +69,7 @@ class Job:
         if self.sets.n_columns <= SMALL or self.sets.most >= 0:
             return True
         excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
-        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best))
+        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best) if self.sets.full else 0.0)
 
     def core_search(self) -> Search:
         """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
