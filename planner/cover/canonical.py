@@ -95,10 +95,10 @@ def canonical(problem: Problem) -> Canonical:
     costs, group_units, cost_unit = _costs(problem.costs, n_columns, group_costs)
 
     chosen = np.flatnonzero(usable & (np.diff(matrix.indptr) > 0))
-    part = matrix[:, chosen]
+    part = matrix if len(chosen) == n_columns else matrix[:, chosen]
     available = np.asarray(part.sum(axis=1)).ravel()
     rows = np.flatnonzero(available)
-    part = sp.csc_array(part[rows])
+    part = part if len(rows) == matrix.shape[0] else sp.csc_array(part[rows])
     part.sort_indices()
     units = _units(areas[rows])
     asked = np.broadcast_to(np.minimum(problem.demand, 2**30), available.shape)

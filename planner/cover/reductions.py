@@ -58,7 +58,7 @@ class Reduction:
 
 
 def reduce(sets: Sets, budget: Budget, *, only_forced: bool = False) -> Reduction:
-    """Apply all reductions until nothing changes.
+    """Apply all reductions until nothing changes or no work is left.
 
     Args:
         sets: the problem.
@@ -68,7 +68,7 @@ def reduce(sets: Sets, budget: Budget, *, only_forced: bool = False) -> Reductio
     found = Reduction(sets, np.zeros(0, dtype=np.int64), np.arange(sets.n_columns))
     with budget.ended_by_ctrl_c():
         again = not len(sets.adjacent)
-        while again and not found.sets.trivial:
+        while again and not found.sets.trivial and (only_forced or budget.left):
             found, again = _round(found, budget, only_forced)
     return found
 
