@@ -34,10 +34,10 @@ INTEGER_PIVOT_WORK = 27_500
 
 ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 6_000_000, 450_000, (450, 30), 360
 """Charge of what lies between two calls back of the integer programme at its root and in its tree, and of each entry;
-below so many rows and columns in proportion. By these it is ended: HiGHS tells no iterations while it runs."""
+below so many rows and columns in proportion, above at the root with the power of 3/4. By these it is ended: HiGHS tells no iterations while it runs."""
 
-OPEN_ROWS = 2
-"""Times as much is charged at a root where rows may stay open."""
+PRESOLVE_WORK = 1500
+"""Charge of each entry when the integer programme begins."""
 
 ROOT_CALLS = 20
 """The integer programme begins where the budget pays for so many of them."""
@@ -195,9 +195,10 @@ class Model:
         """Charge of what lies between two calls back of the integer programme: at the root, in the tree."""
         highs = self.highs
         size, entries = highs.getNumCol() + highs.getNumRow(), highs.getNumNz()
-        root, node = (int(most * min(size / LARGE, 1.0)) for most in (ROOT_WORK, NODE_WORK))
-        root += PER_ENTRY[0] * entries
-        return (root if self.sets.full else root * OPEN_ROWS), node + PER_ENTRY[1] * entries
+        share = size / LARGE
+        root = int(ROOT_WORK * min(share, share**0.75)) + PER_ENTRY[0] * entries
+        root += 0 if self.sets.full else root // 2  # many rows with open shares
+        return root, int(NODE_WORK * min(share, 1.0)) + PER_ENTRY[1] * entries
 
     def _run_integer(self, budget: Budget) -> None:
         estimate, (root, node) = 0, self.call_work
@@ -212,7 +213,7 @@ class Model:
         self.highs.cbMipInterrupt.subscribe(ended)
         interruptible(self.highs.run)
         self.highs.cbMipInterrupt.unsubscribe(ended)
-        budget.spend(max(INTEGER_PIVOT_WORK * self.iterations, estimate))
+        budget.spend(max(INTEGER_PIVOT_WORK * self.iterations, estimate) + PRESOLVE_WORK * self.highs.getNumNz())
 
     @property
     def iterations(self) -> int:
