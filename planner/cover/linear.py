@@ -32,9 +32,10 @@ PIVOTS = 300
 INTEGER_PIVOT_WORK = 27_500
 """Charge of an iteration of the integer programme, fitted to processor time."""
 
-ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 6_000_000, 450_000, (450, 30), 360
+ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 8_000_000, 450_000, (450, 30), 360
 """Charge of what lies between two calls back of the integer programme at its root and in its tree, and of each entry;
-below so many rows and columns in proportion, above at the root with the power of 3/4. By these it is ended: HiGHS tells no iterations while it runs."""
+below so many rows and columns in proportion, above at the root with the power of 3/4. By these it is ended: HiGHS tells
+no iterations while it runs."""
 
 PRESOLVE_WORK = 1500
 """Charge of each entry when the integer programme begins."""
