@@ -32,7 +32,7 @@ PIVOTS = 300
 INTEGER_PIVOT_WORK = 27_500
 """Charge of an iteration of the integer programme, fitted to processor time."""
 
-ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 8_000_000, 450_000, (450, 30), 360
+ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 7_000_000, 450_000, (450, 30), 360
 """Charge of what lies between two calls back of the integer programme at its root and in its tree, and of each entry;
 below so many rows and columns in proportion, above at the root with the power of 3/4. By these it is ended: HiGHS tells
 no iterations while it runs."""
@@ -198,7 +198,6 @@ class Model:
         size, entries = highs.getNumCol() + highs.getNumRow(), highs.getNumNz()
         share = size / LARGE
         root = int(ROOT_WORK * min(share, share**0.75)) + PER_ENTRY[0] * entries
-        root += 0 if self.sets.full else root // 2  # many rows with open shares
         return root, int(NODE_WORK * min(share, 1.0)) + PER_ENTRY[1] * entries
 
     def _run_integer(self, budget: Budget) -> None:
