@@ -32,8 +32,9 @@ from planner.values import Ints
 if TYPE_CHECKING:
     from planner.cover.search_kernels import State
 
-FAR, FARTHEST = 60_000, 1.0
-"""With so many columns, which no near cache holds, work costs twice what it costs with few; and the most on top."""
+FAR_COLUMNS, FAR_ENTRIES, FARTHEST = 60_000, 5_000_000, 1.0
+"""With so many columns or entries, which no near cache holds, work costs twice what it costs with few; and the most on
+top."""
 
 CHUNK_WORK = 5_000_000
 """Work between two looks at the clock: about 10 ms."""
@@ -89,7 +90,8 @@ class Search:
         numbers = state.numbers
         # Rows open for good: nothing is better than the bound; elsewhere the budget knows.
         target = budget.lower_bound + sets.tolerance
-        best, work, far = int(numbers[kernels.BEST]), sets.n_entries, 1.0 + min(sets.n_columns / FAR, FARTHEST)
+        far = 1.0 + min(sets.n_columns / FAR_COLUMNS + sets.n_entries / FAR_ENTRIES, FARTHEST)
+        best, work = int(numbers[kernels.BEST]), sets.n_entries
         while budget.spend(int(work * far)):
             limit = min(CHUNK_WORK, max(int(budget.left / far), 1))
             work = kernels.steps(state, sets.full, sets.most >= 0, target, self._tenures, limit)
