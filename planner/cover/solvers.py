@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.cover.bound import Relaxation
-from planner.cover.budget import Budget
+from planner.cover.budget import WORK_PER_SECOND, Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.meta_raps import meta_raps
 from planner.cover.reductions import Reduction, reduce
@@ -27,8 +27,9 @@ EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
 many chunks of work."""
 
-SCARCE, SCARCE_SHARE = 100, 0.4
-"""The share where less work is left than this for each entry, which reductions take."""
+SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = WORK_PER_SECOND // 2, 100, 0.6
+"""With no more work left than this, or than this for each entry (which reductions take), hardly anything can be proven:
+the share of the first search then, which goes to its end."""
 
 HOPEFUL_EXCESS = 0.1
 """`auto` tries the integer programme on a choice that exceeds the bound by at most 2 columns or, where no row may stay
@@ -171,10 +172,11 @@ def _first(sets: Sets, solver: str, rng: np.random.Generator, work: Budget) -> I
     if sets.trivial:
         return chosen[:0]
     work.offer(chosen, sets.objective(chosen))
-    share = SCARCE_SHARE if work.left < SCARCE * sets.n_entries else EARLY_SHARE
+    scarce = work.left <= max(SCARCE, SCARCE_PER_ENTRY * sets.n_entries)
+    share, chunks = (SCARCE_SHARE, None) if scarce else (EARLY_SHARE, EARLY_CHUNKS)
     with work.ended_by_ctrl_c(), work.portion(share):
         if work.spend(spent) and solver == "auto" and sets.n_columns > SMALL:
-            Search(sets, chosen, rng).run(work, EARLY_CHUNKS)
+            Search(sets, chosen, rng).run(work, chunks)
     assert work.best is not None, "the greedy choice is there"
     return work.best
 
