@@ -81,6 +81,8 @@ def _improve(
             _flip(j, r_start, r_cols, c_start, c_rows, costs, rows, columns, n)
         while n[_OPEN] > 0:
             row = open_rows[rng.integers(0, n[_OPEN])]
+            if r_start[row + 1] == r_start[row] + 1:
+                columns[1][r_cols[r_start[row]]] = True  # its only column must come back
             j = _pick(r_cols[r_start[row] : r_start[row + 1]], False, -1, best - n[_COST], costs, columns)
             if j < 0:
                 break

@@ -31,7 +31,7 @@ from cell.study.study import markdown_table
 LARGE = (("uniform:10000x10000:0.05:1", 10.0), ("caps:10000x10000:0.05:7", 10.0), ("uniform:30000x30000:0.01:1", 20.0))
 """Instances and budgets [s]; each is promised to stay below 1 GB."""
 
-CHARTED = (0.1, 0.3, 1.0, 3.0, 10.0)
+CHARTED = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Budgets of ours in the chart; the rivals tell when they found what."""
 
 app = typer.Typer(add_completion=False, help=__doc__)

@@ -95,20 +95,22 @@ def canonical(problem: Problem) -> Canonical:
     costs, group_units, cost_unit = _costs(problem.costs, n_columns, group_costs)
 
     chosen = np.flatnonzero(usable & (np.diff(matrix.indptr) > 0))
-    part = matrix[:, chosen]
+    part = matrix if len(chosen) == n_columns else matrix[:, chosen]
     available = np.asarray(part.sum(axis=1)).ravel()
     rows = np.flatnonzero(available)
-    part = sp.csc_array(part[rows])
+    part = part if len(rows) == matrix.shape[0] else sp.csc_array(part[rows])
     part.sort_indices()
     units = _units(areas[rows])
-    asked = np.broadcast_to(np.minimum(problem.demand, 2**30), available.shape)
+    most = min(problem.demand, 2**30) if isinstance(problem.demand, int) else np.minimum(problem.demand, 2**30)
+    asked = np.broadcast_to(most, available.shape)
     demand = np.minimum(available, asked)[rows]
     part.data = np.minimum(part.data, demand[part.indices])
     start = part.indptr.astype(np.int64)
     covered = np.add.reduceat(units[part.indices], start[:-1]) if len(chosen) else units[:0]
     given = costs if problem.costs is None else np.asarray(problem.costs, dtype=np.float64)  # unrounded: fewer ties
     held = set_hash(start, part.indices.astype(np.int64) * (1 + int(part.data.max(initial=1))) + part.data)
-    order = np.lexsort((chosen, given[chosen], group[chosen], held, -covered))
+    first = part.indices[start[:-1]]
+    order = np.lexsort((chosen, given[chosen], group[chosen], held, first, -covered))
     columns = chosen[order]
     group_units[group[np.setdiff1d(pinned, chosen)]] = 0  # pinned columns that cover nothing open theirs in any case
     most = -1 if problem.max_views is None else min(problem.max_views - len(pinned), len(chosen))

@@ -1,9 +1,8 @@
 """Coverage over the number of views: for every number the best views found, and what no views of that number exceed.
 
-The selection grows by one view at a time and is searched, then shrinks again the same way; a better selection on the
-way replaces an earlier one. Multipliers found for one number of views bound all numbers at once
-(`planner.cover.bound`), so that the linear programme goes on from one number to the next. From the curve follow the
-fewest views for any coverage, from below and above.
+The selection grows by one view at a time and is searched. Multipliers found for one number of views bound all numbers
+at once (`planner.cover.bound`), so that the linear programme goes on from one number to the next. From the curve follow
+the fewest views for any coverage, from below and above.
 """
 
 import time
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
-from planner.cover.greedy import Open
+from planner.cover.greedy import complete
 from planner.cover.problem import Problem
 from planner.cover.search import Search
 from planner.cover.sets import Sets
@@ -30,7 +29,6 @@ CURVE_WORK = 2_500_000_000
 SEARCH_SHARE = 0.4
 """Of the budget, for the search; the bound gets the rest, and what the search leaves."""
 
-_PASSES = 3  # growing and shrinking, each with its share of the work
 _MET = 1e-12  # share of the coverable area: a coverage counts as reached when no more is missing (rounding)
 
 
@@ -155,45 +153,23 @@ def coverage_curve(
 
 
 def _search(sets: Sets, best: list[Ints], rng: np.random.Generator, work: Budget) -> None:
-    """The best columns found for 1, 2, ... of them, growing and shrinking."""
-    for turn in range(_PASSES):
-        sizes = range(1, sets.most + 1) if turn % 2 == 0 else range(len(best) - 2, 0, -1)
-        for size in sizes:
-            here = replace(sets, most=size)
-            if turn % 2 == 0:
-                if (len(best) == size + 1 and sets.objective(best[-1]) == 0) or sets.objective(best[size - 1]) == 0:
-                    break
-                start = _grown(here, best[size - 1])
-            else:
-                start = _shrunk(here, best[size + 1])
-            if size < len(best) and here.objective(best[size]) <= here.objective(start):
-                start = best[size]
-            work.begin(here.tolerance)
-            work.offer(start, here.objective(start))
-            if len(start) == size < sets.n_columns and work.spend(0):
-                with work.portion(1 / (2 + sets.most // 4)):
-                    Search(here, start, rng).run(work)
-            found = start if work.best is None or len(work.best) < size else work.best
-            if size == len(best):
-                best.append(found)
-            elif here.objective(found) < here.objective(best[size]):
-                best[size] = found
-            if len(start) < size:
-                break
-
-
-def _grown(sets: Sets, columns: Ints) -> Ints:
-    """One more column, the one that adds most."""
-    still = Open(sets, columns)
-    if still.gains.max(initial=0.0) > 0:
-        still.take(int(np.argmax(still.gains)))
-    return np.array(still.chosen, dtype=np.int64)
-
-
-def _shrunk(sets: Sets, columns: Ints) -> Ints:
-    """One column less, the one that loses least."""
-    losses = [sets.objective(np.delete(columns, k)) for k in range(len(columns))]
-    return np.delete(columns, int(np.argmin(losses)))
+    """The best columns found for 1, 2, ... of them, each from the one before and the one that adds most."""
+    for size in range(1, sets.most + 1):
+        if sets.objective(best[size - 1]) == 0:
+            break
+        here = replace(sets, most=size)
+        start = complete(here, best[size - 1])
+        if size < len(best) and here.objective(best[size]) <= here.objective(start):
+            start = best[size]
+        work.begin(here.tolerance)
+        work.offer(start, here.objective(start))
+        if len(start) == size < sets.n_columns and work.spend(0):
+            with work.portion(1 / (2 + sets.most // 4)):
+                Search(here, start, rng).run(work)
+        found = start if work.best is None or len(work.best) < size else work.best
+        best[size : size + 1] = [found]
+        if len(start) < size:
+            break
 
 
 def _bounds(sets: Sets, open_units: Ints, work: Budget) -> Floats:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from planner.cover.problem import Overlap
 from planner.cover.sets import Graph
-from planner.values import Floats, Ints
+from planner.values import Ints
 
 NO_GRAPH: Graph = np.zeros((0, 0), dtype=np.uint8)
 
@@ -27,7 +27,8 @@ def joined_columns(M: Any, areas: ArrayLike, overlap: Overlap) -> Graph:
     Returns:
         (V, V) 1 where joined, 0 on the diagonal.
     """
-    matrix, weighted = _weighted(M, areas)
+    matrix: Any = sp.csc_array(M, dtype=bool).astype(np.float64)
+    weighted: Any = sp.csc_array(sp.diags_array(np.asarray(areas, dtype=np.float64)) @ matrix)
     n = matrix.shape[1]
     own = np.asarray(weighted.sum(axis=0)).ravel()
     adjacent = np.zeros((n, n), dtype=np.uint8)
@@ -40,18 +41,6 @@ def joined_columns(M: Any, areas: ArrayLike, overlap: Overlap) -> Graph:
         adjacent[some] = (shared >= least * (1 - _ROUNDING)) & (shared > 0)
     np.fill_diagonal(adjacent, 0)
     return adjacent
-
-
-def shared_areas(M: Any, areas: ArrayLike) -> Floats:
-    """(V, V) area that each two columns share [m^2]; the diagonal is their own. Arguments as in `joined_columns`."""
-    matrix, weighted = _weighted(M, areas)
-    return np.asarray((matrix.T @ weighted).toarray())
-
-
-def _weighted(M: Any, areas: ArrayLike) -> tuple[Any, Any]:
-    """The matrix, and the matrix times areas."""
-    matrix: Any = sp.csc_array(M, dtype=bool).astype(np.float64)
-    return matrix, sp.csc_array(sp.diags_array(np.asarray(areas, dtype=np.float64)) @ matrix)
 
 
 def parts_of(adjacent: Graph, columns: Ints) -> Ints:

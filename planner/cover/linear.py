@@ -32,9 +32,13 @@ PIVOTS = 300
 INTEGER_PIVOT_WORK = 27_500
 """Charge of an iteration of the integer programme, fitted to processor time."""
 
-ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 6_000_000, 450_000, (450, 30), 360
+ROOT_WORK, NODE_WORK, PER_ENTRY, LARGE = 7_000_000, 450_000, (450, 30), 360
 """Charge of what lies between two calls back of the integer programme at its root and in its tree, and of each entry;
-below so many rows and columns in proportion. By these it is ended: HiGHS tells no iterations while it runs."""
+below so many rows and columns in proportion, above at the root with the power of 3/4. By these it is ended: HiGHS tells
+no iterations while it runs."""
+
+PRESOLVE_WORK = 1500
+"""Charge of each entry when the integer programme begins."""
 
 ROOT_CALLS = 20
 """The integer programme begins where the budget pays for so many of them."""
@@ -192,8 +196,9 @@ class Model:
         """Charge of what lies between two calls back of the integer programme: at the root, in the tree."""
         highs = self.highs
         size, entries = highs.getNumCol() + highs.getNumRow(), highs.getNumNz()
-        root, node = (int(most * min(size / LARGE, 1.0)) for most in (ROOT_WORK, NODE_WORK))
-        return root + PER_ENTRY[0] * entries, node + PER_ENTRY[1] * entries
+        share = size / LARGE
+        root = int(ROOT_WORK * min(share, share**0.75)) + PER_ENTRY[0] * entries
+        return root, int(NODE_WORK * min(share, 1.0)) + PER_ENTRY[1] * entries
 
     def _run_integer(self, budget: Budget) -> None:
         estimate, (root, node) = 0, self.call_work
@@ -208,7 +213,7 @@ class Model:
         self.highs.cbMipInterrupt.subscribe(ended)
         interruptible(self.highs.run)
         self.highs.cbMipInterrupt.unsubscribe(ended)
-        budget.spend(max(INTEGER_PIVOT_WORK * self.iterations, estimate))
+        budget.spend(max(INTEGER_PIVOT_WORK * self.iterations, estimate) + PRESOLVE_WORK * self.highs.getNumNz())
 
     @property
     def iterations(self) -> int:

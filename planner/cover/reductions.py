@@ -16,26 +16,22 @@ cost more than `SHARE` of the work left is skipped as a whole. Where columns bri
 forced; where a graph must hold together nothing is reduced, since a column that covers nothing new may still join.
 """
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cover.budget import Budget
-from planner.cover.sets import Sets, gather, set_hash
+from planner.cover.sets import Sets, gather, packed, set_hash
 from planner.values import Bools, Ints, Ints32
 
-MOST_WORK, SHARE = 400_000_000, 0.2
-"""Work that one pass of subset tests may cost, and share of what is left of the budget."""
+SHARE = 0.2
+"""Share of the work left that one pass of subset tests may cost."""
 
-SET_WORK, WORD_WORK = 9000, 2.0
-"""Charge of the NumPy calls for one set, and of each 64-bit word that is compared."""
+PAIR_WORK, MEMBER_WORK = 3, 12
+"""Charge of a subset test, and of packing a member."""
 
 LARGE, WORTHWHILE = 200_000, 0.02
 """A matrix with more ones than this gets another round only when the last one removed at least this share of them."""
-
-Admissible = Callable[[int, Ints32], Bools]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,39 +57,38 @@ class Reduction:
         return np.searchsorted(self.columns, columns[np.isin(columns, self.columns)])
 
 
-def reduce(sets: Sets, budget: Budget) -> Reduction:
-    """Apply all reductions until nothing changes.
+def reduce(sets: Sets, budget: Budget, *, only_forced: bool = False) -> Reduction:
+    """Apply all reductions until nothing changes or no work is left.
 
     Args:
         sets: the problem.
         budget: charged.
+        only_forced: take the forced columns and no more, which costs next to nothing.
     """
     found = Reduction(sets, np.zeros(0, dtype=np.int64), np.arange(sets.n_columns))
     with budget.ended_by_ctrl_c():
         again = not len(sets.adjacent)
-        while again and not found.sets.trivial:
-            found, again = _round(found, budget)
+        while again and not found.sets.trivial and (only_forced or budget.left):
+            found, again = _round(found, budget, only_forced)
     return found
 
 
-def _round(found: Reduction, budget: Budget) -> tuple[Reduction, bool]:
+def _round(found: Reduction, budget: Budget, only_forced: bool) -> tuple[Reduction, bool]:
     """Every reduction once, and whether another round is worth it."""
     sets, forced, columns = found.sets, found.forced, found.columns
     shape, entries = sets.shape, sets.n_entries
-    budget.spend(20 * entries)
+    budget.spend((2 if only_forced else 20) * entries)
     must = _forced_columns(sets)
     if len(must):
         rest, left = sets.without(must)
         return Reduction(rest, np.concatenate((forced, columns[must])), columns[left]), True
-    if not sets.plain:
+    if only_forced or not sets.plain:
         return found, False
     sets = _merged(sets)
-    keep = ~_dominated_columns(sets, budget)
-    if not keep.all():
-        sets, columns = sets.restricted(columns=keep), columns[keep]
-    if sets.full:
-        keep = ~_dominated_rows(sets, budget)
-        sets = sets if keep.all() else sets.restricted(rows=keep)
+    stay = ~_dominated_columns(sets, budget)
+    needed = ~_dominated_rows(sets, budget) if sets.full else np.ones(sets.n_rows, dtype=bool)
+    if not (stay.all() and needed.all()):
+        sets, columns = sets.restricted(needed, stay), columns[stay]
     least = WORTHWHILE * entries if entries > LARGE else 0.0
     again = sets.shape != shape and entries - sets.n_entries >= least
     return Reduction(sets, forced, columns), again
@@ -138,86 +133,44 @@ def _merged(sets: Sets) -> Sets:
 
 def _dominated_columns(sets: Sets, budget: Budget) -> Bools:
     """Columns whose rows enough others cover that cost no more; and columns without a row (theirs were dominated)."""
-    sizes, costs, group = np.diff(sets.column_start), sets.costs, sets.group
-    free = sets.group_costs == 0
-    dominated: Bools = sizes == 0
-
-    def cheaper(j: int, others: Ints32) -> Bools:
-        first = (sizes[others] > sizes[j]) | (costs[others] < costs[j]) | (others < j)
-        same = (group[others] == group[j]) | free[group[others]]
-        fit: Bools = (costs[others] <= costs[j]) & first & same
-        return fit
-
+    sizes = np.diff(sets.column_start)
+    demands = np.append(sets.demand[sets.column_rows], 0)
+    most = np.maximum.reduceat(demands, sets.column_start[:-1])
+    group = np.where(sets.group_costs[sets.group] == 0, -1, sets.group)
     by_column = sets.column_start, sets.column_rows, sets.row_start, sets.row_columns
-    for j, others in _supersets(*by_column, cheaper, budget):
-        dominated[j] = len(others) >= int(sets.demand[sets.rows_of(j)].max())
-    return dominated
+    gone: Bools = (sizes == 0) | _dominated(*by_column, sets.costs, group, most, budget)
+    return gone
 
 
 def _dominated_rows(sets: Sets, budget: Budget) -> Bools:
     """Rows that are covered whenever another row is, in a problem where every row must be covered."""
-    sizes, demand = np.diff(sets.row_start), sets.demand
-    dominated = np.zeros(sets.n_rows, dtype=bool)
-
-    def weaker(i: int, others: Ints32) -> Bools:
-        if dominated[i]:
-            return np.zeros(len(others), dtype=bool)  # what it would remove is removed by the row that removed it
-        later = (sizes[others] > sizes[i]) | (demand[others] < demand[i]) | (others > i)
-        fit: Bools = (demand[others] <= demand[i]) & later & ~dominated[others]
-        return fit
-
     by_row = sets.row_start, sets.row_columns, sets.column_start, sets.column_rows
-    for _, others in _supersets(*by_row, weaker, budget):
-        dominated[others] = True
-    return dominated
+    return _dominated(*by_row, sets.demand, np.full(sets.n_rows, -1), None, budget)
 
 
-def _supersets(
-    start: Ints, members: Ints32, of_start: Ints, of_member: Ints32, admissible: Admissible, budget: Budget
-) -> Iterator[tuple[int, Ints32]]:
-    """Each set with the admissible others that contain it, where there are any.
+def _dominated(
+    start: Ints, members: Ints32, of_start: Ints, of_member: Ints32, price: Ints, group: Ints, need: Ints | None,
+    budget: Budget,
+) -> Bools:  # fmt: skip
+    """(N,) sets, as `members` from `start` on, that others make superfluous; none where the tests would cost too much.
 
-    Args:
-        start: with `members` the sets.
-        members: see there.
-        of_start: with `of_member` the sets of each member.
-        of_member: see there.
-        admissible: which of some others count for a set.
-        budget: charged; where the tests would cost too much there are none.
+    The sets of each member are told by `of_start` and `of_member`, the rest by `reduction_kernels.dominated`; without
+    `need` it is the containing set that goes.
     """
-    frequency, sizes = np.diff(of_start), np.diff(start)
-    n_sets, words = len(start) - 1, (len(of_start) + 62) // 64
+    from planner.cover.reduction_kernels import dominated  # importing numba costs 0.3 s
+
+    frequency, sizes, n_sets = np.diff(of_start), np.diff(start), len(start) - 1
     filled = np.flatnonzero(sizes > 0)
-    if not len(filled):
-        return
     key = frequency[members] * len(frequency) + members
     rarest = np.zeros(n_sets, dtype=np.int64)
-    rarest[filled] = np.minimum.reduceat(key, start[:-1][filled]) % len(frequency)
-    work = int(WORD_WORK * words * float(frequency[rarest[filled]].sum())) + n_sets * SET_WORK
-    if work > min(MOST_WORK, SHARE * budget.left):
-        return
+    if len(filled):
+        rarest[filled] = np.minimum.reduceat(key, start[:-1][filled]) % len(frequency)
+    work = PAIR_WORK * int(frequency[rarest[filled]].sum()) + MEMBER_WORK * len(members)
+    if not len(filled) or work > SHARE * budget.left:
+        return np.zeros(n_sets, dtype=bool)
     budget.spend(work)
-    bits = _packed(start, members, words)
-    for j in filled.tolist():
-        # Only sets that share its rarest member can contain it.
-        others = of_member[of_start[rarest[j]] : of_start[rarest[j] + 1]]
-        others = others[(sizes[others] >= sizes[j]) & (others != j)]
-        others = others[admissible(j, others)]
-        if len(others):
-            others = others[~(bits[j] & ~bits[others]).any(axis=1)]
-        if len(others):
-            yield j, others
-
-
-def _packed(start: Ints, members: Ints32, words: int) -> NDArray[np.uint64]:
-    """The sets as (N, words) bit masks."""
-    n_sets = len(start) - 1
-    packed = np.zeros((n_sets, words * 8), dtype=np.uint8)
-    block = max(1, 4_000_000 // (words * 64))  # bounds the unpacked block at 4 MB
-    for first in range(0, n_sets, block):
-        last = min(first + block, n_sets)
-        dense = np.zeros((last - first, words * 64), dtype=bool)
-        owner = np.repeat(np.arange(last - first), np.diff(start[first : last + 1]))
-        dense[owner, members[start[first] : start[last]]] = True
-        packed[first:last] = np.packbits(dense, axis=1)
-    return packed.view(np.uint64)
+    bits = packed(start, members, len(frequency))
+    least = np.zeros(n_sets, dtype=np.int64) if need is None else need.astype(np.int64)
+    sizes, of_start = sizes.astype(np.int64), of_start.astype(np.int64)
+    gone: Bools = dominated(bits, sizes, rarest, of_start, of_member, price, group, least, need is None)
+    return gone

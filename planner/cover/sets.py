@@ -249,3 +249,17 @@ def set_hash(start: Ints, items: NDArray[np.integer]) -> NDArray[np.uint64]:
     total = np.concatenate(([np.uint64(0)], np.cumsum(z, dtype=np.uint64)))
     hashes: NDArray[np.uint64] = total[start[1:]] - total[start[:-1]]
     return hashes
+
+
+def packed(start: Ints, members: NDArray[np.integer], n_members: int) -> NDArray[np.uint64]:
+    """(N, words) slices as bit masks: member i is bit i % 64 of word i // 64."""
+    n_sets, words = len(start) - 1, -(-n_members // 64)
+    bits = np.zeros((n_sets, words * 8), dtype=np.uint8)
+    block = max(1, 4_000_000 // (words * 64))  # bounds the unpacked block at 4 MB
+    for first in range(0, n_sets, block):
+        last = min(first + block, n_sets)
+        dense = np.zeros((last - first, words * 64), dtype=bool)
+        owner = np.repeat(np.arange(last - first), np.diff(start[first : last + 1]))
+        dense[owner, members[start[first] : start[last]]] = True
+        bits[first:last] = np.packbits(dense, axis=1, bitorder="little")
+    return bits.view("<u8")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.cover.bound import Relaxation
-from planner.cover.budget import Budget
+from planner.cover.budget import WORK_PER_SECOND, Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.meta_raps import meta_raps
 from planner.cover.reductions import Reduction, reduce
@@ -23,12 +23,17 @@ SEARCH_SHARES = (0.2, 0.4)
 PROOF_SHARE = 0.75
 """`auto`: share of what is left for the integer programme."""
 
-EARLY_WORK, EARLY_SHARE = 100, 0.4
-"""`auto` with less work left than this for each entry, about what reductions take, begins with a search on the problem
-as it is, for this share."""
+EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
+"""`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
+many chunks of work."""
+
+SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = WORK_PER_SECOND // 2, 100, 0.6
+"""With no more work left than this, or than this for each entry (which reductions take), hardly anything can be proven:
+the share of the first search then, which goes to its end."""
 
 HOPEFUL_EXCESS = 0.1
-"""`auto` tries the integer programme on a choice that exceeds the bound by at most this share, or by 2 columns."""
+"""`auto` tries the integer programme on a choice that exceeds the bound by at most 2 columns or, where no row may stay
+open, this share."""
 
 SMALL = 30
 """With no more columns than this the integer programme is tried before the search, and whatever the gap."""
@@ -65,7 +70,7 @@ class Job:
         if self.sets.n_columns <= SMALL or self.sets.most >= 0:
             return True
         excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
-        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best))
+        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best) if self.sets.full else 0.0)
 
     def core_search(self) -> Search:
         """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
@@ -135,7 +140,7 @@ SOLVERS: dict[str, Solver] = {
 def answer(
     sets: Sets, solver: str, rng: np.random.Generator, work: Budget, start: Ints | None = None
 ) -> tuple[Ints, int, int]:
-    """Reduce a problem, run a solver, and lift what it found.
+    """A first choice, a reduced problem for a solver, and what it found lifted.
 
     Args:
         sets: the problem; a graph is not looked at.
@@ -148,17 +153,17 @@ def answer(
         The best choice, a bound on the objective, and, with a number of columns allowed, how many fewer ones need at
         least to leave as little open.
     """
-    early = None
-    if start is not None:
-        early = prune(sets, complete(sets, start if sets.most < 0 else start[: sets.most]))
-    if solver == "auto" and 0 < work.left < EARLY_WORK * sets.n_entries:
-        early = _early(sets, early, rng, work)
-    reduction = reduce(sets, work)
-    inner, relaxation = _run(reduction, early, solver, rng, work)
-    chosen = reduction.lift(inner)
+    forced = reduce(sets, work, only_forced=True)
+    if start is not None and not forced.sets.trivial:
+        start = forced.left_of(start)
+        start = prune(forced.sets, complete(forced.sets, start if sets.most < 0 else start[: forced.sets.most]))
+    first = _first(forced.sets, start, solver, rng, work)
+    reduction = reduce(forced.sets, work)
+    inner, relaxation = _run(reduction, first, solver, rng, work)
+    chosen, first = forced.lift(reduction.lift(inner)), forced.lift(first)
     paid = sets.objective(chosen) - reduction.sets.objective(inner)  # what the forced columns cost
-    if early is not None and sets.objective(early) < sets.objective(chosen):
-        chosen = early
+    if sets.objective(first) < sets.objective(chosen):
+        chosen = first
     found = sets.objective(chosen) - paid
     fewest = 0
     if relaxation and sets.most >= 0:
@@ -166,26 +171,28 @@ def answer(
     return chosen, paid + min(work.lower_bound, found), fewest
 
 
-def _early(sets: Sets, start: Ints | None, rng: np.random.Generator, work: Budget) -> Ints | None:
-    """A short search on the problem as it is, from the better of start and greedy; None where nothing is asked for."""
+def _first(sets: Sets, start: Ints | None, solver: str, rng: np.random.Generator, work: Budget) -> Ints:
+    """The better of start and greedy choice, and for `auto` what a short search makes of it."""
     work.begin(sets.tolerance)
-    if sets.trivial:
-        return None
     chosen, spent = greedy(sets)
+    if sets.trivial:
+        return chosen[:0]
     if start is not None and sets.objective(start) <= sets.objective(chosen):
         chosen = start
     work.offer(chosen, sets.objective(chosen))
-    work.spend(spent)
-    with work.ended_by_ctrl_c(), work.portion(EARLY_SHARE):
-        if work.spend(0):
-            Search(sets, chosen, rng).run(work)
+    scarce = work.left <= max(SCARCE, SCARCE_PER_ENTRY * sets.n_entries)
+    share, chunks = (SCARCE_SHARE, None) if scarce else (EARLY_SHARE, EARLY_CHUNKS)
+    with work.ended_by_ctrl_c(), work.portion(share):
+        if work.spend(spent) and solver == "auto" and sets.n_columns > SMALL:
+            Search(sets, chosen, rng).run(work, chunks)
+    assert work.best is not None, "the greedy choice is there"
     return work.best
 
 
 def _run(
-    reduction: Reduction, early: Ints | None, solver: str, rng: np.random.Generator, work: Budget
+    reduction: Reduction, first: Ints, solver: str, rng: np.random.Generator, work: Budget
 ) -> tuple[Ints, Relaxation | None]:
-    """Greedy, bound and the chosen solver; the best so far when Ctrl-C ends it."""
+    """Bound and the chosen solver; the best so far when Ctrl-C ends it."""
     sets = reduction.sets
     work.begin(sets.tolerance)
     if sets.trivial:
@@ -194,14 +201,10 @@ def _run(
         return nothing, None
     if sets.most < 0:
         work.prove(int(sets.costs.min()))  # one column at least, should Ctrl-C come before the bound
-    if early is not None:  # it stays where others are no better
-        kept = prune(sets, complete(sets, reduction.left_of(early)))
-        work.offer(kept, sets.objective(kept))
-    chosen, spent = greedy(sets)
-    work.offer(chosen, sets.objective(chosen))
+    kept = prune(sets, complete(sets, reduction.left_of(first)))
+    work.offer(kept, sets.objective(kept))
     relaxation = None
     with work.ended_by_ctrl_c():
-        work.spend(spent)
         relaxation = Relaxation(sets)
         work.prove(relaxation.value)
         if work.spend(12 * sets.n_entries):
@@ -210,5 +213,5 @@ def _run(
             with work.portion(BOUND_SHARE):
                 raise_bound(relaxation, work.objective, work)
         SOLVERS[solver](Job(sets, rng, work, relaxation))
-    assert work.best is not None, "the greedy choice is there"
+    assert work.best is not None, "the first choice is there"
     return work.best, relaxation

@@ -38,11 +38,11 @@ def moves(draw):
 
 @given(moves(), st.integers(0, 1000))
 def test_running_numbers_are_those_computed_from_scratch(case, seed):
-    """Scores, loads, members, open rows, cost and missing area after any sequence of moves."""
+    """Losses, gains, loads, members, open rows, cost and missing area after any sequence of moves."""
     sets, columns = case
     search = Search(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(seed))
     state, numbers = search._state, search._state.numbers
-    state.rows[search_kernels.GROWTH] = np.random.default_rng(seed).integers(1, 100, sets.n_rows)
+    state.rows[search_kernels.FIRST_WEIGHT] = np.random.default_rng(seed).integers(1, 100, sets.n_rows)
     search._begin(np.zeros(0, dtype=np.int64))
     chosen: set[int] = set()
     for column in columns.tolist():
@@ -52,10 +52,21 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
     inside = np.isin(np.arange(sets.n_columns), list(chosen))
     total = loads[:, inside].sum(axis=1)
     deficit = np.maximum(sets.demand - total, 0)
-    for j in range(sets.n_columns):
-        other = np.maximum(sets.demand - total + (loads[:, j] if inside[j] else -loads[:, j]), 0)
-        weights = state.rows[search_kernels.WEIGHT]
-        assert state.columns[search_kernels.SCORE, j] == (weights * np.abs(other - deficit)).sum()
+    other = np.maximum(sets.demand - total + np.where(inside[:, None], loads.T, -loads.T), 0)
+    weights = state.rows[search_kernels.WEIGHT]
+    worth = np.abs(other - deficit) @ weights
+    if sets.once:
+        np.testing.assert_array_equal(state.columns[search_kernels.LOSS, inside], worth[inside])
+    np.testing.assert_array_equal(state.rows[search_kernels.OPEN_WEIGHT], weights * (deficit > 0))
+    empty = np.array([not inside[sets.group == g].any() for g in range(3)])
+    alone = np.array([inside[sets.group == g].sum() == 1 for g in range(3)])
+    rate = worth / (sets.costs + sets.group_costs[sets.group] * np.where(inside, alone[sets.group], empty[sets.group]))
+    if inside.any():
+        out = search_kernels.leaving(state, -1, 0, 0)
+        assert rate[out] == pytest.approx(rate[inside].min())
+    if not inside.all():
+        come = search_kernels.entering(state, np.int64(-1), -1, 0, 0, sets.n_columns)
+        assert rate[come] == pytest.approx(rate[~inside].max())
     np.testing.assert_array_equal(state.rows[search_kernels.LOAD], total)
     assert set(state.columns[search_kernels.MEMBER, : numbers[search_kernels.MEMBERS]].tolist()) == chosen
     open_rows = state.rows[search_kernels.OPEN_ROW, : numbers[search_kernels.OPEN]]
@@ -68,7 +79,7 @@ def test_draws_are_even_and_in_range():
     """Ten thousand draws of seven numbers: none outside, each about as often as the others."""
     sets = canonical(Problem(np.eye(2, dtype=bool), np.ones(2))).whole
     state = Search(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(0))._state
-    drawn = np.bincount([search_kernels.draw(state, 7) for _ in range(10_000)], minlength=7)
+    drawn = np.bincount([search_kernels.draw(state.random, 7) for _ in range(10_000)], minlength=7)
     assert len(drawn) == 7
     assert abs(drawn - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
 
