@@ -44,6 +44,7 @@ class Dimensions:
         a3: A3 axis to A4 axis, up when the forearm is level (negative: A4 runs below A3).
         d4: A3 axis to wrist centre, along A4.
         d6: wrist centre to flange face.
+        b: sideways offset of forearm and wrist, along y.
     """
 
     d1: float
@@ -52,6 +53,7 @@ class Dimensions:
     a3: float
     d4: float
     d6: float
+    b: float = 0.0
 
     def wrist_in_plane(self, a2: Floats, a3: Floats) -> tuple[Floats, Floats]:
         """Wrist centre at angles of A2 and A3 [rad] (`cell.robot.kinematics`): distance from A1, height [m]."""
