@@ -117,7 +117,7 @@ def write_cell(
             bracket_diameter_mm=scene.housing.bracket_mm,
         ),
         fixtures=standing_fixtures(scene, world),
-        home_deg=scene.robot.home_deg,
+        home_deg=world.scene.robot.settled_home_deg,
         **limits_deg(world.limits),
         speed_scaling=scene.robot.speed_scaling,
         acceleration_scaling=scene.robot.acceleration_scaling,

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.errors import SceneError
 from cell.robot.model import Dimensions, dimensions, limits, load
 from planner.errors import PlannerError
 from planner.ports import JointLimits
@@ -85,8 +86,15 @@ class Kr16Kinematics:
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel) -> Kr16Kinematics:
-        """Kinematics of a compiled model of the robot alone (its world is the base frame)."""
-        return cls(dimensions(model), limits(model))
+        """Kinematics of a compiled model of the robot alone (its world is the base frame).
+
+        Raises:
+            SceneError: if the model's arm is no KR 16 in other lengths.
+        """
+        arm = dimensions(model)
+        if arm is None:
+            raise SceneError("the robot model is not an arm with the KR 16's axes, zeros and wrist")
+        return cls(arm, limits(model))
 
     @classmethod
     def load(cls) -> Kr16Kinematics:

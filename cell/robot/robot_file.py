@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
 from planner.values import Floats, Value
@@ -55,22 +56,26 @@ class RobotFile(Value):
         model: compiled from it, frames kept.
         base: name of the body that is the arm's base.
         flange: name of the body or site whose frame is the flange's.
+        flange_is_body: which of the two.
         joints: the six joints from base to flange, in order.
         followers: joints that are driven along.
         lower: (6,) smallest joint angles [rad].
         upper: (6,) largest joint angles [rad].
         velocity: (6,) axis speeds [rad/s]; inf where the file says none.
+        home: (6,) angles of a key named home [rad]; None: the file has none, or one outside the limits.
     """
 
     path: Path
     model: mujoco.MjModel
     base: str
     flange: str
+    flange_is_body: bool
     joints: Annotated[tuple[str, ...], "6"]
     followers: tuple[Follower, ...]
     lower: Annotated[Floats, "6"]
     upper: Annotated[Floats, "6"]
     velocity: Annotated[Floats, "6"]
+    home: Annotated[Floats, "6"] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +247,16 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
             )
         followers.append(Follower(name, names.index(source), ratio, offset))
     velocity = np.array([said.velocity.get(name, np.inf) for name in names])
-    return RobotFile(path, model, root, end, tuple(names), tuple(followers), lower, upper, velocity)
+    home = _home(model, model.jnt_qposadr[chain])
+    if home is not None and not ((home >= lower) & (home <= upper)).all():
+        home = None
+    return RobotFile(path, model, root, end, end in bodies, tuple(names), tuple(followers), lower, upper, velocity, home)
+
+
+def _home(model: mujoco.MjModel, values: NDArray[np.integer]) -> Floats | None:
+    """The key named home of an MJCF."""
+    keys = [key for key in range(model.nkey) if model.key(key).name == "home"]
+    return np.array(model.key_qpos[keys[0]][values]) if keys else None
 
 
 def _listed(names: list[str]) -> str:

@@ -30,14 +30,12 @@ from cell.scene.scene import Scene
 from cell.world import shapes
 from cell.world.model import World, compile_world
 from cell.world.travel import TravelBound
-from planner.ports import Scanner
+from planner.ports import Kinematics, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-    from cell.robot.kinematics import Kr16Kinematics
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +63,7 @@ class RunCell:
     occluder_caster: EmbreeRayCaster
     scanner: Scanner
     scanner_keys: ScannerKeys
-    kinematics: Kr16Kinematics
+    kinematics: Kinematics
     travel: TravelBound
 
     @property
@@ -102,7 +100,7 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
         UsageError: if the resolution is not possible.
         FileError: if an artefact is missing, changed or damaged.
     """
-    from cell.robot.kinematics import Kr16Kinematics
+    from cell.robot.arm import kinematics_of
 
     scene, model = run_reader.scene(run), run_reader.cell_model(run)
     reference = run_reader.mesh(run, "reference.ply")
@@ -119,7 +117,7 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
             raise
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
     with understood(run.folder / "cell.xml"):
-        kinematics = Kr16Kinematics.from_model(model)
+        kinematics = kinematics_of(model)
         occluders = _occluders(run, scene, model)
     return RunCell(
         scene=scene,

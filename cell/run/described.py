@@ -88,9 +88,9 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
         x, y, top = (mm(value) for value in world.post_top(world.T_base_object))
         height = top - floor_mm
         listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], [x, y, floor_mm + height / 2]))
-    if scene.robot.pedestal_height_mm > 0:
-        size = [*scene.robot.pedestal_size_mm, scene.robot.pedestal_height_mm]
-        listed.append(standing("pedestal", "box", size, [0.0, 0.0, floor_mm / 2]))
+    if scene.robot.pedestal_mm is not None:
+        size, middle = scene.robot.pedestal_mm
+        listed.append(standing("pedestal", "box", list(size), list(middle)))
     listed.append(standing("floor", "plane", [], [0.0, 0.0, floor_mm]))
     return listed
 

@@ -15,7 +15,6 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cell.robot.model import AXES, LINKS
 from cell.world.model import World
 from cell.world.shapes import quaternion
 from planner.values import readonly
@@ -43,7 +42,7 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
     spec.body("post").pos = world.post_top(T)
     _for_the_eye(spec, world)
     home = spec.key("home")
-    home.qpos = world.home
+    home.qpos = world.followers.qpos(world.home)
     home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
     model = spec.compile()
     root = ElementTree.fromstring(spec.to_xml())
@@ -61,14 +60,16 @@ def _for_the_eye(spec: Any, world: World) -> None:
     """Robot shapes in a visible group, a light from above, home as the configuration in which a viewer begins."""
     import mujoco
 
-    for link in LINKS:
-        for geom in spec.body(link).geoms:
-            geom.group = _VISIBLE_GROUP
+    for body in spec.bodies:
+        if body.name == "base" or len(body.joints):
+            for geom in body.geoms:
+                geom.group = _VISIBLE_GROUP
     spec.worldbody.add_light(
         name="lamp", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 4], dir=[0.3, 0.4, -0.87]
     )
-    for axis, angle in zip(AXES, world.home, strict=True):
-        joint = spec.joint(axis)
+    qpos = world.followers.qpos(world.home)
+    for joint in spec.joints:
+        angle = qpos[world.model.joint(joint.name).qposadr[0]]
         # The body is given as it stands at the reference angle: turned about its own joint.
         turned, turn = np.empty(4), np.empty(4)
         mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis), float(angle))

@@ -20,6 +20,8 @@ from cell.robot import model as robot
 from cell.scene import devices
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
+from cell.world.gap import gap, is_convex, meshes_of
+from cell.world.robot_spec import spec_of
 from cell.world.solid_hull import solid_hull
 from cell.world.trees import trees_of
 from planner.ports import JointLimits
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     import mujoco
 
     from cell.world.triangles import TriangleTree
-
-_APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
 
 # "housing with link_2", never the other way round: the more mobile of the two comes first.
 _RANK = ("housing", "bracket", *reversed(robot.LINKS))
@@ -56,8 +56,10 @@ class World(Value):
         part_hull: convex hull of the part, object frame [m].
         part_mesh: its triangles, object frame [m]; its hull where vertices alone were given.
         collision: what stands for the part: "hull" or "exact" (its triangles).
-        trees: true triangles that decide, by the geom whose hull in the model is only a filter then: the part and the
+        trees: true triangles by the geom whose hull is in the model: of the robot's meshes, and of the part and the
             mesh fixtures where the scene's collision is "exact".
+        hollow: geoms of them whose hull is more than they are: their triangles decide, the hull is only a filter.
+        followers: joints that the axes drive along.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
         entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
         pairs: (P, 2) geom ids of every guarded pair.
@@ -79,6 +81,8 @@ class World(Value):
     part_mesh: TriangleMesh
     collision: str
     trees: Mapping[int, TriangleTree]
+    hollow: frozenset[int]
+    followers: robot.Followers
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
     pairs: Annotated[NDArray[np.int32], "P 2"]
@@ -115,7 +119,7 @@ class World(Value):
         data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
         data.mocap_quat[model.body("object").mocapid] = cell_shapes.quaternion(T[:3, :3])
         data.mocap_pos[model.body("post").mocapid] = self.post_top(T)
-        data.qpos[:] = self.home
+        data.qpos[:] = self.followers.qpos(self.home)
         mujoco.mj_kinematics(model, data)
         return data
 
@@ -143,23 +147,7 @@ class World(Value):
         Returns:
             The distance [m], `reach` where it is more, 0 or less in contact.
         """
-        import mujoco
-
-        mesh, shape = (a, b) if a in self.trees else (b, a)
-        tree = self.trees[mesh] if mesh in self.trees else None  # noqa: SIM401  # `get` would raise inside, every time
-        if tree is not None and any_nearer and reach > 0:  # yes or no asks for no depth
-            return tree.from_geom(self.model, data, shape, mesh, reach, any_nearer=True)
-        ends = None if points is None else np.empty(6)
-        measured = float(mujoco.mj_geomDistance(self.model, data, a, b, reach, ends))
-        if ends is not None and points is not None:
-            points[:] = ends.reshape(2, 3)
-        if tree is None or measured >= reach:
-            return measured
-        exact = tree.from_geom(self.model, data, shape, mesh, max(reach, _APART), any_nearer=any_nearer, points=points)
-        if points is not None and mesh == a:
-            points[:] = points[::-1].copy()
-        # A surface has no depth: that of the hull stands for it.
-        return min(exact, reach) if exact > 0 else min(exact, measured)
+        return gap(self.model, data, self.trees, self.hollow, a, b, reach, any_nearer=any_nearer, points=points)
 
     def pair_name(self, geom_a: int, geom_b: int) -> str:
         """What a reader calls a pair of geoms: "housing with part"."""
@@ -201,8 +189,9 @@ def compile_world(
     T_flange_scanner = scene.mount.T
     T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline)
 
-    spec = robot.spec()
-    cell_shapes.prepare_robot(spec)
+    spec = spec_of(scene.robot)
+    cell_shapes.prepare_robot(spec, on_pedestal=scene.robot.base is None)
+    scene = _at_home(scene, spec)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
     cell_shapes.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
@@ -223,6 +212,9 @@ def compile_world(
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
+    of_robot = {name: mesh for name, mesh in meshes_of(model).items() if name in entities}
+    exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
+    hollow = [*exact, *(name for name, mesh in of_robot.items() if not is_convex(mesh))]
     return World(
         scene=scene,
         model=model,
@@ -233,7 +225,7 @@ def compile_world(
         T_flange_scanner=T_flange_scanner,
         T_flange_housing=T_flange_housing,
         baseline=baseline / 1000.0,
-        home=np.deg2rad(scene.robot.home_deg),
+        home=np.deg2rad(scene.robot.settled_home_deg),
         limits=joint_limits.given(
             robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
         ),
@@ -241,7 +233,9 @@ def compile_world(
         part_hull=hull,
         part_mesh=part.get("part", hull),
         collision=collision,
-        trees=trees_of(model, {**fixture_meshes, **part}) if scene.plan.collision == "exact" else {},
+        trees=trees_of(model, {**of_robot, **exact}),
+        hollow=frozenset(model.geom(name).id for name in hollow),
+        followers=robot.Followers.of(model),
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         pairs=_guarded_pairs(model),
@@ -250,12 +244,21 @@ def compile_world(
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
-        model = spec.compile()
+        return spec.compile()
     except ValueError as error:
         raise SceneError("the scene does not compile as a model of shapes; check sizes and meshes") from error
-    if model.nq != len(robot.AXES):
-        raise SceneError(f"the robot model has {model.nq} joint values; it must be the six axes A1..A6 alone")
-    return model
+
+
+def _at_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
+    """The scene with the home of its robot where it gives none."""
+    if scene.robot.home_deg is not None:
+        if spec.key("home") is None:
+            spec.add_key(name="home", qpos=np.zeros(spec.compile().nq))
+        return scene
+    degrees = np.degrees(robot.home(_compiled(spec.copy()))).round(4).tolist()
+    # Whole numbers stay what they are: the file of the settled scene keeps them.
+    home = tuple(int(angle) if angle == int(angle) else angle for angle in degrees)
+    return scene.model_copy(update={"robot": scene.robot.model_copy(update={"home_deg": home})})
 
 
 def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:

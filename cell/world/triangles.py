@@ -1,4 +1,6 @@
-"""True triangles of a part or fixture: their distance from a box or cylinder by a tree of bounds over GJK, compiled.
+"""True triangles of a part, fixture or link: their distance from a body by a tree of bounds over GJK, compiled.
+
+A body is a box, a cylinder, or the triangles of another tree.
 
 Triangles are sorted along Morton's curve and split evenly into the leaves of a complete binary tree. A query goes down
 to the nearer child first and leaves out whatever cannot be nearer than what it has found; the bound of a node is that
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.crossings import crossings
-from cell.world.triangle_distance import BOX, CYLINDER, nearest_triangle
+from cell.world.triangle_distance import BOX, CYLINDER, nearest_pair, nearest_triangle
 from planner.surface.mesh import TriangleMesh
 from planner.surface.remesh import edges_of
 from planner.values import Floats
@@ -23,7 +25,7 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
-_KIND = {6: BOX, 5: CYLINDER}  # by MuJoCo's type of a shape; models/kr16.xml, scanner and pedestal have no other
+_KIND = {6: BOX, 5: CYLINDER}  # by MuJoCo's type of a shape
 
 _LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
 
@@ -126,6 +128,41 @@ class TriangleTree:
         )  # fmt: skip
         if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
             return -measured
+        return float(measured)
+
+    def from_tree(
+        self,
+        other: "TriangleTree",
+        data: "mujoco.MjData",
+        bodies: tuple[int, int],
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: "Floats | None" = None,
+    ) -> float:
+        """Distance from the triangles of another tree.
+
+        Args:
+            other: that tree.
+            data: a state, kinematics up to date.
+            bodies: in whose frames the triangles of this one and of the other are.
+            reach: nothing beyond is looked for [m].
+            any_nearer: stop at the first two triangles nearer than `reach`.
+            points: (2, 3) is overwritten with the nearest points of this one and the other, base frame [m].
+
+        Returns:
+            The distance [m]: `reach` where it is more, 0 in contact, negative where a triangle of one floats inside
+            the other, which is closed.
+        """
+        found = np.zeros((2, 3)) if points is None else points
+        (here, R), (there, Q) = ((data.xpos[body], data.xmat[body]) for body in bodies)
+        measured = nearest_pair((here, R), self._tree, (there, Q), other._tree, reach, any_nearer, found)
+        if measured > 0:
+            turn = R.reshape(3, 3).T @ Q.reshape(3, 3)
+            shift = R.reshape(3, 3).T @ (there - here)
+            held = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)
+            if held or (other.closed and other._inside(turn.T @ (self._tree[0][0, 0] - shift))):
+                return -measured
         return float(measured)
 
     def _inside(self, local: Floats) -> bool:

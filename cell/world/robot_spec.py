@@ -1,0 +1,231 @@
+"""The robot of a scene as a specification that a cell is built around: the built-in KR 16, or an arm from a file.
+
+An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalised`). Which pairs of its links are
+guarded, its triangles say: two that touch at every one of `POSES` seeded poses are joined by something that the chain
+does not show (a closed bearing, a parallelogram) and are excused; every other pair is guarded, but for neighbours. A
+home that no file gives is looked for: the flange down before the arm at half its reach, nothing near anything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cell import caches
+from cell.errors import FileError
+from cell.robot import model as robot
+from cell.robot import robot_file
+from cell.robot.arm import kinematics_of
+from cell.robot.normalised import normalised
+from cell.world.gap import gap, is_convex, meshes_of
+from cell.world.trees import trees_of
+from planner.values import Floats
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from cell.scene.scene import Robot
+
+POSES = 10_000
+"""Seeded poses at which a pair must touch to be excused."""
+
+_OWN = 0.01  # m; that a home found here keeps between links at least, as far as they can be
+_HEIGHTS, _SHARES = (0.5, 0.35, 0.65, 0.2, 0.8), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
+
+
+def spec_of(of: Robot) -> mujoco.MjSpec:
+    """The robot of a scene, editable: attach it to a cell, then compile; its base stands where the scene says.
+
+    Raises:
+        FileError: if its file or one of its meshes cannot be read.
+        SceneError: if it is no arm that can be planned with.
+    """
+    if of.model == robot.KR16:
+        spec = robot.spec()
+    else:
+        packages = tuple(sorted(of.packages.items()))
+        down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
+        spec = from_file(Path(of.model), of.base_link, of.flange_link, packages, of.velocity_deg_s, down).copy()
+    if of.base is not None:
+        place(spec, of.base.T)
+    return spec
+
+
+def place(spec: mujoco.MjSpec, T_base: Floats) -> None:
+    """Put the base of a robot at a pose (4, 4) [m] of the cell."""
+    import mujoco
+
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T_base[:3, :3]).ravel())
+    base = spec.body("base")
+    base.pos, base.quat = T_base[:3, 3], quat
+
+
+@lru_cache(maxsize=4)
+def from_file(
+    path: Path,
+    base_link: str | None = None,
+    flange_link: str | None = None,
+    packages: tuple[tuple[str, str], ...] = (),
+    velocity_deg_s: tuple[float, ...] | None = None,
+    down: tuple[float, float, float] | None = None,
+) -> mujoco.MjSpec:
+    """The arm of a file, in the form of `models/kr16.xml`; never changed by who asks for it.
+
+    Args:
+        path: a URDF, an MJCF, or an MJCF of that form already, which is taken as it is.
+        base_link: link that is its base; None: the root.
+        flange_link: link that is its flange; None: the one of a usual name.
+        packages: name and folder of ROS packages.
+        velocity_deg_s: (6,) speeds for axes of which the file says none [deg/s].
+        down: (3,) where the flange looks at home, base frame; None: down.
+    """
+    import mujoco
+
+    if path.suffix == ".xml" and in_our_form(path):
+        try:
+            return mujoco.MjSpec.from_file(str(path))
+        except ValueError as error:
+            raise FileError(f"{path} cannot be read as an MJCF: {error}") from error
+    folders = {name: Path(folder) for name, folder in packages}
+    file = robot_file.read(path, base=base_link, flange=flange_link, packages=folders)
+    spec = normalised(file, velocity_deg_s)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise FileError(f"{path} has shapes that MuJoCo does not take: {error}") from error
+    own = OwnPairs(model)
+    for one, other in own.always_touching():
+        del own.pairs[one, other]
+        spec.add_exclude(name=f"joined_{one}_{other}", bodyname1=one, bodyname2=other)
+    home = file.home if file.home is not None else found_home(own, np.array((0.0, 0.0, -1.0) if down is None else down))
+    if home is not None:
+        spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
+    return spec
+
+
+def in_our_form(path: Path) -> bool:
+    """Whether a file is an MJCF in the form of `models/kr16.xml`: with the limits that only that form has."""
+    try:
+        return "axis_velocity_limit_deg_s" in path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+class OwnPairs:
+    """The pairs of links of an arm that can touch each other, and how far they are apart.
+
+    Args:
+        model: the robot alone, compiled.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        import mujoco
+
+        self.model, self._data, self._followers = model, mujoco.MjData(model), robot.Followers.of(model)
+        meshes = meshes_of(model)
+        self.trees = trees_of(model, meshes)
+        self.hollow = frozenset(model.geom(name).id for name, mesh in meshes.items() if not is_convex(mesh))
+        self.pairs: dict[tuple[str, str], list[tuple[int, int]]] = {}
+        excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
+        for a, b in itertools.combinations(range(model.ngeom), 2):
+            bodies = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
+            if bodies[0] != bodies[1] and bodies not in excluded and bodies[::-1] not in excluded:
+                self.pairs.setdefault((model.body(bodies[0]).name, model.body(bodies[1]).name), []).append((a, b))
+        limits = robot.limits(model)
+        self.q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (POSES, 6))
+
+    def gap(self, pair: tuple[str, str], reach: float, *, any_nearer: bool = False) -> float:
+        """Distance of two links where the arm stands [m], `reach` where it is more."""
+        return min(
+            gap(self.model, self._data, self.trees, self.hollow, a, b, reach, any_nearer=any_nearer)
+            for a, b in self.pairs[pair]
+        )
+
+    def stand(self, q: Floats) -> None:
+        """Put the arm at (6,) joint angles [rad]."""
+        import mujoco
+
+        self._data.qpos[:] = self._followers.qpos(q)
+        mujoco.mj_kinematics(self.model, self._data)
+
+    def always_touching(self) -> list[tuple[str, str]]:
+        """Pairs whose true triangles touch at every seeded pose; looked for once for an arm, which takes seconds."""
+        known = caches.folder("robots") / f"{self._digest()}.json"
+        with contextlib.suppress(OSError, ValueError):
+            return [(one, other) for one, other in json.loads(known.read_text(encoding="utf-8"))]
+        left = list(self.pairs)
+        for q in self.q:
+            if not left:
+                break
+            self.stand(q)
+            left = [pair for pair in left if self.gap(pair, 1e-9, any_nearer=True) <= 0.0]
+        with contextlib.suppress(OSError), caches.whole(known) as place:
+            place.write_text(json.dumps(left), encoding="utf-8")
+        return left
+
+    def _digest(self) -> str:
+        """sha256 of all that says which links touch."""
+        model = self.model
+        arrays = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
+        arrays += (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
+
+    def elbow(self, q: Floats, up: Floats) -> float:
+        """How high the third axis stands at (6,) joint angles [m], along `up`."""
+        self.stand(q)
+        return float(self._data.joint("A3").xanchor @ up)
+
+    def nearest(self, q: Floats, reach: float) -> float:
+        """Smallest distance of any two links at (6,) joint angles [m], `reach` where it is more."""
+        self.stand(q)
+        nearest = reach
+        for pair in self.pairs:
+            nearest = min(nearest, self.gap(pair, nearest))
+            if nearest <= 0.0:
+                break
+        return nearest
+
+
+def found_home(own: OwnPairs, down: Floats) -> Floats | None:
+    """(6,) joint angles at which the flange looks down before the arm at half its reach [rad]; None: none was found.
+
+    Of the solutions the one whose elbow is highest, then the one that turns least.
+
+    Args:
+        own: the arm.
+        down: (3,) where the flange is to look, base frame.
+    """
+    kinematics = kinematics_of(own.model)
+    limits = kinematics.limits
+    reach = float(np.linalg.norm(kinematics.forward(own.q[:2000])[:, :3, 3], axis=1).max())
+    level = down * (1.0, 1.0, 0.0)
+    ahead = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(level) < 0.5 else level / np.linalg.norm(level)
+    for share, height in itertools.product(_SHARES, _HEIGHTS):
+        poses = _looking(down, reach * (share * ahead + np.array([0.0, 0.0, height])))
+        q = kinematics.inverse(poses).reshape(-1, 6)
+        q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]  # NaN is neither
+        free = [angles for angles in q if own.nearest(angles, _OWN) >= _OWN]
+        if free:
+            return min(free, key=lambda angles: (-round(own.elbow(angles, -down), 6), float(np.abs(angles).sum())))
+    return None
+
+
+def _looking(z: Floats, origin: Floats) -> Floats:
+    """(4, 4, 4) poses at an origin [m] that look along z, turned about it by quarter turns."""
+    x = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = x - z * (x @ z)
+    x /= np.linalg.norm(x)
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    for turn in range(4):
+        poses[turn, :3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+        x = np.cross(z, x)
+    poses[:, :3, 3] = origin
+    return poses
