@@ -53,7 +53,9 @@ def _home_outside_limits(world: World) -> list[str]:
     lower, upper = np.rad2deg(world.limits.lower), np.rad2deg(world.limits.upper)
     return [
         f"robot.home_deg has {axis} at {angle:g} deg; it must be from {low:g} to {high:g}"
-        for axis, angle, low, high in zip(AXES, world.scene.robot.settled_home_deg, lower.round(6), upper.round(6), strict=True)
+        for axis, angle, low, high in zip(
+            AXES, world.scene.robot.settled_home_deg, lower.round(6), upper.round(6), strict=True
+        )
         if not low - 1e-9 <= angle <= high + 1e-9
     ]
 

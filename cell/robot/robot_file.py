@@ -250,7 +250,9 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
     home = _home(model, model.jnt_qposadr[chain])
     if home is not None and not ((home >= lower) & (home <= upper)).all():
         home = None
-    return RobotFile(path, model, root, end, end in bodies, tuple(names), tuple(followers), lower, upper, velocity, home)
+    return RobotFile(
+        path, model, root, end, end in bodies, tuple(names), tuple(followers), lower, upper, velocity, home
+    )
 
 
 def _home(model: mujoco.MjModel, values: NDArray[np.integer]) -> Floats | None:

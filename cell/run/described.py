@@ -4,12 +4,14 @@ Millimetres and degrees, as the keys of the files say.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal, TypedDict
 
 import numpy as np
 
+from cell.robot.model import KR16
 from cell.run.plan_json import Sweep
-from cell.run.scene_json import StandingFixture
+from cell.run.scene_json import ResolvedRobot, StandingFixture
 from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.model import World
 from planner.path.sweeps.path import SweepPath
@@ -41,6 +43,16 @@ def limits_deg(limits: JointLimits) -> LimitsDeg:
 def standing_fixtures(scene: Scene, world: World) -> list[StandingFixture]:
     """All that stands in the cell: the scene's fixtures, then post, pedestal and floor."""
     return [*(_fixture(fixture, world) for fixture in scene.fixtures), *_built_in(scene, world)]
+
+
+def resolved_robot(scene: Scene) -> ResolvedRobot | None:
+    """The robot of a scene; None: the built-in one in the origin."""
+    model = scene.robot.model
+    if model == KR16 and scene.robot.base is None:
+        return None
+    return ResolvedRobot(
+        model="kr16" if model == KR16 else "robot.xml", name=Path(model).name, T_base=scene.robot.T_base
+    )
 
 
 def sweep_of(T_object_poses: Floats, path: SweepPath) -> Sweep:

@@ -14,8 +14,8 @@ import numpy as np
 
 from cell.plan.candidates import GROWN
 from cell.rays.occluders import caster_of, occluder_triangles
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.robot.arm import kinematics_of
+from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.run.cell import RunCell
 from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.world.collision import MujocoCollisionChecker

@@ -1,4 +1,4 @@
-"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose.
+"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose; `robot.xml`: its robot.
 
 MuJoCo writes six digits, which moves the flange of this arm by micrometres and turns the home pose by 4e-6 rad. So its
 text is taken for the structure, and every length, angle and mesh in it is written again from the specification, with
@@ -15,16 +15,19 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cell.robot.model import KR16
 from cell.world.model import World
+from cell.world.robot_spec import place, spec_of
 from cell.world.shapes import quaternion
 from planner.values import readonly
 
 FILE_NAME = "cell.xml"
+ROBOT = "robot.xml"
 _VISIBLE_GROUP = 1
 
 
 def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = None) -> tuple[str, ...]:
-    """Write `cell.xml` into a folder; meshes are inside it.
+    """Write `cell.xml` into a folder, and `robot.xml` of a robot that is not built in; meshes are inside them.
 
     Part and post are mocap bodies in it, as in the checked model: whoever loads it may move them.
 
@@ -44,6 +47,16 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
     home = spec.key("home")
     home.qpos = world.followers.qpos(world.home)
     home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
+    _write(spec, folder / FILE_NAME)
+    if world.scene.robot.model == KR16:
+        return (FILE_NAME,)
+    alone = spec_of(world.scene.robot)
+    place(alone, np.eye(4))
+    _write(alone, folder / ROBOT)
+    return (FILE_NAME, ROBOT)
+
+
+def _write(spec: Any, path: Path) -> None:
     model = spec.compile()
     root = ElementTree.fromstring(spec.to_xml())
     for element in root.iter():
@@ -52,8 +65,7 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
         for name in ("mpos", "mquat"):
             key.attrib.pop(name, None)
     ElementTree.indent(root)
-    (folder / FILE_NAME).write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
-    return (FILE_NAME,)
+    path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
 
 
 def _for_the_eye(spec: Any, world: World) -> None:
@@ -104,8 +116,12 @@ def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
         exact = {"qpos": spec.key(name).qpos}
     elif element.tag == "mesh":
         exact = {"vertex": spec.mesh(name).uservert}
+    elif element.tag == "numeric":
+        exact = {"data": spec.numeric(name).data}
     for attribute, values in exact.items():
         present = element.get(attribute)
+        if element.tag == "numeric" and [float(number) for number in (present or "").split()] == list(values):
+            continue  # few digits say it all
         if present is not None:
             count = len(present.split())  # a cylinder's size is written with two numbers, kept with three
             numbers = np.atleast_1d(np.asarray(values, dtype=np.float64)).ravel()[:count]

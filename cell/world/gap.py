@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cell.world.triangles import TriangleTree
 
-CONVEX = 1e-4
+CONVEX = 1e-3
 """How deep a face may lie under a mesh's hull so that the hull stands for it [m]."""
 
 _APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
@@ -60,14 +60,14 @@ def gap(
     mesh, shape = (a, b) if a in hollow else (b, a)
     by_triangles = mesh in hollow and (model.geom_type[shape] in (_BOX, _CYLINDER) or shape in trees)
     if by_triangles and any_nearer and reach > 0:  # yes or no asks for no depth
-        return _by_triangles(model, data, trees, mesh, shape, reach, True, None)
+        return _by_triangles(model, data, trees, hollow, mesh, shape, reach, True, None)
     ends = None if points is None else np.empty(6)
     measured = float(mujoco.mj_geomDistance(model, data, a, b, reach, ends))
     if ends is not None and points is not None:
         points[:] = ends.reshape(2, 3)
     if not by_triangles or measured >= reach:
         return measured
-    exact = _by_triangles(model, data, trees, mesh, shape, max(reach, _APART), any_nearer, points)
+    exact = _by_triangles(model, data, trees, hollow, mesh, shape, max(reach, _APART), any_nearer, points)
     if points is not None and mesh == a:
         points[:] = points[::-1].copy()
     # A surface has no depth: that of the hull stands for it.
@@ -78,6 +78,7 @@ def _by_triangles(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     trees: Mapping[int, TriangleTree],
+    hollow: Collection[int],
     mesh: int,
     shape: int,
     reach: float,
@@ -88,8 +89,12 @@ def _by_triangles(
     tree = trees[mesh]
     if shape not in trees:
         return tree.from_geom(model, data, shape, mesh, reach, any_nearer=any_nearer, points=points)
-    bodies = int(model.geom_bodyid[shape]), int(model.geom_bodyid[mesh])
-    return trees[shape].from_tree(tree, data, bodies, reach, any_nearer=any_nearer, points=points)
+    bodies = int(model.geom_bodyid[mesh]), int(model.geom_bodyid[shape])
+    asked = tree.from_tree if shape in hollow else tree.from_hull
+    distance = asked(trees[shape], data, bodies, reach, any_nearer=any_nearer, points=points)
+    if points is not None and shape in hollow:
+        points[:] = points[::-1].copy()
+    return distance
 
 
 def mesh_of(model: mujoco.MjModel, geom: int) -> TriangleMesh:

@@ -133,6 +133,7 @@ class OwnPairs:
         meshes = meshes_of(model)
         self.trees = trees_of(model, meshes)
         self.hollow = frozenset(model.geom(name).id for name, mesh in meshes.items() if not is_convex(mesh))
+        self._all = frozenset(model.geom(name).id for name in meshes)
         self.pairs: dict[tuple[str, str], list[tuple[int, int]]] = {}
         excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
         for a, b in itertools.combinations(range(model.ngeom), 2):
@@ -142,12 +143,14 @@ class OwnPairs:
         limits = robot.limits(model)
         self.q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (POSES, 6))
 
-    def gap(self, pair: tuple[str, str], reach: float, *, any_nearer: bool = False) -> float:
+    def gap(self, pair: tuple[str, str], reach: float) -> float:
         """Distance of two links where the arm stands [m], `reach` where it is more."""
-        return min(
-            gap(self.model, self._data, self.trees, self.hollow, a, b, reach, any_nearer=any_nearer)
-            for a, b in self.pairs[pair]
-        )
+        return min(gap(self.model, self._data, self.trees, self.hollow, a, b, reach) for a, b in self.pairs[pair])
+
+    def touch(self, pair: tuple[str, str]) -> bool:
+        """Whether true triangles of two links touch where the arm stands, whatever their hulls are."""
+        model, data, trees, every = self.model, self._data, self.trees, self._all
+        return any(gap(model, data, trees, every, a, b, 1e-9, any_nearer=True) <= 0 for a, b in self.pairs[pair])
 
     def stand(self, q: Floats) -> None:
         """Put the arm at (6,) joint angles [rad]."""
@@ -166,7 +169,7 @@ class OwnPairs:
             if not left:
                 break
             self.stand(q)
-            left = [pair for pair in left if self.gap(pair, 1e-9, any_nearer=True) <= 0.0]
+            left = [pair for pair in left if self.touch(pair)]
         with contextlib.suppress(OSError), caches.whole(known) as place:
             place.write_text(json.dumps(left), encoding="utf-8")
         return left

@@ -1,4 +1,4 @@
-"""Distance of a box, a cylinder or other triangles from triangles in a tree: GJK with a certified lower bound, compiled.
+"""Distance of a convex body, or of other triangles, from triangles in a tree: GJK with a certified bound, compiled.
 
 GJK (Gilbert, Johnson and Keerthi 1988, doi:10.1109/56.2083) walks towards the point v of the difference A - B that is
 nearest to the origin. At each step the support point w of A - B against v gives
@@ -22,8 +22,8 @@ import numpy as np
 from planner.compiled import compiled
 from planner.values import Floats, Ints
 
-BOX, CYLINDER, CORNERS = 0, 1, 2
-"""Kinds of A: half sides; radius and half length along z; a triangle, its corners the rows of R."""
+BOX, CYLINDER, HULL = 0, 1, 2
+"""Kinds of A: a row of half sides; a row of radius and half length along z; vertices, a row each."""
 
 TRIANGLE, BOUNDS = 0, 1
 """Kinds of B: three corners; lowest and highest corner of an upright box in the first two rows."""
@@ -41,6 +41,7 @@ _INFINITE = 1e300
 
 # As int64: numba would compile GJK anew for each constant that it is called with.
 _NODE_STEPS = 6  # of GJK for the bound of a node: most of what the walk would find, for a third of its time
+_HULL_STEPS = 20  # the same of a hull of many vertices, along which the walk is slower
 _FULL_STEPS = 64
 _DEPTH = 128  # nodes that wait at most: two for each level
 
@@ -71,9 +72,13 @@ def nearest_triangle(
                 R[i, j] += part_rotation[3 * k + i] * rotation[3 * k + j]
     for i in range(3):
         if kind == BOX:
-            extent[i] = abs(R[i, 0]) * size[0] + abs(R[i, 1]) * size[1] + abs(R[i, 2]) * size[2]
+            extent[i] = abs(R[i, 0]) * size[0, 0] + abs(R[i, 1]) * size[0, 1] + abs(R[i, 2]) * size[0, 2]
+        elif kind == HULL:
+            for k in range(len(size)):
+                reach_of = abs(R[i, 0] * size[k, 0] + R[i, 1] * size[k, 1] + R[i, 2] * size[k, 2])
+                extent[i] = max(extent[i], reach_of)
         else:
-            extent[i] = size[0] * np.sqrt(max(0.0, 1 - R[i, 2] * R[i, 2])) + abs(R[i, 2]) * size[1]
+            extent[i] = size[0, 0] * np.sqrt(max(0.0, 1 - R[i, 2] * R[i, 2])) + abs(R[i, 2]) * size[0, 1]
     leaves = len(first) - 1
     waiting, lower_of = np.empty(_DEPTH, dtype=np.int64), np.empty(_DEPTH)
     waiting[0], lower_of[0], count, best = 1, 0.0, 1, reach
@@ -149,7 +154,8 @@ def nearest_pair(
     waiting, lower_of = np.empty((2 * _DEPTH, 2), dtype=np.int64), np.empty(2 * _DEPTH)
     waiting[0, 0], waiting[0, 1], lower_of[0], count, best = 1, 1, 0.0, 1, reach
     s, nearest, found = np.zeros((WORK, 4)), np.zeros((2, 3)), False
-    size, extent, middle, corners = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    size, extent, middle, corners = np.zeros((1, 3)), np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    here, upright = np.zeros(3), np.eye(3)
     child, lower = np.zeros((2, 2), dtype=np.int64), np.zeros(2)
     between = np.zeros(2)  # squared distance of the middles: boxes that overlap alike are told apart by it
     while count:
@@ -168,7 +174,7 @@ def nearest_pair(
                     if _boxes_apart(corners, triangles_one[t]) >= best:
                         continue
                     apart = distance(
-                        int(np.int64(CORNERS)), size, corners, corners[0], int(np.int64(TRIANGLE)), triangles_one[t],
+                        int(np.int64(HULL)), corners, upright, here, int(np.int64(TRIANGLE)), triangles_one[t],
                         best, int(np.int64(_FULL_STEPS)), s,
                     )  # fmt: skip
                     if apart < best:
@@ -190,12 +196,12 @@ def nearest_pair(
             child[k, 0], child[k, 1] = (2 * a + k, b) if split_one else (a, 2 * b + k)
             box = bounds_two[child[k, 1]]
             for i in range(3):
-                size[i] = (box[1, i] - box[0, i]) / 2
+                size[0, i] = (box[1, i] - box[0, i]) / 2
             for i in range(3):
                 middle[i], extent[i] = p[i], 0.0
                 for j in range(3):
                     middle[i] += R[i, j] * (box[0, j] + box[1, j]) / 2
-                    extent[i] += abs(R[i, j]) * size[j]
+                    extent[i] += abs(R[i, j]) * size[0, j]
             other = bounds_one[child[k, 0]]
             between[k] = 0.0
             for i in range(3):
@@ -244,7 +250,8 @@ def _node_bound(
     rough: float = squared**0.5
     if rough >= enough:
         return rough
-    return max(rough, distance(kind, size, R, p, int(np.int64(BOUNDS)), box, enough, int(np.int64(_NODE_STEPS)), s))
+    steps = int(np.int64(_HULL_STEPS)) if kind == HULL else int(np.int64(_NODE_STEPS))
+    return max(rough, distance(kind, size, R, p, int(np.int64(BOUNDS)), box, enough, steps, s))
 
 
 @compiled
@@ -255,9 +262,9 @@ def distance(
 
     Args:
         kind: of A.
-        size: (3,) of A [m].
-        R: (3, 3) axes of A, or its corners.
-        p: (3,) middle of A, or one of its points.
+        size: (n, 3) of A [m].
+        R: (3, 3) axes of A.
+        p: (3,) origin of A.
         kind_b: of B.
         b: (3, 3) B.
         enough: the walk ends as soon as the distance is known to be this or more [m].
@@ -316,21 +323,21 @@ def _support(kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floa
     x = -(R[0, 0] * vx + R[1, 0] * vy + R[2, 0] * vz)
     y = -(R[0, 1] * vx + R[1, 1] * vy + R[2, 1] * vz)
     z = -(R[0, 2] * vx + R[1, 2] * vy + R[2, 2] * vz)
-    corner = 0
     if kind == BOX:
-        x = size[0] if x >= 0 else -size[0]
-        y = size[1] if y >= 0 else -size[1]
-        z = size[2] if z >= 0 else -size[2]
-    elif kind == CORNERS:
-        least = _INFINITE
-        for k in range(3):
-            height = R[k, 0] * vx + R[k, 1] * vy + R[k, 2] * vz
-            if height < least:
-                least, corner = height, k
+        x = size[0, 0] if x >= 0 else -size[0, 0]
+        y = size[0, 1] if y >= 0 else -size[0, 1]
+        z = size[0, 2] if z >= 0 else -size[0, 2]
+    elif kind == HULL:
+        farthest, corner = -_INFINITE, 0
+        for k in range(len(size)):
+            height = size[k, 0] * x + size[k, 1] * y + size[k, 2] * z
+            if height > farthest:
+                farthest, corner = height, k
+        x, y, z = size[corner, 0], size[corner, 1], size[corner, 2]
     else:
         across = (x * x + y * y) ** 0.5
-        x, y = (size[0] * x / across, size[0] * y / across) if across > 0 else (size[0], 0.0)
-        z = size[1] if z >= 0 else -size[1]
+        x, y = (size[0, 0] * x / across, size[0, 0] * y / across) if across > 0 else (size[0, 0], 0.0)
+        z = size[0, 1] if z >= 0 else -size[0, 1]
     row = 0
     if kind_b == TRIANGLE:
         first = b[0, 0] * vx + b[0, 1] * vy + b[0, 2] * vz
@@ -341,10 +348,7 @@ def _support(kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floa
         if kind_b == BOUNDS:
             row = 1 if s[_V, i] >= 0 else 0
         s[_OF_B, i] = b[row, i]
-        if kind == CORNERS:
-            s[_W, i] = R[corner, i] - b[row, i]
-        else:
-            s[_W, i] = p[i] + R[i, 0] * x + R[i, 1] * y + R[i, 2] * z - b[row, i]
+        s[_W, i] = p[i] + R[i, 0] * x + R[i, 1] * y + R[i, 2] * z - b[row, i]
 
 
 @compiled

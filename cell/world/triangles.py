@@ -11,13 +11,14 @@ A surface has no depth: bodies that touch or cut it are 0 apart. Where the mesh 
 inside is found by counting crossings of a ray, and its distance is negative. Lengths in metres.
 """
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.crossings import crossings
-from cell.world.triangle_distance import BOX, CYLINDER, nearest_pair, nearest_triangle
+from cell.world.triangle_distance import BOX, CYLINDER, HULL, nearest_pair, nearest_triangle
 from planner.surface.mesh import TriangleMesh
 from planner.surface.remesh import edges_of
 from planner.values import Floats
@@ -88,7 +89,7 @@ class TriangleTree:
         """
         body = int(model.geom_bodyid[mesh])
         return self.distance(
-            _KIND[int(model.geom_type[geom])], model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom],
+            _KIND[int(model.geom_type[geom])], model.geom_size[geom : geom + 1], data.geom_xpos[geom], data.geom_xmat[geom],
             data.xpos[body], data.xmat[body], reach, any_nearer=any_nearer, points=points,
         )  # fmt: skip
 
@@ -108,8 +109,8 @@ class TriangleTree:
         """Distance of a body from the part.
 
         Args:
-            kind: `cell.world.triangle_distance.BOX` or `CYLINDER`.
-            size: (3,) half sides; radius, half length [m].
+            kind: `cell.world.triangle_distance.BOX`, `CYLINDER` or `HULL`.
+            size: (1, 3) half sides; radius, half length; (n, 3) the vertices of a hull [m].
             position: (3,) its middle, base frame [m].
             rotation: (9,) its axes, row by row, base frame.
             part_position: (3,) origin of the part's frame, base frame [m].
@@ -129,6 +130,33 @@ class TriangleTree:
         if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
             return -measured
         return float(measured)
+
+    def from_hull(
+        self,
+        other: "TriangleTree",
+        data: "mujoco.MjData",
+        bodies: tuple[int, int],
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: "Floats | None" = None,
+    ) -> float:
+        """Distance of the convex hull of another tree's triangles from those of this one; see `from_tree`."""
+        middle, vertices = other.hull
+        (here, R), (there, turn) = ((data.xpos[body], data.xmat[body]) for body in bodies)
+        return self.distance(
+            HULL, vertices, there + turn.reshape(3, 3) @ middle, turn, here, R, reach, any_nearer=any_nearer,
+            points=points,
+        )  # fmt: skip
+
+    @cached_property
+    def hull(self) -> tuple[Floats, Floats]:
+        """Middle (3,) of the triangles' box, and from there the vertices (n, 3) of their convex hull [m]."""
+        from scipy.spatial import ConvexHull  # kept out of the start-up
+
+        points = np.unique(self._tree[0].reshape(-1, 3), axis=0)
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        return middle, np.ascontiguousarray(points[ConvexHull(points).vertices] - middle)
 
     def from_tree(
         self,
@@ -155,10 +183,10 @@ class TriangleTree:
             the other, which is closed.
         """
         found = np.zeros((2, 3)) if points is None else points
-        (here, R), (there, Q) = ((data.xpos[body], data.xmat[body]) for body in bodies)
-        measured = nearest_pair((here, R), self._tree, (there, Q), other._tree, reach, any_nearer, found)
+        (here, R), (there, of_other) = ((data.xpos[body], data.xmat[body]) for body in bodies)
+        measured = nearest_pair((here, R), self._tree, (there, of_other), other._tree, reach, any_nearer, found)
         if measured > 0:
-            turn = R.reshape(3, 3).T @ Q.reshape(3, 3)
+            turn = R.reshape(3, 3).T @ of_other.reshape(3, 3)
             shift = R.reshape(3, 3).T @ (there - here)
             held = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)
             if held or (other.closed and other._inside(turn.T @ (self._tree[0][0, 0] - shift))):
