@@ -3,8 +3,8 @@
 A plan rests on its run folder alone; but somebody who changed the scene file, or the part's mesh, after planning means
 another cell than the one that was proven. So the files that the manifest names, or those given in their place, are
 looked at again before anything is driven. What differs has a name: `part`, `placement`, `mount`, `housing`, `post`,
-`pedestal`, `robot`, `fixture:NAME`; `scene` where the file cannot be read any more; `missing` for files that are gone. The
-built-in robot is always this version's own (`cell.proof.cell_again`), so a difference there is never accepted.
+`pedestal`, `robot`, `fixture:NAME`; `scene` where the file cannot be read any more; `missing` for files that are gone.
+The built-in robot is always this version's own (`cell.proof.cell_again`), so a difference there is never accepted.
 """
 
 import tomllib

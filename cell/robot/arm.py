@@ -139,7 +139,7 @@ class ArmKinematics:
 def wrist_places(model: mujoco.MjModel, T_base: Floats, step: float) -> tuple[Floats, Floats]:
     """Where the wrist gets while the first axis stands at zero: signed distance from that axis, height over the base.
 
-    The wrist is where axes 5 and 6 meet. Axes 2 and 3 go through their whole range, axis 4 too where it moves the wrist.
+    The wrist is where axes 5 and 6 meet. Axes 2 and 3 go through their range, axis 4 too where it moves the wrist.
 
     Args:
         model: the compiled robot, alone or in its cell.

@@ -97,6 +97,12 @@ class Dimensions:
     b: float = 0.0
 
 
+def bodies(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of the robot's bodies: base, links, and what is driven along."""
+    driven = (model.body(model.jnt_bodyid[joint]).name for joint in range(len(AXES), model.njnt))
+    return (*LINKS, *driven)
+
+
 def model_file(name: str = "kr16.xml") -> Path:
     """Path of a file of `models/`: inside the installed package, or beside the package in a development tree.
 

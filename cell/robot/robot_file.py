@@ -1,4 +1,4 @@
-"""An arm from a URDF or MJCF, as MuJoCo reads it: which six joints drive the flange, limits, shapes, what follows along.
+"""An arm from a URDF or MJCF, as MuJoCo reads it: which six joints drive the flange, their limits, what follows along.
 
 A URDF is read with its frames kept (MuJoCo merges links that do not move, so that base and flange vanish), visuals left
 out, and mesh paths resolved beside the file or by `packages`. Speeds, which MuJoCo leaves out, and joints that mimic
@@ -205,7 +205,8 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
     end = flange or next((name for name in _FLANGES if name in bodies or name in sites), None)
     if end is None:
         raise SceneError(
-            f"{path} has no link named flange or tool0; say which is the flange (robot.flange_link): {_listed(bodies[1:])}"
+            f"{path} has no link named flange or tool0; say which is the flange (robot.flange_link): "
+            f"{_listed(bodies[1:])}"
         )
     if end not in bodies and end not in sites:
         raise SceneError(f"{path} has no link '{end}' to be the flange; it has {_listed(bodies[1:])}")
@@ -233,7 +234,8 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
     anchors = model.body_pos[model.jnt_bodyid[chain]]
     if np.abs(anchors).max() > _LONGEST_ARM:
         raise SceneError(
-            f"{path}: joints lie {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one looks like millimetres"
+            f"{path}: joints lie {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one looks like "
+            "millimetres"
         )
     followers = []
     for i in range(model.njnt):

@@ -252,7 +252,7 @@ def _robot(run: RunRecord, resolved: ResolvedScene) -> dict[str, object]:
     """The keys of `[robot]` that say which one it is and where it stands."""
     if resolved.robot is None:
         return {}
-    model = resolved.robot.model
+    model: str = resolved.robot.model
     if model != KR16:
         artefact(run, model)  # checks that it is what the run wrote
         model = str((run.folder / model).absolute())

@@ -93,7 +93,7 @@ def draw_cell(
     line = way[np.linspace(0, len(way) - 1, min(len(way), _PATH)).astype(np.int64)] if len(way) else way
     rays.lines(drawn, seen, np.stack([line[:-1], line[1:]], axis=1), BLUE, width=2)
     rays.lines(drawn, seen, marks, "#0b5d57")
-    here = links[-1] @ cell.arm.T_link_scanner
+    here = links[6] @ cell.arm.T_link_scanner
     if any(np.allclose(here, view, atol=1e-6) for view in views):
         rays.lines(drawn, seen, rays.pyramids(here[None], cell.frustum), ORANGE, width=2)
     return drawn, seen

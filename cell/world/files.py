@@ -1,4 +1,4 @@
-"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose; `robot.xml`: its robot.
+"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose; `robot.xml`: its arm.
 
 MuJoCo writes six digits, which moves the flange of this arm by micrometres and turns the home pose by 4e-6 rad. So its
 text is taken for the structure, and every length, angle and mesh in it is written again from the specification, with
@@ -120,7 +120,7 @@ def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
         exact = {"data": spec.numeric(name).data}
     for attribute, values in exact.items():
         present = element.get(attribute)
-        if element.tag == "numeric" and [float(number) for number in (present or "").split()] == list(values):
+        if element.tag == "numeric" and np.array_equal(np.array((present or "").split(), dtype=np.float64), values):
             continue  # few digits say it all
         if present is not None:
             count = len(present.split())  # a cylinder's size is written with two numbers, kept with three

@@ -1,7 +1,8 @@
-"""How far two shapes of a model are apart: by their hulls, and by their true triangles where a hull is more than they are.
+"""How far two shapes of a model are apart: by hulls, and by true triangles where a hull is more than its mesh.
 
-A mesh whose every face lies on its convex hull, within `CONVEX`, is that hull: MuJoCo's GJK gives its distance. For
-another the hull only finds what to look at, and its triangles decide (`cell.world.triangles`).
+A mesh none of whose faces lies deeper than `CONVEX` under its hull is taken as that hull, which contains it: MuJoCo's
+GJK gives its distance. For another the hull only finds what to look at, and its triangles decide
+(`cell.world.triangles`).
 """
 
 from __future__ import annotations

@@ -177,8 +177,9 @@ class OwnPairs:
     def _digest(self) -> str:
         """sha256 of all that says which links touch."""
         model = self.model
-        arrays = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
-        arrays += (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
+        shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
+        chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
+        arrays = (*shapes, *chain)
         return hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
 
     def elbow(self, q: Floats, up: Floats) -> float:

@@ -5,9 +5,9 @@ Which pairs are guarded, and why the others are not:
 | pair | guarded |
 | --- | --- |
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
-| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 turns above both without ever coming down, but where the base is mounted elsewhere |
+| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 of a base in the origin turns above both |
 | base with anything that stands still | no: neither moves; `cell.checks.possible` looks once |
-| links among themselves | as the robot's model says: neighbours share a bearing (`cell.world.robot_spec`) |
+| links among themselves | as the robot's model says: neighbours share a bearing |
 | bracket, housing with base, link_1..link_3 | yes |
 | bracket, housing with link_4 | yes, unless they keep apart whatever A5 and A6 are |
 | housing with link_5 | yes, unless they keep apart whatever A6 is |

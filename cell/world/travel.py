@@ -18,9 +18,9 @@ link k is displaced by more than sum_i |d_i| R_ik between any two configurations
 Points of a link are the corners of its boxes and of the boxes about its meshes, and the end centres of its cylinders
 with their radius added: the distance from an axis is convex, so it is largest there. The scanner belongs to link 6.
 
-What follows an axis is carried by a link and turns about a joint of its own, by `ratio` times that axis' angle. It stays
-within a ball about that joint's anchor, which the link carries: the ball's points move as bounded above, and what turns
-adds at most |ratio d_axis| times its radius. Metres and radians.
+What follows an axis is carried by a link and turns about a joint of its own, by `ratio` times that axis' angle. It
+stays within a ball about that joint's anchor, which the link carries: the ball's points move as bounded above, and what
+turns adds at most |ratio d_axis| times its radius. Metres and radians.
 """
 
 from __future__ import annotations

@@ -89,8 +89,9 @@ class TriangleTree:
         """
         body = int(model.geom_bodyid[mesh])
         return self.distance(
-            _KIND[int(model.geom_type[geom])], model.geom_size[geom : geom + 1], data.geom_xpos[geom], data.geom_xmat[geom],
-            data.xpos[body], data.xmat[body], reach, any_nearer=any_nearer, points=points,
+            _KIND[int(model.geom_type[geom])], model.geom_size[geom : geom + 1],
+            data.geom_xpos[geom], data.geom_xmat[geom], data.xpos[body], data.xmat[body],
+            reach, any_nearer=any_nearer, points=points,
         )  # fmt: skip
 
     def distance(
