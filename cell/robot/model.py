@@ -103,6 +103,23 @@ def bodies(model: mujoco.MjModel) -> tuple[str, ...]:
     return (*LINKS, *driven)
 
 
+def kept_apart(model: mujoco.MjModel) -> dict[tuple[int, int], float]:
+    """Pairs of geoms that are guarded by less than the cell's clearance, and by how much [m].
+
+    Two links that the arm's build keeps near each other: the numeric `keeps_<i>_<j>`, by their numbers in `bodies`.
+    """
+    names, found = bodies(model), {}
+    for number in range(model.nnumeric):
+        kind, _, pair = model.numeric(number).name.partition("_")
+        if kind != "keeps":
+            continue
+        one, other = (model.body(names[int(index)]) for index in pair.split("_"))
+        for a in range(one.geomadr[0], one.geomadr[0] + one.geomnum[0]):
+            for b in range(other.geomadr[0], other.geomadr[0] + other.geomnum[0]):
+                found[a, b] = found[b, a] = float(model.numeric(number).data[0])
+    return found
+
+
 def model_file(name: str = "kr16.xml") -> Path:
     """Path of a file of `models/`: inside the installed package, or beside the package in a development tree.
 

@@ -59,6 +59,7 @@ class World(Value):
         trees: true triangles by the geom whose hull is in the model: of the robot's meshes, and of the part and the
             mesh fixtures where the scene's collision is "exact".
         hollow: geoms of them whose hull is more than they are: their triangles decide, the hull is only a filter.
+        nearer: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
         followers: joints that the axes drive along.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
         entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
@@ -82,6 +83,7 @@ class World(Value):
     collision: str
     trees: Mapping[int, TriangleTree]
     hollow: frozenset[int]
+    nearer: Mapping[tuple[int, int], float]
     followers: robot.Followers
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
@@ -145,9 +147,12 @@ class World(Value):
                 than `reach`.
 
         Returns:
-            The distance [m], `reach` where it is more, 0 or less in contact.
+            The distance [m], `reach` where it is more, 0 or less in contact; of two links that are guarded by less than
+            the clearance what they are beyond that, and the clearance.
         """
-        return gap(self.model, data, self.trees, self.hollow, a, b, reach, any_nearer=any_nearer, points=points)
+        more = self.nearer.get((a, b), 0.0)
+        apart = gap(self.model, data, self.trees, self.hollow, a, b, reach - more, any_nearer=any_nearer, points=points)
+        return apart + more if more else apart
 
     def pair_name(self, geom_a: int, geom_b: int) -> str:
         """What a reader calls a pair of geoms: "housing with part"."""
@@ -235,6 +240,11 @@ def compile_world(
         collision=collision,
         trees=trees_of(model, {**of_robot, **exact}),
         hollow=frozenset(model.geom(name).id for name in hollow),
+        nearer={
+            pair: scene.clearance_mm / 1000.0 - keep
+            for pair, keep in robot.kept_apart(model).items()
+            if keep < scene.clearance_mm / 1000.0
+        },
         followers=robot.Followers.of(model),
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),

@@ -2,8 +2,9 @@
 
 An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalised`). Which pairs of its links are
 guarded, its triangles say: two that touch at every one of `POSES` seeded poses are joined by something that the chain
-does not show (a closed bearing, a parallelogram) and are excused; every other pair is guarded, but for neighbours. A
-home that no file gives is looked for: the flange down before the arm at half its reach, nothing near anything.
+does not show (a closed bearing, a parallelogram) and are excused; every other pair is guarded, but for neighbours. Two
+that the arm's build keeps near each other are guarded by less than the cell's clearance (`Relations`). A home that no
+file gives is looked for: the flange down before the arm at half its reach, nothing near anything.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import contextlib
 import hashlib
 import itertools
 import json
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +39,7 @@ POSES = 10_000
 """Seeded poses at which a pair must touch to be excused."""
 
 _OWN = 0.01  # m; that a home found here keeps between links at least, as far as they can be
+_NEAR = 0.02  # m; two links that come no nearer, or get farther apart, keep the cell's clearance
 _HEIGHTS, _SHARES = (0.5, 0.35, 0.65, 0.2, 0.8), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
 
 
@@ -102,9 +105,12 @@ def from_file(
     except ValueError as error:
         raise FileError(f"{path} has shapes that MuJoCo does not take: {error}") from error
     own = OwnPairs(model)
-    for one, other in own.always_touching():
+    found, names = own.relations(), robot.bodies(model)
+    for one, other in found.joined:
         del own.pairs[one, other]
         spec.add_exclude(name=f"joined_{one}_{other}", bodyname1=one, bodyname2=other)
+    for one, other, keep in found.keeps:
+        spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep], size=1)
     home = file.home if file.home is not None else found_home(own, np.array((0.0, 0.0, -1.0) if down is None else down))
     if home is not None:
         spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
@@ -117,6 +123,20 @@ def in_our_form(path: Path) -> bool:
         return "axis_velocity_limit_deg_s" in path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return False
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """What an arm's own triangles say of its pairs of links.
+
+    Attributes:
+        joined: pairs that touch at every seeded pose.
+        keeps: pairs and the distance [m] that is guarded between them where it is less than the cell's clearance: half
+            of the smallest that was seen of two that never touch, half of the largest of two that are never apart.
+    """
+
+    joined: list[tuple[str, str]]
+    keeps: list[tuple[str, str, float]]
 
 
 class OwnPairs:
@@ -159,20 +179,27 @@ class OwnPairs:
         self._data.qpos[:] = self._followers.qpos(q)
         mujoco.mj_kinematics(self.model, self._data)
 
-    def always_touching(self) -> list[tuple[str, str]]:
-        """Pairs whose true triangles touch at every seeded pose; looked for once for an arm, which takes seconds."""
+    def relations(self) -> Relations:
+        """What the seeded poses say of each pair; looked at once for an arm, which takes seconds."""
         known = caches.folder("robots") / f"{self._digest()}.json"
         with contextlib.suppress(OSError, ValueError):
-            return [(one, other) for one, other in json.loads(known.read_text(encoding="utf-8"))]
-        left = list(self.pairs)
+            return Relations(**json.loads(known.read_text(encoding="utf-8")))
+        joined, lowest, widest = list(self.pairs), dict.fromkeys(self.pairs, np.inf), dict.fromkeys(self.pairs, 0.0)
         for q in self.q:
-            if not left:
-                break
             self.stand(q)
-            left = [pair for pair in left if self.touch(pair)]
+            joined = [pair for pair in joined if self.touch(pair)]
+            for pair in self.pairs:
+                if pair not in joined and (lowest[pair] > 0 or widest[pair] < _NEAR):
+                    distance = self.gap(pair, _NEAR)
+                    lowest[pair], widest[pair] = min(lowest[pair], distance), max(widest[pair], distance)
+        keeps = {pair: lowest[pair] / 2 if lowest[pair] > 0 else widest[pair] / 2 for pair in self.pairs}
+        found = Relations(
+            joined=joined,
+            keeps=[(*pair, keep) for pair, keep in keeps.items() if pair not in joined and keep < _NEAR / 2],
+        )
         with contextlib.suppress(OSError), caches.whole(known) as place:
-            place.write_text(json.dumps(left), encoding="utf-8")
-        return left
+            place.write_text(json.dumps(asdict(found)), encoding="utf-8")
+        return found
 
     def _digest(self) -> str:
         """sha256 of all that says which links touch."""
@@ -187,15 +214,11 @@ class OwnPairs:
         self.stand(q)
         return float(self._data.joint("A3").xanchor @ up)
 
-    def nearest(self, q: Floats, reach: float) -> float:
-        """Smallest distance of any two links at (6,) joint angles [m], `reach` where it is more."""
+    def apart(self, q: Floats) -> bool:
+        """Whether no two links touch, or are nearer than `_OWN` or what they keep, at (6,) joint angles."""
         self.stand(q)
-        nearest = reach
-        for pair in self.pairs:
-            nearest = min(nearest, self.gap(pair, nearest))
-            if nearest <= 0.0:
-                break
-        return nearest
+        keeps = {(one, other): keep for one, other, keep in self.relations().keeps}
+        return all(self.gap(pair, _OWN) >= min(_OWN, keeps.get(pair, _OWN)) for pair in self.pairs)
 
 
 def found_home(own: OwnPairs, down: Floats) -> Floats | None:
@@ -216,7 +239,7 @@ def found_home(own: OwnPairs, down: Floats) -> Floats | None:
         poses = _looking(down, reach * (share * ahead + np.array([0.0, 0.0, height])))
         q = kinematics.inverse(poses).reshape(-1, 6)
         q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]  # NaN is neither
-        free = [angles for angles in q if own.nearest(angles, _OWN) >= _OWN]
+        free = [angles for angles in q if own.apart(angles)]
         if free:
             return min(free, key=lambda angles: (-round(own.elbow(angles, -down), 6), float(np.abs(angles).sum())))
     return None
