@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 POSES = 10_000
 """Seeded poses at which a pair must touch to be excused."""
 
+JOINED = "joined_"
+"""What the names of their exclusions begin with."""
+
 _OWN = 0.01  # m; that a home found here keeps between links at least, as far as they can be
 _NEAR = 0.02  # m; two links that come no nearer, or get farther apart, keep the cell's clearance
 _HEIGHTS, _SHARES = (0.5, 0.35, 0.65, 0.2, 0.8), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
@@ -108,7 +111,7 @@ def from_file(
     found, names = own.relations(), robot.bodies(model)
     for one, other in found.joined:
         del own.pairs[one, other]
-        spec.add_exclude(name=f"joined_{one}_{other}", bodyname1=one, bodyname2=other)
+        spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
     for one, other, keep in found.keeps:
         spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep], size=1)
     home = file.home if file.home is not None else found_home(own, np.array((0.0, 0.0, -1.0) if down is None else down))
