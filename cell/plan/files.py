@@ -49,7 +49,7 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
     content["part"] = {"sha256": part.sha256, "units": scene.part.units}
     if scene.robot.model != robot.KR16:
         content["robot"]["model"] = hashlib.sha256(Path(scene.robot.model).read_bytes()).hexdigest()
-    content["robot"]["packages"] = sorted(content["robot"]["packages"])
+    content["robot"]["packages"] = sorted(scene.robot.packages or ())
     for fixture in content["fixtures"]:
         if "path" in fixture:
             fixture["path"] = hashlib.sha256(Path(fixture["path"]).read_bytes()).hexdigest()

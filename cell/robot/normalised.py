@@ -161,7 +161,7 @@ def _add_shapes(
         counts[link] = counts.get(link, 0) + 1
         turn, middle = R.T @ data.geom_xmat[geom].reshape(3, 3), R.T @ (data.geom_xpos[geom] - at)
         look = {"name": name, "group": 3, "rgba": [1.0, 0.35, 0.0, 1.0], "contype": 1, "conaffinity": 1}
-        if model.geom_type[geom] in (kinds.mjGEOM_BOX, kinds.mjGEOM_CYLINDER):
+        if int(model.geom_type[geom]) in (kinds.mjGEOM_BOX, kinds.mjGEOM_CYLINDER):
             quat = np.empty(4)
             mujoco.mju_mat2Quat(quat, np.ascontiguousarray(turn).ravel())
             kind = kinds(int(model.geom_type[geom]))
@@ -188,7 +188,7 @@ def _triangles(file: RobotFile, geom: int) -> tuple[Floats, NDArray[np.int32]]:
     from scipy.spatial import ConvexHull  # kept out of the start-up
 
     model, kinds = file.model, mujoco.mjtGeom
-    kind, size = model.geom_type[geom], model.geom_size[geom]
+    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     if kind == kinds.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]

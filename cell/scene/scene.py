@@ -68,7 +68,7 @@ class Robot(Table):
     model: str = "kr16"
     base_link: str | None = None
     flange_link: str | None = None
-    packages: dict[str, str] = Field(default_factory=dict)
+    packages: dict[str, str] | None = None
     base: Base | None = None
     home_deg: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] | None = None
     pedestal_height_mm: NotNegative = 600.0
@@ -88,9 +88,9 @@ class Robot(Table):
 
     @field_validator("packages")
     @classmethod
-    def _folders(cls, packages: dict[str, str], info: ValidationInfo) -> dict[str, str]:
+    def _folders(cls, packages: dict[str, str] | None, info: ValidationInfo) -> dict[str, str] | None:
         folder = Path((info.context or {}).get("folder", Path.cwd()))
-        return {name: str(folder / Path(path).expanduser()) for name, path in packages.items()}
+        return packages and {name: str(folder / Path(path).expanduser()) for name, path in packages.items()}
 
     @property
     def settled_home_deg(self) -> tuple[float, ...]:

@@ -56,7 +56,7 @@ def spec_of(of: Robot) -> mujoco.MjSpec:
     if of.model == robot.KR16:
         spec = robot.spec()
     else:
-        packages = tuple(sorted(of.packages.items()))
+        packages = tuple(sorted((of.packages or {}).items()))
         down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
         spec = from_file(Path(of.model), of.base_link, of.flange_link, packages, of.velocity_deg_s, down).copy()
     if of.base is not None:
