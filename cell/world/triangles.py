@@ -89,9 +89,8 @@ class TriangleTree:
         """
         body = int(model.geom_bodyid[mesh])
         return self.distance(
-            _KIND[int(model.geom_type[geom])], model.geom_size[geom : geom + 1],
-            data.geom_xpos[geom], data.geom_xmat[geom], data.xpos[body], data.xmat[body],
-            reach, any_nearer=any_nearer, points=points,
+            _KIND[int(model.geom_type[geom])], model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom],
+            data.xpos[body], data.xmat[body], reach, any_nearer=any_nearer, points=points,
         )  # fmt: skip
 
     def distance(
@@ -111,7 +110,7 @@ class TriangleTree:
 
         Args:
             kind: `cell.world.triangle_distance.BOX`, `CYLINDER` or `HULL`.
-            size: (1, 3) half sides; radius, half length; (n, 3) the vertices of a hull [m].
+            size: (3,) half sides; radius, half length; (n, 3) the vertices of a hull [m].
             position: (3,) its middle, base frame [m].
             rotation: (9,) its axes, row by row, base frame.
             part_position: (3,) origin of the part's frame, base frame [m].
@@ -126,7 +125,8 @@ class TriangleTree:
         """
         found = np.zeros((2, 3)) if points is None else points
         measured = nearest_triangle(
-            kind, size, (position, rotation), (part_position, part_rotation), self._tree, reach, any_nearer, found
+            kind, size.reshape(-1, 3), (position, rotation), (part_position, part_rotation), self._tree, reach,
+            any_nearer, found,
         )  # fmt: skip
         if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
             return -measured
