@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.replay.model import GLYPH_SHARE, Theatre
-from cell.world.gap import gap
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -154,10 +153,9 @@ def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
         names = " with ".join(theatre.entities[geom] for geom in sorted(contact.geom, reverse=True))
         distance, position = float(contact.dist), contact.pos
         a, b = (int(geom) for geom in contact.geom)
-        if a in theatre.hollow or b in theatre.hollow:
+        if a in theatre.shapes.hollow or b in theatre.shapes.hollow:
             points = np.zeros((2, 3))
-            model, trees, hollow = theatre.model, theatre.trees, theatre.hollow
-            distance = gap(model, data, trees, hollow, a, b, theatre.clearance, points=points)
+            distance = theatre.shapes.distance(data, a, b, theatre.clearance, points=points)
             position = points.mean(axis=0)
         if distance < theatre.clearance and (names not in found or distance < found[names].distance):
             x, y, z = (float(value) for value in position)

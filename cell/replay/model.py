@@ -8,7 +8,7 @@ shows it). World frame = base frame, metres.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,15 +21,13 @@ from cell.run import reader as run_reader
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.view.rays import frustum
-from cell.world.gap import is_convex, meshes_of
-from cell.world.trees import trees_of
+from cell.world.gap import Shapes, is_convex, meshes_of
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.triangles import TriangleTree
 
 POINTS_SHOWN = 6_000
 """Points of one scan that are shown; more cover the surface without a gap and cost time alone."""
@@ -55,8 +53,7 @@ class Theatre:
         cloud_mesh: number of the mesh of each scan's points, object frame, by scan; -1 for a scan without points.
         entities: for each geom, the name a reader knows ("link_4", "housing", "part").
         clearance: distance that a free configuration keeps [m].
-        trees: true triangles by the geom whose hull is in the model.
-        hollow: geoms of them that were checked as these triangles.
+        shapes: who measures distances, by true triangles where these were checked.
     """
 
     model: mujoco.MjModel
@@ -71,8 +68,7 @@ class Theatre:
     cloud_mesh: tuple[int, ...]
     entities: tuple[str, ...]
     clearance: float
-    trees: Mapping[int, TriangleTree]
-    hollow: frozenset[int]
+    shapes: Shapes
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "home", readonly("home", self.home, (6,)))
@@ -143,8 +139,7 @@ def dress(
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
-        trees=trees_of(model, {**links, **checked}),
-        hollow=frozenset(model.geom(name).id for name in hollow),
+        shapes=Shapes(model, {**links, **checked}, hollow),
     )
 
 

@@ -12,90 +12,107 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cell.world.trees import KIND, trees_of
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.triangles import TriangleTree
-
 CONVEX = 1e-3
 """How deep a face may lie under a mesh's hull so that the hull stands for it [m]."""
 
 _APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
-_BOX, _CYLINDER = 6, 5  # MuJoCo's
 
 
-def gap(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    trees: Mapping[int, TriangleTree],
-    hollow: Collection[int],
-    a: int,
-    b: int,
-    reach: float,
-    *,
-    any_nearer: bool = False,
-    points: Floats | None = None,
-) -> float:
-    """Distance of two geoms in a state of the model.
+class Shapes:
+    """The shapes of a model, which answer how far two of them are apart; never changed, so that checkers share it.
 
-    Args:
-        model: that they are of.
-        data: its state, kinematics up to date.
+    Attributes:
         trees: true triangles by the geom whose hull is in the model.
         hollow: geoms of them whose hull is more than they are.
-        a: a geom.
-        b: another.
-        reach: nothing beyond is looked for [m].
-        any_nearer: below `reach`, any distance will do: enough for yes or no, and faster with triangles.
-        points: (2, 3) is overwritten with the nearest points of a and b, base frame [m], where they are nearer than
-            `reach`.
-
-    Returns:
-        The distance [m], `reach` where it is more, 0 or less in contact.
     """
-    import mujoco
 
-    mesh, shape = (a, b) if a in hollow else (b, a)
-    by_triangles = mesh in hollow and (model.geom_type[shape] in (_BOX, _CYLINDER) or shape in trees)
-    if by_triangles and any_nearer and reach > 0:  # yes or no asks for no depth
-        return _by_triangles(model, data, trees, hollow, mesh, shape, reach, True, None)
-    ends = None if points is None else np.empty(6)
-    measured = float(mujoco.mj_geomDistance(model, data, a, b, reach, ends))
-    if ends is not None and points is not None:
-        points[:] = ends.reshape(2, 3)
-    if not by_triangles or measured >= reach:
-        return measured
-    exact = _by_triangles(model, data, trees, hollow, mesh, shape, max(reach, _APART), any_nearer, points)
-    if points is not None and mesh == a:
-        points[:] = points[::-1].copy()
-    # A surface has no depth: that of the hull stands for it.
-    return min(exact, reach) if exact > 0 else min(exact, measured)
+    def __init__(self, model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh], hollow: Collection[str]) -> None:
+        """Nothing is built before it is asked for.
 
+        Args:
+            model: that they are of.
+            meshes: true triangles by the name of the geom whose hull is in the model, in the frame of its body [m].
+            hollow: names of those whose hull is more than they are.
+        """
+        self._model = model
+        self.trees = trees_of(model, meshes)
+        self.hollow = frozenset(model.geom(name).id for name in hollow)
+        self._kind = tuple(KIND.get(int(kind)) for kind in model.geom_type)
+        self._body = tuple(model.geom_bodyid.tolist())
 
-def _by_triangles(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    trees: Mapping[int, TriangleTree],
-    hollow: Collection[int],
-    mesh: int,
-    shape: int,
-    reach: float,
-    any_nearer: bool,
-    points: Floats | None,
-) -> float:
-    """Distance of a shape and a mesh by its triangles; `points` are of the shape, then of the mesh."""
-    tree = trees[mesh]
-    if shape not in trees:
-        return tree.from_geom(model, data, shape, mesh, reach, any_nearer=any_nearer, points=points)
-    bodies = int(model.geom_bodyid[mesh]), int(model.geom_bodyid[shape])
-    asked = tree.from_tree if shape in hollow else tree.from_hull
-    distance = asked(trees[shape], data, bodies, reach, any_nearer=any_nearer, points=points)
-    if points is not None and shape in hollow:
-        points[:] = points[::-1].copy()
-    return distance
+    def distance(
+        self,
+        data: mujoco.MjData,
+        a: int,
+        b: int,
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: Floats | None = None,
+    ) -> float:
+        """Distance of two geoms in a state of the model.
+
+        Args:
+            data: the state, kinematics up to date.
+            a: a geom.
+            b: another.
+            reach: nothing beyond is looked for [m].
+            any_nearer: below `reach`, any distance will do: enough for yes or no, and faster with triangles.
+            points: (2, 3) is overwritten with the nearest points of a and b, base frame [m], where they are nearer than
+                `reach`.
+
+        Returns:
+            The distance [m], `reach` where it is more, 0 or less in contact.
+        """
+        import mujoco
+
+        mesh, shape = (a, b) if a in self.hollow else (b, a)
+        by_triangles = mesh in self.hollow and (self._kind[shape] is not None or shape in self.trees)
+        if by_triangles and any_nearer and reach > 0:  # yes or no asks for no depth
+            return self._by_triangles(data, mesh, shape, reach, any_nearer=True)
+        ends = None if points is None else np.empty(6)
+        measured = float(mujoco.mj_geomDistance(self._model, data, a, b, reach, ends))
+        if ends is not None and points is not None:
+            points[:] = ends.reshape(2, 3)
+        if not by_triangles or measured >= reach:
+            return measured
+        exact = self._by_triangles(data, mesh, shape, max(reach, _APART), any_nearer=any_nearer, points=points)
+        if points is not None and mesh == a:
+            points[:] = points[::-1].copy()
+        # A surface has no depth: that of the hull stands for it.
+        return min(exact, reach) if exact > 0 else min(exact, measured)
+
+    def _by_triangles(
+        self,
+        data: mujoco.MjData,
+        mesh: int,
+        shape: int,
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: Floats | None = None,
+    ) -> float:
+        """Distance of a shape and a mesh by its triangles; `points` are of the shape, then of the mesh."""
+        tree, body, kind = self.trees[mesh], self._body[mesh], self._kind[shape]
+        if kind is not None:
+            return tree.distance(
+                kind, self._model.geom_size[shape], data.geom_xpos[shape], data.geom_xmat[shape], data.xpos[body],
+                data.xmat[body], reach, any_nearer=any_nearer, points=points,
+            )  # fmt: skip
+        bodies = body, self._body[shape]
+        if shape not in self.hollow:
+            return tree.from_hull(self.trees[shape], data, bodies, reach, any_nearer=any_nearer, points=points)
+        distance = tree.from_tree(self.trees[shape], data, bodies, reach, any_nearer=any_nearer, points=points)
+        if points is not None:
+            points[:] = points[::-1].copy()
+        return distance
 
 
 def mesh_of(model: mujoco.MjModel, geom: int) -> TriangleMesh:

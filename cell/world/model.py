@@ -20,18 +20,15 @@ from cell.robot import model as robot
 from cell.scene import devices
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
-from cell.world.gap import gap, is_convex, meshes_of
+from cell.world.gap import Shapes, is_convex, meshes_of
 from cell.world.robot_spec import spec_of
 from cell.world.solid_hull import solid_hull
-from cell.world.trees import trees_of
 from planner.ports import JointLimits
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
-
-    from cell.world.triangles import TriangleTree
 
 # "housing with link_2", never the other way round: the more mobile of the two comes first.
 _RANK = ("housing", "bracket", *reversed(robot.LINKS))
@@ -56,9 +53,8 @@ class World(Value):
         part_hull: convex hull of the part, object frame [m].
         part_mesh: its triangles, object frame [m]; its hull where vertices alone were given.
         collision: what stands for the part: "hull" or "exact" (its triangles).
-        trees: true triangles by the geom whose hull is in the model: of the robot's meshes, and of the part and the
-            mesh fixtures where the scene's collision is "exact".
-        hollow: geoms of them whose hull is more than they are: their triangles decide, the hull is only a filter.
+        shapes: who measures distances: by the true triangles of the robot's meshes, and of the part and the mesh
+            fixtures where the scene's collision is "exact".
         nearer: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
         followers: joints that the axes drive along.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
@@ -81,8 +77,7 @@ class World(Value):
     part_hull: TriangleMesh
     part_mesh: TriangleMesh
     collision: str
-    trees: Mapping[int, TriangleTree]
-    hollow: frozenset[int]
+    shapes: Shapes
     nearer: Mapping[tuple[int, int], float]
     followers: robot.Followers
     fixture_meshes: dict[str, TriangleMesh]
@@ -150,9 +145,10 @@ class World(Value):
             The distance [m], `reach` where it is more, 0 or less in contact; of two links that are guarded by less than
             the clearance what they are beyond that, and the clearance.
         """
+        if not self.nearer:
+            return self.shapes.distance(data, a, b, reach, any_nearer=any_nearer, points=points)
         more = self.nearer.get((a, b), 0.0)
-        apart = gap(self.model, data, self.trees, self.hollow, a, b, reach - more, any_nearer=any_nearer, points=points)
-        return apart + more if more else apart
+        return more + self.shapes.distance(data, a, b, reach - more, any_nearer=any_nearer, points=points)
 
     def pair_name(self, geom_a: int, geom_b: int) -> str:
         """What a reader calls a pair of geoms: "housing with part"."""
@@ -238,8 +234,7 @@ def compile_world(
         part_hull=hull,
         part_mesh=part.get("part", hull),
         collision=collision,
-        trees=trees_of(model, {**of_robot, **exact}),
-        hollow=frozenset(model.geom(name).id for name in hollow),
+        shapes=Shapes(model, {**of_robot, **exact}, hollow),
         nearer={
             pair: scene.clearance_mm / 1000.0 - keep
             for pair, keep in robot.kept_apart(model).items()

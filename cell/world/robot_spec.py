@@ -26,8 +26,7 @@ from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.normalised import normalised
-from cell.world.gap import gap, is_convex, meshes_of
-from cell.world.trees import trees_of
+from cell.world.gap import Shapes, is_convex, meshes_of
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -154,9 +153,8 @@ class OwnPairs:
 
         self.model, self._data, self._followers = model, mujoco.MjData(model), robot.Followers.of(model)
         meshes = meshes_of(model)
-        self.trees = trees_of(model, meshes)
-        self.hollow = frozenset(model.geom(name).id for name, mesh in meshes.items() if not is_convex(mesh))
-        self._all = frozenset(model.geom(name).id for name in meshes)
+        self.shapes = Shapes(model, meshes, [name for name, mesh in meshes.items() if not is_convex(mesh)])
+        self._as_triangles = Shapes(model, meshes, list(meshes))
         self.pairs: dict[tuple[str, str], list[tuple[int, int]]] = {}
         excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
         for a, b in itertools.combinations(range(model.ngeom), 2):
@@ -168,12 +166,12 @@ class OwnPairs:
 
     def gap(self, pair: tuple[str, str], reach: float) -> float:
         """Distance of two links where the arm stands [m], `reach` where it is more."""
-        return min(gap(self.model, self._data, self.trees, self.hollow, a, b, reach) for a, b in self.pairs[pair])
+        return min(self.shapes.distance(self._data, a, b, reach) for a, b in self.pairs[pair])
 
     def touch(self, pair: tuple[str, str]) -> bool:
         """Whether true triangles of two links touch where the arm stands, whatever their hulls are."""
-        model, data, trees, every = self.model, self._data, self.trees, self._all
-        return any(gap(model, data, trees, every, a, b, 1e-9, any_nearer=True) <= 0 for a, b in self.pairs[pair])
+        apart = self._as_triangles.distance
+        return any(apart(self._data, a, b, 1e-9, any_nearer=True) <= 0 for a, b in self.pairs[pair])
 
     def stand(self, q: Floats) -> None:
         """Put the arm at (6,) joint angles [rad]."""

@@ -18,15 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.crossings import crossings
-from cell.world.triangle_distance import BOX, CYLINDER, HULL, nearest_pair, nearest_triangle
+from cell.world.triangle_distance import HULL, nearest_pair, nearest_triangle
 from planner.surface.mesh import TriangleMesh
 from planner.surface.remesh import edges_of
 from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-_KIND = {6: BOX, 5: CYLINDER}  # by MuJoCo's type of a shape
 
 _LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
 
@@ -64,34 +62,6 @@ class TriangleTree:
         bounds[0] = bounds[1]
         self._tree = triangles, first, bounds
         self.closed = is_closed(mesh)
-
-    def from_geom(
-        self,
-        model: "mujoco.MjModel",
-        data: "mujoco.MjData",
-        geom: int,
-        mesh: int,
-        reach: float,
-        *,
-        any_nearer: bool = False,
-        points: "Floats | None" = None,
-    ) -> float:
-        """Distance of a shape of a model from the triangles, where another geom has them; see `distance`.
-
-        Args:
-            model: that the geoms are of.
-            data: its state, kinematics up to date.
-            geom: a box or a cylinder.
-            mesh: the geom that stands for the triangles, which are in the frame of its body.
-            reach: nothing beyond is looked for [m].
-            any_nearer: stop at the first triangle nearer than `reach`.
-            points: (2, 3) is overwritten with the nearest points of shape and triangles, base frame [m].
-        """
-        body = int(model.geom_bodyid[mesh])
-        return self.distance(
-            _KIND[int(model.geom_type[geom])], model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom],
-            data.xpos[body], data.xmat[body], reach, any_nearer=any_nearer, points=points,
-        )  # fmt: skip
 
     def distance(
         self,

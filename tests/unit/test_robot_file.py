@@ -128,7 +128,7 @@ def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
     text = urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>')
     model = robot_spec.from_file(written(tmp_path, text)).compile()
     own = robot_spec.OwnPairs(model)
-    assert [model.geom(geom).name for geom in own.hollow] == ["link_4_0"]
+    assert [model.geom(geom).name for geom in own.shapes.hollow] == ["link_4_0"]
     a, b = model.geom("link_4_0").id, model.geom("link_6_0").id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
