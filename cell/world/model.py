@@ -216,6 +216,10 @@ def compile_world(
     of_robot = {name: mesh for name, mesh in meshes_of(model).items() if name in entities}
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
     hollow = [*exact, *(name for name, mesh in of_robot.items() if not is_convex(mesh))]
+    shapes, clearance = Shapes(model, {**of_robot, **exact}, hollow), scene.clearance_mm / 1000.0
+    kept = robot.kept_apart(model)
+    if scene.robot.model != robot.KR16:  # what is built in has its pairs chosen by hand
+        kept |= cell_shapes.kept_by_the_wrist(model, shapes, clearance)
     return World(
         scene=scene,
         model=model,
@@ -234,12 +238,8 @@ def compile_world(
         part_hull=hull,
         part_mesh=part.get("part", hull),
         collision=collision,
-        shapes=Shapes(model, {**of_robot, **exact}, hollow),
-        nearer={
-            pair: scene.clearance_mm / 1000.0 - keep
-            for pair, keep in robot.kept_apart(model).items()
-            if keep < scene.clearance_mm / 1000.0
-        },
+        shapes=shapes,
+        nearer={pair: clearance - keep for pair, keep in kept.items() if keep < clearance},
         followers=robot.Followers.of(model),
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),

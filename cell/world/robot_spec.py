@@ -13,6 +13,7 @@ import contextlib
 import hashlib
 import itertools
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -40,9 +41,11 @@ POSES = 10_000
 JOINED = "joined_"
 """What the names of their exclusions begin with."""
 
-_OWN = 0.01  # m; that a home found here keeps between links at least, as far as they can be
+_TOOL = "tool of a home"
+_OWN = 0.02  # m; that a home found here keeps between links at least, as far as they can be
 _NEAR = 0.02  # m; two links that come no nearer, or get farther apart, keep the cell's clearance
-_HEIGHTS, _SHARES = (0.5, 0.35, 0.65, 0.2, 0.8), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
+_TILTS = (0.0, 0.6, 1.2)  # of the way ahead for one down, where looking straight down is not free
+_HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
 
 
 def spec_of(of: Robot) -> mujoco.MjSpec:
@@ -113,7 +116,11 @@ def from_file(
         spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
     for one, other, keep in found.keeps:
         spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep], size=1)
-    home = file.home if file.home is not None else found_home(own, np.array((0.0, 0.0, -1.0) if down is None else down))
+    home = file.home
+    if home is None:
+        keeps = {(one, other): keep for one, other, keep in found.keeps}
+        looks = np.array((0.0, 0.0, -1.0) if down is None else down)
+        home = next((q for each in (_with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
     if home is not None:
         spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
     return spec
@@ -215,20 +222,36 @@ class OwnPairs:
         self.stand(q)
         return float(self._data.joint("A3").xanchor @ up)
 
-    def apart(self, q: Floats) -> bool:
-        """Whether no two links touch, or are nearer than `_OWN` or what they keep, at (6,) joint angles."""
+    def apart(self, q: Floats, keeps: Mapping[tuple[str, str], float]) -> bool:
+        """Whether no two links are nearer than `_OWN`, or than what they keep [m], at (6,) joint angles."""
         self.stand(q)
-        keeps = {(one, other): keep for one, other, keep in self.relations().keeps}
         return all(self.gap(pair, _OWN) >= min(_OWN, keeps.get(pair, _OWN)) for pair in self.pairs)
 
 
-def found_home(own: OwnPairs, down: Floats) -> Floats | None:
+def _with_tool(spec: mujoco.MjSpec) -> OwnPairs:
+    """The arm with the largest built-in scanner on its flange."""
+    import mujoco
+
+    copy = spec.copy()
+    flange = spec.copy().compile().site(robot.FLANGE)
+    tool = copy.body("link_6").add_body(name=_TOOL, pos=flange.pos, quat=flange.quat)
+    tool.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.039, 0.03, 0.0], pos=[0.0, 0.0, 0.03])
+    tool.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.08, 0.04, 0.03], pos=[0.0375, 0.0, 0.09])
+    for link in ("link_5", "link_6"):
+        copy.add_exclude(name=f"{_TOOL}_{link}", bodyname1=_TOOL, bodyname2=link)
+    return OwnPairs(copy.compile())
+
+
+def found_home(own: OwnPairs, keeps: Mapping[tuple[str, str], float], down: Floats) -> Floats | None:
     """(6,) joint angles at which the flange looks down before the arm at half its reach [rad]; None: none was found.
+
+    Where the scanner would touch the arm then, it looks down and ahead.
 
     Of the solutions the one whose elbow is highest, then the one that turns least.
 
     Args:
         own: the arm.
+        keeps: pairs that are nearer by their build, and what they keep [m].
         down: (3,) where the flange is to look, base frame.
     """
     kinematics = kinematics_of(own.model)
@@ -236,11 +259,12 @@ def found_home(own: OwnPairs, down: Floats) -> Floats | None:
     reach = float(np.linalg.norm(kinematics.forward(own.q[:2000])[:, :3, 3], axis=1).max())
     level = down * (1.0, 1.0, 0.0)
     ahead = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(level) < 0.5 else level / np.linalg.norm(level)
-    for share, height in itertools.product(_SHARES, _HEIGHTS):
-        poses = _looking(down, reach * (share * ahead + np.array([0.0, 0.0, height])))
+    for tilt, share, height in itertools.product(_TILTS, _SHARES, _HEIGHTS):
+        looks = down + tilt * ahead
+        poses = _looking(looks / np.linalg.norm(looks), reach * (share * ahead + np.array([0.0, 0.0, height])))
         q = kinematics.inverse(poses).reshape(-1, 6)
         q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]  # NaN is neither
-        free = [angles for angles in q if own.apart(angles)]
+        free = [angles for angles in q if own.apart(angles, keeps)]
         if free:
             return min(free, key=lambda angles: (-round(own.elbow(angles, -down), 6), float(np.abs(angles).sum())))
     return None

@@ -39,6 +39,8 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
+    from cell.world.gap import Shapes
+
 POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""
 
@@ -164,6 +166,37 @@ def _wrist_keeps_apart(model: mujoco.MjModel, piece: str, link: str, axes: tuple
         if any(mujoco.mj_geomDistance(model, data, geom, shape, reach, None) < reach for shape in shapes):
             return False
     return True
+
+
+def kept_by_the_wrist(model: mujoco.MjModel, shapes: Shapes, clearance: float) -> dict[tuple[int, int], float]:
+    """What bracket and housing keep of link_4 and link_5 where the mount holds them nearer than the clearance [m].
+
+    Looked at on a grid of wrist angles, as `cell.world.robot_spec` looks at two links of an arm from a file: half of
+    the smallest distance of two that never touch, half of the largest of two that do.
+    """
+    import mujoco
+
+    data, kept = mujoco.MjData(model), {}
+    joints = [model.joint(axis) for axis in ("A5", "A6")]
+    grids = [np.arange(max(low, -np.pi), min(high, np.pi), 2 * _WRIST_STEP) for low, high in (j.range for j in joints)]
+    names = [name for name in ("housing", "bracket") if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) >= 0]
+    pairs = {
+        (model.geom(name).id, int(geom)): [np.inf, 0.0]
+        for name in names
+        for link in ("link_4", "link_5")
+        for geom in np.flatnonzero(model.geom_bodyid == model.body(link).id)
+    }
+    for angles in itertools.product(*grids):
+        data.qpos[[int(joint.qposadr[0]) for joint in joints]] = angles
+        mujoco.mj_kinematics(model, data)
+        for pair, found in pairs.items():
+            apart = shapes.distance(data, *pair, 2 * clearance)
+            found[:] = min(found[0], apart), max(found[1], apart)
+    for (a, b), (lowest, widest) in pairs.items():
+        keep = (lowest if lowest > 0 else widest) / 2
+        if keep < clearance:
+            kept[a, b] = kept[b, a] = keep
+    return kept
 
 
 def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:

@@ -108,7 +108,7 @@ def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
     home = robot.home(model)
     np.testing.assert_allclose(kinematics_of(model).forward(home[None])[0][:3, 2], (0, 0, -1), atol=1e-9)
     assert (np.abs(home) <= 2.8).all()
-    assert robot_spec.OwnPairs(model).apart(home)
+    assert robot_spec.OwnPairs(model).apart(home, {})
 
 
 def fork() -> trimesh.Trimesh:
