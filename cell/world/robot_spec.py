@@ -60,7 +60,9 @@ def spec_of(of: Robot) -> mujoco.MjSpec:
     else:
         packages = tuple(sorted((of.packages or {}).items()))
         down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
-        spec = from_file(Path(of.model), of.base_link, of.flange_link, packages, of.velocity_deg_s, down).copy()
+        path = Path(of.model)
+        stamp = path.stat().st_mtime_ns if path.is_file() else 0
+        spec = from_file(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, stamp).copy()
     if of.base is not None:
         place(spec, of.base.T)
     return spec
@@ -84,6 +86,7 @@ def from_file(
     packages: tuple[tuple[str, str], ...] = (),
     velocity_deg_s: tuple[float, ...] | None = None,
     down: tuple[float, float, float] | None = None,
+    stamp: int = 0,
 ) -> mujoco.MjSpec:
     """The arm of a file, in the form of `models/kr16.xml`; never changed by who asks for it.
 
@@ -94,6 +97,7 @@ def from_file(
         packages: name and folder of ROS packages.
         velocity_deg_s: (6,) speeds for axes of which the file says none [deg/s].
         down: (3,) where the flange looks at home, base frame; None: down.
+        stamp: another number where the file may have changed since it was read.
     """
     import mujoco
 
