@@ -111,11 +111,11 @@ def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
     assert robot_spec.OwnPairs(model).apart(home, {})
 
 
-def fork() -> trimesh.Trimesh:
+def fork(apart: float = 0.09) -> trimesh.Trimesh:
     """Two plates with a web behind them: what turns between them touches the hull and not the fork."""
     sides = [
         trimesh.creation.box((0.24, 0.01, 0.12), trimesh.transformations.translation_matrix((0.2, y, 0)))
-        for y in (-0.09, 0.09)
+        for y in (-apart, apart)
     ]
     return trimesh.util.concatenate(
         [*sides, trimesh.creation.box((0.02, 0.19, 0.12), trimesh.transformations.translation_matrix((0.09, 0, 0)))]
@@ -137,6 +137,27 @@ def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
     # The disc, 40 mm square, reaches 28.3 mm from its axis at most; at zero its side is 85 - 20 mm from a plate.
     assert own.gap(("link_4", "link_6"), 1.0) == pytest.approx(0.065, abs=1e-6)
     assert not own.relations().joined
+
+
+def test_what_is_built_near_is_guarded_by_less_than_the_clearance(tmp_path: Path) -> None:
+    """A square of 40 mm turns between plates 60 mm apart: never in contact, and free at a clearance of 10 mm."""
+    fork(0.035).export(tmp_path / "fork.stl")
+    path = written(tmp_path, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
+    model = robot_spec.from_file(path).compile()
+    (keep,) = {
+        keep for pair, keep in robot.kept_apart(model).items() if "link_4_0" in {model.geom(g).name for g in pair}
+    }
+    assert 0.5 * (0.03 - 0.02 * np.sqrt(2)) <= keep <= 0.002
+    world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
+    checker = MujocoCollisionChecker(world)
+    q = np.array([0.0, 0.3, 0.3, 0.0, 0.0, 0.0])
+    assert not [pair for pair in checker.contacts(q) if "link_6 with link_4" in pair]
+    data = world.data()
+    data.qpos[:] = q
+    mujoco.mj_kinematics(world.model, data)
+    a, b = (world.model.geom(f"link_{number}_0").id for number in (4, 6))
+    assert world.shapes.distance(data, a, b, 0.3) == pytest.approx(0.01, abs=1e-6)
+    assert world.distance(data, a, b, 0.3) == pytest.approx(0.01 + world.clearance - keep, abs=1e-6)
 
 
 def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
