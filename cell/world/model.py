@@ -7,7 +7,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +20,7 @@ from cell.robot import model as robot
 from cell.scene import devices
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
+from cell.world import wrist
 from cell.world.gap import Shapes, is_convex, meshes_of
 from cell.world.robot_spec import spec_of
 from cell.world.solid_hull import solid_hull
@@ -195,7 +196,7 @@ def compile_world(
     scene = _at_home(scene, spec)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
-    cell_shapes.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
+    wrist.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
     cell_shapes.add_ground(spec, scene)
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
     post_body = spec.worldbody.add_body(name="post", mocap=True)
@@ -213,13 +214,9 @@ def compile_world(
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
-    of_robot = {name: mesh for name, mesh in meshes_of(model).items() if name in entities}
+    clearance = scene.clearance_mm / 1000.0
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
-    hollow = [*exact, *(name for name, mesh in of_robot.items() if not is_convex(mesh))]
-    shapes, clearance = Shapes(model, {**of_robot, **exact}, hollow), scene.clearance_mm / 1000.0
-    kept = robot.kept_apart(model)
-    if scene.robot.model != robot.KR16:  # what is built in has its pairs chosen by hand
-        kept |= cell_shapes.kept_by_the_wrist(model, shapes, clearance)
+    shapes = _shapes(model, entities, exact)
     return World(
         scene=scene,
         model=model,
@@ -234,12 +231,12 @@ def compile_world(
         limits=joint_limits.given(
             robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
         ),
-        clearance=scene.clearance_mm / 1000.0,
+        clearance=clearance,
         part_hull=hull,
         part_mesh=part.get("part", hull),
         collision=collision,
         shapes=shapes,
-        nearer={pair: clearance - keep for pair, keep in kept.items() if keep < clearance},
+        nearer=_nearer(scene, model, shapes),
         followers=robot.Followers.of(model),
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
@@ -264,6 +261,20 @@ def _at_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
     # Whole numbers stay what they are: the file of the settled scene keeps them.
     home = tuple(int(angle) if angle == int(angle) else angle for angle in degrees)
     return scene.model_copy(update={"robot": scene.robot.model_copy(update={"home_deg": home})})
+
+
+def _shapes(model: mujoco.MjModel, of_robot: Collection[str], exact: Mapping[str, TriangleMesh]) -> Shapes:
+    """Who measures distances: by triangles of the robot's geoms of these names, and by those of part and fixtures."""
+    links = {name: mesh for name, mesh in meshes_of(model).items() if name in of_robot}
+    return Shapes(model, {**links, **exact}, [*exact, *(name for name, mesh in links.items() if not is_convex(mesh))])
+
+
+def _nearer(scene: Scene, model: mujoco.MjModel, shapes: Shapes) -> dict[tuple[int, int], float]:
+    """Pairs that the robot's build keeps nearer than the clearance, and by how much less they are guarded [m]."""
+    clearance, kept = scene.clearance_mm / 1000.0, robot.kept_apart(model)
+    if scene.robot.model != robot.KR16:  # what is built in has its pairs chosen by hand
+        kept |= wrist.kept_by_the_wrist(model, shapes, clearance)
+    return {pair: clearance - keep for pair, keep in kept.items() if keep < clearance}
 
 
 def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
