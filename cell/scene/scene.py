@@ -54,7 +54,7 @@ _SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
 _HARDWARE, _REPORT = "Robot and scanner", "Output"
 
 
-class Base(_Posed):
+class Base(Posed):
     """Where the robot's base stands in the frame of the cell, whose z is up."""
 
 
