@@ -31,6 +31,7 @@ STUDIES = {
 REGISTRY = {
     **STUDIES,
     "kinematics": "inverse kinematics: poses per second beside the round-trip error",
+    "robots": "plans with arms from files (ROBOT_FILES): coverage, contacts of their true triangles, limits, seconds",
     "fidelity": "hull or triangles: contacts missed and false refusals beside time",
     "collision": "collision checks per second beside disagreements with python-fcl",
     "fill": "seconds to fill the measurability matrix beside the error of predicted coverage",

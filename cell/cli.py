@@ -28,6 +28,7 @@ from cell.commands import (
     place,
     plan,
     replay,
+    robot,
     scan,
     sensors,
     study,
@@ -41,12 +42,13 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
-    help="Plan, check and time the views that measure a part with a laser scanner on a KUKA KR 16.",
+    help="Plan, check and time the views that measure a part with a laser scanner on a six-axis robot.",
     epilog="Start with: [bold]cell plan --place 1200,500,0[/bold]",
 )
 
 app.command(epilog=plan.EPILOG)(plan.plan)
 app.command(epilog=check.EPILOG)(check.check)
+app.command(epilog=robot.EPILOG)(robot.robot)
 app.command(epilog=sensors.EPILOG)(sensors.sensors)
 app.command(epilog=part.EPILOG)(part.part)
 app.command(epilog=view.EPILOG)(view.view)

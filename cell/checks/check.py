@@ -9,7 +9,8 @@ from cell.checks.doubtful import doubtful
 from cell.checks.possible import impossible
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.robot.model import AXES, dimensions
+from cell.robot.arm import wrist_of_flange, wrist_places
+from cell.robot.model import AXES
 from cell.scanners import ScannerPlugin
 from cell.scene import devices
 from cell.scene.part_regions import areas_of, with_regions
@@ -206,7 +207,7 @@ def checked(cell: Compiled) -> CheckResult:
         part_size_mm=_triple(part.size),
         regions_mm2=areas_of(part, scene),
         placement_mm=_triple((world.T_base_object @ world.T_object_centre)[:3, 3]),
-        home_deg=scene.robot.home_deg,
+        home_deg=world.scene.robot.settled_home_deg,
         contacts_at_home=contacts,
         nearest_at_home=nearest[0],
         nearest_at_home_mm=_mm(distance[0]),
@@ -227,14 +228,9 @@ def checked(cell: Compiled) -> CheckResult:
 
 
 def _envelope(world: World) -> Envelope:
-    """The wrist centre over the whole range of A2 and A3 (planar two-link arm, KUKA's signs)."""
-    arm, lower, upper = dimensions(world.model), world.limits.lower, world.limits.upper
-    a2, a3 = np.meshgrid(
-        *(np.linspace(lower[i], upper[i], int(np.rad2deg(upper[i] - lower[i]) / _GRID_DEG) + 1) for i in (1, 2)),
-        indexing="ij",
-    )
-    out, up = arm.wrist_in_plane(a2, a3)
-    source = world.T_flange_scanner[:3, 3] + np.array([0.0, 0.0, arm.d6])
+    """The wrist over the whole range of A2 and A3."""
+    out, up = wrist_places(world.model, world.scene.robot.T_base, float(np.radians(_GRID_DEG)))
+    source = world.T_flange_scanner[:3, 3] - wrist_of_flange(world.model)
     return Envelope(
         _mm(np.abs(out).max(), 1), _mm(up.min(), 1), _mm(up.max(), 1), _mm(float(np.linalg.norm(source)), 1)
     )
@@ -242,7 +238,7 @@ def _envelope(world: World) -> Envelope:
 
 def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
     """A sentence where not even the nearest point of the part comes within the standoff; a necessary condition only."""
-    centre = (world.T_base_object @ world.T_object_centre)[:3, 3]
+    centre = (np.linalg.inv(world.scene.robot.T_base) @ world.T_base_object @ world.T_object_centre)[:3, 3]
     radius = float(np.linalg.norm(world.part_hull.vertices - world.T_object_centre[:3, 3], axis=1).max())
     farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + standoff
     gap = float(np.hypot(centre[0], centre[1])) - radius - farthest

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.checks.sentences import called, move, stands_inside
 from cell.checks.solid import Solid, inside, touches
-from cell.checks.standing import ROBOT, standing
+from cell.checks.standing import arm, standing
 from cell.part.workpiece import size_findings
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import floor_square
@@ -34,13 +34,13 @@ def doubtful(world: World) -> list[str]:
     fixtures = world.scene.fixtures
     if not fixtures and world.scene.post.enabled:
         return []
-    solids = {name: solid for name, solid in standing(world).items() if name not in ROBOT}
+    solids = {name: solid for name, solid in standing(world).items() if name not in arm(world)}
     said = [
         finding.sentence
         for fixture in fixtures
         if isinstance(fixture, MeshFixture)
         for finding in size_findings(np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0), fixture.units,
-                                     called(fixture.name))
+                                     called(world, fixture.name))
     ]  # fmt: skip
     return said + _in_each_other(world, solids) + _standing_badly(world, solids)
 
@@ -54,10 +54,12 @@ def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:
             if other in solids and inside(solids[name], solids[other]):
                 said.append(stands_inside(world, solids[name], solids[other]))
         if "post" in solids and inside(solids["post"], solids[name]):
-            said.append(f"the post goes through {called(name)}; set post.enabled = false where that carries the part")
+            said.append(
+                f"the post goes through {called(world, name)}; set post.enabled = false where that carries the part"
+            )
         if (depth := world.floor - float(solids[name].low[2])) > TOUCHING:
             said.append(
-                f"{called(name)} reaches {1000 * depth:.1f} mm below the floor; "
+                f"{called(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
                 f"{move(world, name, np.array([0.0, 0.0, depth]))}"
             )
     return said
@@ -86,9 +88,9 @@ def _standing_badly(world: World, solids: dict[str, Solid]) -> list[str]:
             way = _Rests(solids[name], below, world.floor, _FINE).tips()
             if way is not None:
                 said.append(
-                    f"the centre of mass of {called(name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside what "
-                    f"it rests on ({', '.join(called(each) for each in sorted(rests.on)) or 'the floor'}); it tips "
-                    f"unless it is fastened: {move(world, name, way)}"
+                    f"the centre of mass of {called(world, name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside "
+                    f"what it rests on ({', '.join(called(world, each) for each in sorted(rests.on)) or 'the floor'}); "
+                    f"it tips unless it is fastened: {move(world, name, way)}"
                 )
     return said
 
@@ -99,10 +101,10 @@ def _in_the_air(world: World, solids: dict[str, Solid], together: set[str]) -> s
     gaps = {name: _Rests(solids[name], others, world.floor, _FINE).gap() for name in solids if name in together}
     name = min(gaps, key=lambda each: gaps[each][0])
     gap, below = gaps[name]
-    rest = [called(each) for each in solids if each in together and each != name]
+    rest = [called(world, each) for each in solids if each in together and each != name]
     with_it = f" (with {', '.join(rest)})" if rest else ""
     return (
-        f"nothing carries {called(name)}{with_it}: it hangs {1000 * gap:.1f} mm above {called(below)}; "
+        f"nothing carries {called(world, name)}{with_it}: it hangs {1000 * gap:.1f} mm above {called(world, below)}; "
         f"{move(world, name, np.array([0.0, 0.0, -gap]))}"
     )
 

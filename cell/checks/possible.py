@@ -12,7 +12,7 @@ import numpy as np
 from cell.checks.own_view import own_view
 from cell.checks.sentences import called, move, moved, stands_inside
 from cell.checks.solid import Solid, inside, way_out
-from cell.checks.standing import ROBOT, robot, standing
+from cell.checks.standing import arm, robot, standing
 from cell.errors import SceneError
 from cell.robot.model import AXES
 from cell.world import shapes as cell_shapes
@@ -53,7 +53,9 @@ def _home_outside_limits(world: World) -> list[str]:
     lower, upper = np.rad2deg(world.limits.lower), np.rad2deg(world.limits.upper)
     return [
         f"robot.home_deg has {axis} at {angle:g} deg; it must be from {low:g} to {high:g}"
-        for axis, angle, low, high in zip(AXES, world.scene.robot.home_deg, lower.round(6), upper.round(6), strict=True)
+        for axis, angle, low, high in zip(
+            AXES, world.scene.robot.settled_home_deg, lower.round(6), upper.round(6), strict=True
+        )
         if not low - 1e-9 <= angle <= high + 1e-9
     ]
 
@@ -115,21 +117,22 @@ def _attached(world: World, name: str) -> str:
 def _in_the_robot(world: World, solids: dict[str, Solid]) -> list[str]:
     """Part, post and fixtures nearer than the clearance to the arm and the scanner at home."""
     data, geoms = world.data(), _geoms(world)
-    arm = [name for name in ROBOT if name in geoms and name != "base"]
+    moving = [name for name in arm(world) if name in geoms and name != "base"]
     problems = []
     for name in ("part", "post", *(fixture.name for fixture in world.scene.fixtures)):
-        gaps = {piece: _gap(world, data, geoms, piece, name) for piece in reversed(arm)} if name in solids else {}
+        gaps = {piece: _gap(world, data, geoms, piece, name) for piece in reversed(moving)} if name in solids else {}
         piece = min(gaps, key=lambda each: gaps[each], default="")
         if not piece or gaps[piece] >= world.clearance - 1e-9:
             continue
-        whole = robot(solids)
+        whole = robot(world, solids)
         way = way_out(solids[name], whole, world.clearance)
         if gaps[piece] < 0 or inside(solids[name], solids[piece]):
             problems.append(stands_inside(world, solids[name], solids[piece], way=way, at_home=True))
         else:
             problems.append(
-                f"{called(name)} is {1000 * gaps[piece]:.1f} mm from {called(piece)} at home, nearer than the "
-                f"clearance of {1000 * world.clearance:g} mm; {move(world, name, way)} or change robot.home_deg"
+                f"{called(world, name)} is {1000 * gaps[piece]:.1f} mm from {called(world, piece)} at home, nearer "
+                f"than the clearance of {1000 * world.clearance:g} mm; "
+                f"{move(world, name, way)} or change robot.home_deg"
             )
     return problems
 
@@ -137,7 +140,7 @@ def _in_the_robot(world: World, solids: dict[str, Solid]) -> list[str]:
 def _robot_too_near(world: World) -> list[str]:
     """The robot at home nearer than the clearance to itself, the pedestal or the floor."""
     data, geoms = world.data(), _geoms(world)
-    own = {*ROBOT, "pedestal", "floor"}
+    own = {*arm(world), "pedestal", "floor"}
     guarded = {tuple(sorted((world.entities[a], world.entities[b]))) for a, b in world.pairs}
     problems = []
     for one, other in sorted(guarded):

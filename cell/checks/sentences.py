@@ -3,16 +3,16 @@
 import numpy as np
 
 from cell.checks.solid import Solid, way_out
-from cell.checks.standing import OWN, ROBOT
+from cell.checks.standing import OWN, arm
 from cell.world.model import World
 from planner.values import Floats
 
 _ROUNDING = 0.02  # of a tenth of a millimetre: what a sum of coordinates is off is no reason to go a tenth farther
 
 
-def called(name: str) -> str:
+def called(world: World, name: str) -> str:
     """A piece of the cell as a sentence names it."""
-    if name in ROBOT:
+    if name in arm(world):
         return f"the {name}" if name in ("housing", "bracket") else f"the robot's {name}"
     return f"the {name}" if name in ("part", *OWN) else f"the fixture '{name}'"
 
@@ -51,7 +51,9 @@ def stands_inside(world: World, one: Solid, other: Solid, *, way: Floats | None 
     depth = 1000 * float(np.linalg.norm(out))
     cure = move(world, one.name, out if way is None else way)
     also, place = (" or change robot.home_deg", " at home") if at_home else ("", "")
-    return f"{called(one.name)} stands inside {called(other.name)}{place}, {depth:.1f} mm deep; {cure}{also}"
+    return (
+        f"{called(world, one.name)} stands inside {called(world, other.name)}{place}, {depth:.1f} mm deep; {cure}{also}"
+    )
 
 
 def _triple(values: Floats) -> str:

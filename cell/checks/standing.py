@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 
 from cell.checks.solid import Solid
 from cell.rays.occluders import prism, shape_triangles
-from cell.robot.model import LINKS
+from cell.robot.model import bodies
 from cell.world.model import World
 from planner.values import Floats
 
 _SIDES = 192  # of a prism around a cylinder: its corners stand off by 0.04 mm at a radius of 300 mm
-ROBOT = (*LINKS, "bracket", "housing")
 OWN = ("post", "pedestal", "floor")
 """What the cell has without being a fixture."""
 
@@ -25,6 +24,7 @@ def standing(world: World) -> dict[str, Solid]:
     """
     data, T = world.data(), world.T_base_object
     attached = {fixture.name: fixture.attached_to == "object" for fixture in world.scene.fixtures}
+    of_robot = arm(world)
     meshes = {"part": world.part_mesh, **world.fixture_meshes}
     found = {}
     for name in dict.fromkeys(world.entities):
@@ -42,16 +42,21 @@ def standing(world: World) -> dict[str, Solid]:
                 vertices, faces = prism(float(world.model.geom_size[geoms[0]][0]), float(top[2] - world.floor), _SIDES)
                 found[name] = Solid(name, vertices + np.array([*top[:2], (top[2] + world.floor) / 2]), faces)
         else:
-            sides = {} if name in ROBOT else {"sides": _SIDES}
+            sides = {} if name in of_robot else {"sides": _SIDES}
             pieces = [shape_triangles(world.model, data, geom, **sides) for geom in geoms]
             axes = data.geom_xmat[geoms[0]].reshape(3, 3).T if len(geoms) == 1 else None
             found[name] = Solid(name, *_joined(pieces), axes)
     return found
 
 
-def robot(solids: dict[str, Solid]) -> Solid:
+def arm(world: World) -> tuple[str, ...]:
+    """Names of base, links, what they drive along, bracket and housing."""
+    return (*bodies(world.model), "bracket", "housing")
+
+
+def robot(world: World, solids: dict[str, Solid]) -> Solid:
     """Base, arm, bracket and housing as one."""
-    pieces = [(solids[name].vertices, solids[name].faces) for name in ROBOT if name in solids]
+    pieces = [(solids[name].vertices, solids[name].faces) for name in arm(world) if name in solids]
     return Solid("robot", *_joined(pieces))
 
 

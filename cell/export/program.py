@@ -23,6 +23,7 @@ from cell.narrator import Narrator
 from cell.proof import scene_now
 from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
+from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from planner.path.sweeps.line import rotation_vectors
@@ -162,7 +163,7 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
         clearance=clearance,
         between=between,
     )
-    kinematics = Kr16Kinematics.from_model(proven.world.model)
+    kinematics = kinematics_of(proven.world.model)
     return of_motion(proven.motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
 
 

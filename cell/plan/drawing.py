@@ -6,7 +6,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.view_plan import ConnectedPlan
-from cell.robot.model import dimensions
+from cell.robot.arm import wrist_places
 from cell.run.folder import RunFolder
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
@@ -15,6 +15,7 @@ from cell.world.model import World
 from planner.timing.motion import Motion
 from planner.values import Floats
 
+_GRID = np.radians(2.0)  # of the axes in the outline of what the wrist reaches
 _STEPS = 12  # of the scanner's way between two via points
 
 
@@ -64,7 +65,7 @@ def draw_views(
         lower_bound=cover.lower_bound,
     )
     corners = np.array(np.meshgrid(*part.bounds.T)).reshape(3, -1).T
-    T = world.T_base_object
+    T = np.linalg.inv(world.scene.robot.T_base) @ world.T_base_object  # the picture is the robot's
     drawing.send(
         "reach_map",
         folder.path / "reach.png",
@@ -104,6 +105,4 @@ def finish_drawing(drawing: Drawing, folder: RunFolder, report: Report, plan: Pl
 
 def _envelope(world: World) -> Floats:
     """(E, 2) a grid of places that the wrist centre reaches in the plane of the arm: radius and height [m]."""
-    (low2, low3), (high2, high3) = world.limits.lower[1:3], world.limits.upper[1:3]
-    a2, a3 = (grid.ravel() for grid in np.meshgrid(np.linspace(low2, high2, 110), np.linspace(low3, high3, 110)))
-    return np.stack(dimensions(world.model).wrist_in_plane(a2, a3), axis=1)
+    return np.stack(wrist_places(world.model, world.scene.robot.T_base, _GRID), axis=1)

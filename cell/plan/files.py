@@ -13,7 +13,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan.report import markdown
 from cell.plan.view_plan import ConnectedPlan
 from cell.robot import model as robot
-from cell.run.described import degrees, fixture_file, limits_deg, mm, standing_fixtures, sweep_of
+from cell.run.described import degrees, fixture_file, limits_deg, mm, resolved_robot, standing_fixtures, sweep_of
 from cell.run.folder import RunFolder
 from cell.run.manifest_json import NamedFile
 from cell.run.plan_json import PlanFile, PlanView
@@ -47,6 +47,9 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
         if region["painted"] is not None:
             region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()
     content["part"] = {"sha256": part.sha256, "units": scene.part.units}
+    if scene.robot.model != robot.KR16:
+        content["robot"]["model"] = hashlib.sha256(Path(scene.robot.model).read_bytes()).hexdigest()
+    content["robot"]["packages"] = sorted(scene.robot.packages or ())
     for fixture in content["fixtures"]:
         if "path" in fixture:
             fixture["path"] = hashlib.sha256(Path(fixture["path"]).read_bytes()).hexdigest()
@@ -57,6 +60,7 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
 def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
     """The files that the user named: the scene, the part, meshes of fixtures."""
     named = [("scene", scene_path), ("part", scene.part.path)]
+    named += [("robot", scene.robot.model if scene.robot.model != robot.KR16 else None)]
     named += [
         (f"fixture:{fixture.name}", fixture.path) for fixture in scene.fixtures if isinstance(fixture, MeshFixture)
     ]
@@ -116,8 +120,9 @@ def write_cell(
             T_flange_housing=world.T_flange_housing,
             bracket_diameter_mm=scene.housing.bracket_mm,
         ),
+        robot=resolved_robot(scene),
         fixtures=standing_fixtures(scene, world),
-        home_deg=scene.robot.home_deg,
+        home_deg=world.scene.robot.settled_home_deg,
         **limits_deg(world.limits),
         speed_scaling=scene.robot.speed_scaling,
         acceleration_scaling=scene.robot.acceleration_scaling,

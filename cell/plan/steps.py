@@ -29,7 +29,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import Prediction, held_out
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.run.folder import RunFolder
 from cell.run.report_json import Attainable
 from cell.scanners import ScannerPlugin
@@ -44,7 +44,7 @@ from cell.world.model import World, compile_world
 from planner.measurability import matrix
 from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability
-from planner.ports import Progress, RayCaster, Scanner
+from planner.ports import Kinematics, Progress, RayCaster, Scanner
 from planner.reach import reach
 from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
@@ -97,7 +97,7 @@ class Cell:
 
     world: World
     checker: MujocoCollisionChecker
-    kinematics: Kr16Kinematics
+    kinematics: Kinematics
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +152,7 @@ def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
         for sentence in doubts.of_scanner(job.scanner):
             run.narrator.note(sentence)
-        return Cell(world, MujocoCollisionChecker(world), Kr16Kinematics.from_model(world.model))
+        return Cell(world, MujocoCollisionChecker(world), kinematics_of(world.model))
 
 
 def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> Reach:

@@ -100,7 +100,7 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
         if not same:
             return f"the shape '{two.name}' has another place or size"
     home = checked.key("home").qpos
-    return "home is elsewhere" if _apart(home, world.home) else ""
+    return "home is elsewhere" if _apart(home, world.followers.qpos(world.home)) else ""
 
 
 def _apart(one: Floats, two: Floats, near: float = _NEAR) -> bool:

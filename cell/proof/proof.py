@@ -21,7 +21,7 @@ import numpy as np
 from cell.errors import FileError
 from cell.proof import cell_again, motion_again, views_again
 from cell.proof.artefacts import refuse, whole
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.run import reader
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, arrays, open_finished, understood
@@ -92,7 +92,7 @@ def prove(folder: Path) -> Proven:
     world = cell_again.compiled(run, resolved)
     if resolved.plan.collision != world.collision:
         refuse(run.folder / "scene.resolved.json", "contradicts itself at plan.collision")
-    kinematics, checker = Kr16Kinematics.from_model(world.model), MujocoCollisionChecker(world)
+    kinematics, checker = kinematics_of(world.model), MujocoCollisionChecker(world)
     with understood(run.folder / "motion.npz"):
         views_again.require_same_views(run, plan, motion, candidates, world, kinematics)
         views_again.require_same_clearance(run, plan, motion, stored, world.collision)

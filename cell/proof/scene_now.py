@@ -3,8 +3,8 @@
 A plan rests on its run folder alone; but somebody who changed the scene file, or the part's mesh, after planning means
 another cell than the one that was proven. So the files that the manifest names, or those given in their place, are
 looked at again before anything is driven. What differs has a name: `part`, `placement`, `mount`, `housing`, `post`,
-`pedestal`, `fixture:NAME`; `scene` where the file cannot be read any more; `missing` for files that are gone. The robot
-model is always this version's own (`cell.proof.cell_again`), so a difference there is never accepted.
+`pedestal`, `robot`, `fixture:NAME`; `scene` where the file cannot be read any more; `missing` for files that are gone.
+The built-in robot is always this version's own (`cell.proof.cell_again`), so a difference there is never accepted.
 """
 
 import tomllib
@@ -19,6 +19,7 @@ from cell.part import workpiece
 from cell.proof.artefacts import sha256_of
 from cell.proof.files_now import MISSING, FilesNow
 from cell.proof.proof import Proven
+from cell.robot.model import KR16
 from cell.run import reader
 from cell.run.cell import scene_of_run
 from cell.run.record import artefact
@@ -34,6 +35,7 @@ _TABLES = {
     "housing": ("housing", "mount", "scanner"),
     "post": ("post", "robot"),
     "pedestal": ("robot",),
+    "robot": ("robot",),
 }
 """Of the scene file, the tables that say each thing."""
 
@@ -84,6 +86,8 @@ def _differences(proven: Proven, now: FilesNow, gone: list[str]) -> Iterator[tup
             scene, changed = path, _changed_tables(proven, path)
         elif named.what == "part":
             yield from _part(proven, named.path)
+        elif named.what == "robot":
+            yield "robot", f"the robot's file {path} was changed"
         else:
             yield named.what, f"the mesh {path} of the fixture '{named.what.partition(':')[2]}' was changed"
     if now.part is not None:
@@ -145,6 +149,7 @@ def _scene(proven: Proven, now: Scene, changed: Collection[str] | None) -> Itera
             [due.post.enabled, due.post.diameter_mm if due.post.enabled else 0.0],
         ),
         "pedestal": (_pedestal(now), _pedestal(due)),
+        "robot": ([now.robot.T_base, _named(proven, now)], [due.robot.T_base, True]),
     }
     for name, (one, other) in values.items():
         looked_at = changed is None or any(table in changed for table in _TABLES[name])
@@ -179,9 +184,14 @@ def _housing(scene: Scene) -> list[float]:
 
 
 def _pedestal(scene: Scene) -> list[float]:
-    """Height and sides; without a height there is none."""
-    height = scene.robot.pedestal_height_mm
-    return [height, *(scene.robot.pedestal_size_mm if height > 0 else ())]
+    """Height of the floor, and the pedestal's sides and middle where there is one."""
+    return [scene.robot.pedestal_height_mm, *(number for row in scene.robot.pedestal_mm or () for number in row)]
+
+
+def _named(proven: Proven, scene: Scene) -> bool:
+    """Whether a scene names the robot of the plan."""
+    planned = proven.scene.robot.name if proven.scene.robot is not None else KR16
+    return Path(scene.robot.model).name == planned
 
 
 def _close(one: object, other: object) -> bool:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.rays.embree import EmbreeRayCaster
-from cell.robot.model import LINKS
+from cell.robot import model as robot
+from cell.world.gap import mesh_of
 from cell.world.model import World
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
@@ -133,9 +134,10 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     import mujoco
 
     data = world.data()
-    data.qpos[:] = readonly("q", q, (6,))
+    data.qpos[:] = world.followers.qpos(readonly("q", q, (6,)))
     mujoco.mj_kinematics(world.model, data)
-    names = (*LINKS, "bracket") if ends is None else (*LINKS, "bracket", "housing")
+    links = robot.bodies(world.model)
+    names = (*links, "bracket") if ends is None else (*links, "bracket", "housing")
     pieces = [
         Occluder(name, *shape_triangles(world.model, data, geom))
         for geom, name in enumerate(world.entities)
@@ -165,10 +167,13 @@ def _holds_any(piece: Occluder, points: Floats) -> bool:
 def shape_triangles(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES
 ) -> tuple[Floats, NDArray[np.int32]]:
-    """A box or cylinder of the model as triangles, base frame; `sides` are those of the prism around a cylinder."""
+    """A shape of the model as triangles, base frame; `sides` are those of the prism around a cylinder."""
     import mujoco
 
     size = model.geom_size[geom]
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh, body = mesh_of(model, geom), int(model.geom_bodyid[geom])
+        return mesh.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body], mesh.faces
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         vertices, faces = box(size)
     else:

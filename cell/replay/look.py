@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.robot import model as robot
 from cell.view.palette import LOOKS, look_of
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
@@ -26,12 +25,17 @@ _VISUAL_GROUP, _ROBOT_GROUP, _HIDDEN_GROUP = 1, 3, 4
 
 def paint(spec: mujoco.MjSpec) -> None:
     """Give every shape the colour that it has in pictures."""
-    links = {geom.name for body in spec.bodies if body.name in robot.LINKS for geom in body.geoms}
+    links = {geom.name for body in spec.bodies if of_robot(body) for geom in body.geoms}
     for geom in spec.geoms:
         look = look_of("part" if _IS_PART.fullmatch(geom.name) else geom.name, of_robot=geom.name in links)
         geom.rgba = [*LOOKS[look], 1]
         if geom.name in links:
             geom.group = _ROBOT_GROUP
+
+
+def of_robot(body: mujoco.MjsBody) -> bool:
+    """Whether a body is the arm's: the base, a link, or what a link drives along."""
+    return body.name == "base" or len(body.joints) > 0
 
 
 def part_pieces(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:

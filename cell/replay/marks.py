@@ -152,13 +152,11 @@ def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
     for contact in data.contact[: data.ncon]:
         names = " with ".join(theatre.entities[geom] for geom in sorted(contact.geom, reverse=True))
         distance, position = float(contact.dist), contact.pos
-        for geom, mesh in (contact.geom, contact.geom[::-1]):
-            if mesh in theatre.trees:
-                points = np.zeros((2, 3))
-                distance = theatre.trees[mesh].from_geom(
-                    theatre.model, data, geom, mesh, theatre.clearance, points=points
-                )
-                position = points.mean(axis=0)
+        a, b = (int(geom) for geom in contact.geom)
+        if a in theatre.shapes.hollow or b in theatre.shapes.hollow:
+            points = np.zeros((2, 3))
+            distance = theatre.shapes.distance(data, a, b, theatre.clearance, points=points)
+            position = points.mean(axis=0)
         if distance < theatre.clearance and (names not in found or distance < found[names].distance):
             x, y, z = (float(value) for value in position)
             found[names] = Touch(names, distance, (x, y, z))

@@ -8,27 +8,26 @@ shows it). World frame = base frame, metres.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cell.errors import FileError
-from cell.replay.look import add_mesh, light, paint, part_pieces, show_surface
+from cell.replay.look import add_mesh, light, of_robot, paint, part_pieces, show_surface
 from cell.robot import model as robot
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.view.rays import frustum
-from cell.world.trees import trees_of
+from cell.world.gap import Shapes, is_convex, meshes_of
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.triangles import TriangleTree
 
 POINTS_SHOWN = 6_000
 """Points of one scan that are shown; more cover the surface without a gap and cost time alone."""
@@ -54,7 +53,7 @@ class Theatre:
         cloud_mesh: number of the mesh of each scan's points, object frame, by scan; -1 for a scan without points.
         entities: for each geom, the name a reader knows ("link_4", "housing", "part").
         clearance: distance that a free configuration keeps [m].
-        trees: true triangles by the geom whose hull is in the model, for what was checked as these.
+        shapes: who measures distances, by true triangles where these were checked.
     """
 
     model: mujoco.MjModel
@@ -69,7 +68,7 @@ class Theatre:
     cloud_mesh: tuple[int, ...]
     entities: tuple[str, ...]
     clearance: float
-    trees: Mapping[int, TriangleTree]
+    shapes: Shapes
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "home", readonly("home", self.home, (6,)))
@@ -105,7 +104,7 @@ def dress(
     centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
     opening, (nearest, farthest) = scene.scanner.opening_deg, np.array(scene.scanner.drawn_range_mm) / 1000.0
     corners = np.concatenate([frustum(opening, nearest), frustum(opening, farthest)])
-    entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if body.name in robot.LINKS}
+    entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if of_robot(body)}
     entities |= {piece.name: "part" for piece in part_pieces(spec)}
     paint(spec)
     light(spec, centre)
@@ -124,6 +123,8 @@ def dress(
             add_mesh(spec, f"cloud_{number}", specks(points, 0.010 * radius))
     with run_reader.compiles(run):
         model = spec.compile()
+    links = {name: mesh for name, mesh in meshes_of(model).items() if name in entities and entities[name] != "part"}
+    hollow = [*checked, *(name for name, mesh in links.items() if not is_convex(mesh))]
     mesh_of = {model.mesh(number).name: number for number in range(model.nmesh)}
     return Theatre(
         model=model,
@@ -138,7 +139,7 @@ def dress(
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
-        trees=trees_of(model, checked),
+        shapes=Shapes(model, {**links, **checked}, hollow),
     )
 
 

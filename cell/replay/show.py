@@ -55,6 +55,7 @@ class Show:
 
         self.theatre, self.timeline = theatre, timeline
         self.data = mujoco.MjData(theatre.model)
+        self._followers = robot.Followers.of(theatre.model)
         self._flange = theatre.model.site(robot.FLANGE).id
         self.T_base_scanner = readonly(
             "T_base_scanner",
@@ -74,7 +75,7 @@ class Show:
         """Bring the arm to where it is at a time of the show [s]."""
         import mujoco
 
-        self.data.qpos[:] = self.timeline.at(t)
+        self.data.qpos[:] = self._followers.qpos(self.timeline.at(t))
         mujoco.mj_kinematics(self.theatre.model, self.data)
         mujoco.mj_comPos(self.theatre.model, self.data)
         mujoco.mj_camlight(self.theatre.model, self.data)
@@ -133,7 +134,7 @@ class Show:
         """(4, 4) pose of the scanner at joint angles [m]."""
         import mujoco
 
-        self.data.qpos[:] = q
+        self.data.qpos[:] = self._followers.qpos(np.asarray(q))
         mujoco.mj_kinematics(self.theatre.model, self.data)
         return self._scanner_now()
 

@@ -1,1 +1,1 @@
-"""The KR 16: its model file, closed-form kinematics, KUKA frames."""
+"""The arm: the KR 16's model file or another's brought into its form, closed-form kinematics, KUKA frames."""

@@ -26,11 +26,13 @@ beyond the stretched arm by no more than 1e-10 m count as stretched; the solutio
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.errors import SceneError
 from cell.robot.model import Dimensions, dimensions, limits, load
 from planner.errors import PlannerError
 from planner.ports import JointLimits
@@ -55,6 +57,21 @@ _WRIST_NEAR_SINGULAR = 1e-3
 _ROTATION_TOLERANCE = 1e-6
 
 
+@dataclass(frozen=True, slots=True)
+class SphericalWrist:
+    """The family's chain in the frames, angles and signs of this module."""
+
+    lengths: Dimensions
+
+    def forward(self, t: Floats, T: Floats) -> None:
+        """Fill T (n, 4, 4), zeros, with the poses at t (6, n)."""
+        _forward(self.lengths, t, T)
+
+    def inverse(self, T: Floats, t: Floats, first: int) -> None:
+        """Fill t (n, 8, 6) with the branches of T (n, 4, 4); `first` is the number of T[0] for messages."""
+        _inverse(self.lengths, T, t, first)
+
+
 class Kr16Kinematics:
     """`planner.ports.Kinematics` of an arm of the KR 16's family.
 
@@ -69,8 +86,15 @@ class Kr16Kinematics:
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel) -> Kr16Kinematics:
-        """Kinematics of a compiled model of the robot alone (its world is the base frame)."""
-        return cls(dimensions(model), limits(model))
+        """Kinematics of a compiled model of the robot alone (its world is the base frame).
+
+        Raises:
+            SceneError: if the model's arm is no KR 16 in other lengths.
+        """
+        arm = dimensions(model)
+        if arm is None:
+            raise SceneError("the robot model is not an arm with the KR 16's axes, zeros and wrist")
+        return cls(arm, limits(model))
 
     @classmethod
     def load(cls) -> Kr16Kinematics:
@@ -150,8 +174,8 @@ def _forward(arm: Dimensions, q: Floats, T: Floats) -> None:
         T[:, 0, column] = sign * (c1 * ahead + s1 * y)
         T[:, 1, column] = sign * (c1 * y - s1 * ahead)
         T[:, 2, column] = sign * (cs * up - ss * x)
-    T[:, 0, 3] = r * c1 + arm.d6 * T[:, 0, 2]
-    T[:, 1, 3] = -r * s1 + arm.d6 * T[:, 1, 2]
+    T[:, 0, 3] = r * c1 + arm.b * s1 + arm.d6 * T[:, 0, 2]
+    T[:, 1, 3] = -r * s1 + arm.b * c1 + arm.d6 * T[:, 1, 2]
     T[:, 2, 3] = z + arm.d6 * T[:, 2, 2]
     T[:, 3, 3] = 1.0
 
@@ -170,13 +194,12 @@ def _inverse(arm: Dimensions, T: Floats, q: Floats, first: int) -> None:
     reach = np.where(aside, radius, 1.0)
     c1 = np.where(aside, w[0] / reach, 1.0)
     s1 = np.where(aside, -w[1] / reach, 0.0)
-    a1 = np.arctan2(s1, c1)
-    x = np.stack((radius, -radius)) - arm.a1
+    a1, c1, s1, out = _shoulders(arm.b, radius, c1, s1)
+    x = np.stack((out, -out)) - arm.a1
     y = arm.d1 - w[2]
-    # Every axis of the wrist's rotation in the plane of the arm: forward, sideways (turned by +A1).
-    ahead = np.stack((c1 * R[:, 0] - s1 * R[:, 1], s1 * R[:, 1] - c1 * R[:, 0]))  # (2, 3 columns, n)
-    aside_y = s1 * R[:, 0] + c1 * R[:, 1]
-    sideways = np.stack((aside_y, -aside_y))
+    # Every axis of the wrist's rotation in the plane of the arm: forward, sideways (turned by +A1). (2, 3 columns, n)
+    ahead = c1[:, None] * R[:, 0] - s1[:, None] * R[:, 1]
+    sideways = s1[:, None] * R[:, 0] + c1[:, None] * R[:, 1]
     up = R[:, 2]
 
     # Elbow (2 shoulder, 2 elbow, n): the two-bar chain a2, L to the point (x, y), y down.
@@ -186,6 +209,7 @@ def _inverse(arm: Dimensions, T: Floats, q: Floats, first: int) -> None:
     rho = np.sqrt(square)
     longest, shortest = arm.a2 + forearm, abs(arm.a2 - forearm)
     real = (rho <= longest + STRETCH_TOLERANCE) & (rho >= shortest - STRETCH_TOLERANCE) & (rho > 0.0)
+    real &= radius >= abs(arm.b) - STRETCH_TOLERANCE
     # 16 times the squared area of the triangle (Heron), factored so that it loses no digits near the stretched arm.
     heron = np.maximum((longest - rho) * (longest + rho) * (rho - shortest) * (rho + shortest), 0.0)
     sine = np.sqrt(heron)  # 2 a2 L sin psi
@@ -214,17 +238,35 @@ def _inverse(arm: Dimensions, T: Floats, q: Floats, first: int) -> None:
         _near_singular_wrist(near, s5, (ahead, sideways, up), (cs, ss), a4, a5, a6)
 
     for shoulder in (0, 1):
-        turned = a1 if shoulder == 0 else _opposite(a1)
         for elbow in (0, 1):
             slot = 4 * shoulder + 2 * elbow
             u4, u5, u6 = (angle[shoulder, elbow] for angle in (a4, a5, a6))
             for wrist, angles in ((0, (u4, u5, u6)), (1, (_opposite(u4), -u5, _opposite(u6)))):
-                for axis, angle in enumerate((turned, a2[shoulder, elbow], a3[shoulder, elbow], *angles)):
+                for axis, angle in enumerate((a1[shoulder], a2[shoulder, elbow], a3[shoulder, elbow], *angles)):
                     q[:, slot + wrist, axis] = angle
     np.add(q, 2.0 * np.pi, out=q, where=q <= -np.pi)
     np.subtract(q, 2.0 * np.pi, out=q, where=q > np.pi)
     for shoulder in (0, 1):
         q[~real[shoulder], 4 * shoulder : 4 * shoulder + 4] = np.nan
+
+
+def _shoulders(b: float, radius: Floats, c: Floats, s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """A1 of both shoulders (2, n), its cosine and sine, and the wrist centre's distance ahead (n,).
+
+    Args:
+        b: sideways offset of the wrist centre [m].
+        radius: (n,) its distance from the A1 axis [m].
+        c: (n,) x of its direction from there.
+        s: (n,) -y of it.
+    """
+    if b == 0.0:
+        a1 = np.arctan2(s, c)
+        return np.stack((a1, _opposite(a1))), np.stack((c, -c)), np.stack((s, -s)), radius
+    out = np.sqrt(np.maximum((radius - b) * (radius + b), 0.0))
+    norm = np.hypot(out, b)  # radius, but for poses on the border
+    cos, sin = np.stack((out, -out)) / norm, b / norm
+    c1, s1 = c * cos - s * sin, s * cos + c * sin
+    return np.arctan2(s1, c1), c1, s1, out
 
 
 def _opposite(angle: Floats) -> Floats:
@@ -255,6 +297,12 @@ def _near_singular_wrist(
     a4[near] = first
     a5[near] = np.where(singular, np.where(a5[near] < 1.0, 0.0, np.pi), a5[near])
     a6[near] = np.arctan2(c4 * side[:, 2] - s4 * top[:, 2], c4 * side[:, 1] - s4 * top[:, 1])
+
+
+def require_rigid(T: Floats, first: int) -> None:
+    """Raise PlannerError, naming the pose, unless every pose of T (n, 4, 4) is a rigid transform."""
+    e = np.ascontiguousarray(T[:, :3, :].reshape(len(T), 12).T)
+    _require_rigid(np.stack((e[0], e[4], e[8], e[1], e[5], e[9], e[2], e[6], e[10])).reshape(3, 3, -1), e, T, first)
 
 
 def _require_rigid(R: Floats, e: Floats, T: Floats, first: int) -> None:

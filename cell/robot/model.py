@@ -1,7 +1,8 @@
-"""The robot's model file: where it is, and what it says about axes, home pose and dimensions.
+"""A robot's compiled model: what it says about axes, home pose, dimensions and what follows the axes; the KR 16's file.
 
-Everything is read from the *compiled* `models/kr16.xml`, so that a number stands in one place. World of that file is
-the robot's base frame (KUKA $ROBROOT). MuJoCo is imported when a model is asked for, not with this module.
+Every number is read from the *compiled* model, that of `models/kr16.xml` or of an arm that was brought into its form
+(`cell.robot.normalised`), so that it stands in one place. World of `kr16.xml` is the robot's base frame (KUKA
+$ROBROOT). MuJoCo is imported when a model is asked for, not with this module.
 """
 
 from __future__ import annotations
@@ -9,17 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
 from planner.ports import JointLimits
-from planner.values import Floats
+from planner.values import Floats, Ints, Value
 
 if TYPE_CHECKING:
     import mujoco
+
+KR16 = "kr16"
+"""Name of the robot that is built in."""
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 LINKS = ("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6")
@@ -33,6 +37,43 @@ _FLANGE_AT_ZERO = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=np.float64)
 _TOLERANCE = 1e-9
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Followers(Value):
+    """Joints that the axes drive along (levers, pistons): angle = ratio * the axis'.
+
+    Attributes:
+        axis: (k,) index of the axis that drives each, in the order of the joint values.
+        ratio: (k,) -.
+    """
+
+    axis: Annotated[Ints, "k"]
+    ratio: Annotated[Floats, "k"]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> Followers:
+        """Those of a compiled model, whose joint values come after A1..A6.
+
+        Raises:
+            SceneError: if a joint is none of A1..A6 and nothing says what drives it.
+        """
+        rows = []
+        for joint in range(len(AXES), model.njnt):
+            numeric = f"follower_{model.body(model.jnt_bodyid[joint]).name}"
+            try:
+                axis, ratio = model.numeric(numeric).data
+            except (KeyError, ValueError):
+                raise SceneError(
+                    f"the robot model's joint '{model.joint(joint).name}' is none of A1..A6; give a numeric named "
+                    f"'{numeric}' with the number of the axis that drives it, from 0, and the ratio"
+                ) from None
+            rows.append((int(axis), float(ratio)))
+        return cls(np.array([axis for axis, _ in rows], dtype=np.int64), np.array([ratio for _, ratio in rows]))
+
+    def qpos(self, q: Floats) -> Floats:
+        """(..., nq) all joint values for (..., 6) angles of the axes [rad]."""
+        return np.concatenate([q, q[..., self.axis] * self.ratio], axis=-1) if len(self.axis) else q
+
+
 @dataclass(frozen=True, slots=True)
 class Dimensions:
     """The six lengths of a KUKA arm with a spherical wrist [m], all in the plane y = 0 at A1..A6 = 0.
@@ -44,6 +85,7 @@ class Dimensions:
         a3: A3 axis to A4 axis, up when the forearm is level (negative: A4 runs below A3).
         d4: A3 axis to wrist centre, along A4.
         d6: wrist centre to flange face.
+        b: sideways offset of forearm and wrist, along y.
     """
 
     d1: float
@@ -52,12 +94,30 @@ class Dimensions:
     a3: float
     d4: float
     d6: float
+    b: float = 0.0
 
-    def wrist_in_plane(self, a2: Floats, a3: Floats) -> tuple[Floats, Floats]:
-        """Wrist centre at angles of A2 and A3 [rad] (`cell.robot.kinematics`): distance from A1, height [m]."""
-        s = a2 + a3
-        r = self.a1 + self.a2 * np.cos(a2) + self.d4 * np.cos(s) + self.a3 * np.sin(s)
-        return r, self.d1 - self.a2 * np.sin(a2) - self.d4 * np.sin(s) + self.a3 * np.cos(s)
+
+def bodies(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of the robot's bodies: base, links, and what is driven along."""
+    driven = (model.body(model.jnt_bodyid[joint]).name for joint in range(len(AXES), model.njnt))
+    return (*LINKS, *driven)
+
+
+def kept_apart(model: mujoco.MjModel) -> dict[tuple[int, int], float]:
+    """Pairs of geoms that are guarded by less than the cell's clearance, and by how much [m].
+
+    Two links that the arm's build keeps near each other: the numeric `keeps_<i>_<j>`, by their numbers in `bodies`.
+    """
+    names, found = bodies(model), {}
+    for number in range(model.nnumeric):
+        kind, _, pair = model.numeric(number).name.partition("_")
+        if kind != "keeps":
+            continue
+        one, other = (model.body(names[int(index)]) for index in pair.split("_"))
+        for a in range(one.geomadr[0], one.geomadr[0] + one.geomnum[0]):
+            for b in range(other.geomadr[0], other.geomadr[0] + other.geomnum[0]):
+                found[a, b] = found[b, a] = float(model.numeric(number).data[0])
+    return found
 
 
 def model_file(name: str = "kr16.xml") -> Path:
@@ -118,7 +178,7 @@ def limits(model: mujoco.MjModel) -> JointLimits:
     """
     joints = _joints(model)
     if not model.jnt_limited[joints].all():
-        raise SceneError("a joint of the robot model has no range; give each of A1..A6 its range in models/kr16.xml")
+        raise SceneError("a joint of the robot model has no range; give each of A1..A6 its range")
     lower, upper = model.jnt_range[joints].T
     return JointLimits(
         lower=lower,
@@ -145,47 +205,43 @@ def home(model: mujoco.MjModel) -> Floats:
 
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     if key < 0:
-        raise SceneError("the robot model has no key named home; give it one in models/kr16.xml")
+        raise SceneError("the robot model has no key named home; give robot.home_deg")
     return np.array(model.key_qpos[key][model.jnt_qposadr[_joints(model)]])
 
 
-def dimensions(model: mujoco.MjModel) -> Dimensions:
-    """Lengths of the arm, read off the compiled model at A1..A6 = 0.
+def dimensions(model: mujoco.MjModel) -> Dimensions | None:
+    """Lengths of an arm that stands and turns as the KR 16 does, read off the compiled model at A1..A6 = 0.
 
     Args:
-        model: compiled model with joints A1..A6, a site `flange`, and the base frame as its world.
+        model: compiled model with joints A1..A6 and a site `flange`, the robot's base in its world's origin.
+
+    Returns:
+        None where the closed form of `cell.robot.kinematics` is not for it: other signs, zeros or offsets.
 
     Raises:
-        SceneError: if the arm is not of the family that the closed form solves.
+        SceneError: if a joint or the flange is missing.
     """
     import mujoco
 
     joints = _joints(model)
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, FLANGE) < 0:
-        raise SceneError(f"the robot model has no site named {FLANGE}; give it one in models/kr16.xml")
+        raise SceneError(f"the robot model has no site named {FLANGE}; give it one")
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
     anchors, site = data.xanchor[joints], data.site(FLANGE)
     shoulder, elbow, forearm, wrist = anchors[1], anchors[2], anchors[3], anchors[4]
-    in_plane = np.abs([shoulder[1], elbow[1], forearm[1], wrist[1], site.xpos[1]])
-    misses = {
-        "A1 does not run through the origin": np.abs(anchors[0, :2]).max(),
-        "an axis does not point as KUKA's": np.abs(data.xaxis[joints] - _DIRECTIONS).max(),
-        "an axis or the flange lies off the plane y = 0": in_plane.max(),
-        "A3 is not level with A2": abs(elbow[2] - shoulder[2]),
-        "A4, A5 and A6 do not meet in one point": max(
-            abs(forearm[2] - wrist[2]), np.abs(anchors[5, 1:] - wrist[1:]).max()
-        ),
-        "the flange is off the A6 axis": abs(site.xpos[2] - wrist[2]),
-        "the flange's z does not leave along A6": np.abs(site.xmat.reshape(3, 3) - _FLANGE_AT_ZERO).max(),
-    }
-    for fault, miss in misses.items():
-        if miss > _TOLERANCE:
-            raise SceneError(
-                f"the robot model is not an arm that the closed-form kinematics solves: {fault} (off by {miss:.3g}); "
-                "it must have KUKA's axis directions, a spherical wrist and no sideways offset at A1..A6 = 0"
-            )
+    misses = (
+        np.abs(anchors[0, :2]).max(),  # A1 runs through the origin
+        np.abs(data.xaxis[joints] - _DIRECTIONS).max(),
+        np.abs([shoulder[1], elbow[1], forearm[1], wrist[1], site.xpos[1]]).max(),  # all in the plane y = 0
+        abs(elbow[2] - shoulder[2]),
+        max(abs(forearm[2] - wrist[2]), np.abs(anchors[5, 1:] - wrist[1:]).max()),  # A4, A5 and A6 meet in one point
+        abs(site.xpos[2] - wrist[2]),  # the flange is on A6, its z along it
+        np.abs(site.xmat.reshape(3, 3) - _FLANGE_AT_ZERO).max(),
+    )
+    if max(misses) > _TOLERANCE:
+        return None
     return Dimensions(
         d1=float(shoulder[2]),
         a1=float(shoulder[0]),

@@ -19,6 +19,7 @@ from cell.errors import SceneError, UsageError
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import Occluder, caster_of, standing_triangles
 from cell.robot.frames import kuka_abc_from_pose
+from cell.robot.model import KR16
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
@@ -30,14 +31,12 @@ from cell.scene.scene import Scene
 from cell.world import shapes
 from cell.world.model import World, compile_world
 from cell.world.travel import TravelBound
-from planner.ports import Scanner
+from planner.ports import Kinematics, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-    from cell.robot.kinematics import Kr16Kinematics
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +64,7 @@ class RunCell:
     occluder_caster: EmbreeRayCaster
     scanner: Scanner
     scanner_keys: ScannerKeys
-    kinematics: Kr16Kinematics
+    kinematics: Kinematics
     travel: TravelBound
 
     @property
@@ -102,7 +101,7 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
         UsageError: if the resolution is not possible.
         FileError: if an artefact is missing, changed or damaged.
     """
-    from cell.robot.kinematics import Kr16Kinematics
+    from cell.robot.arm import kinematics_of
 
     scene, model = run_reader.scene(run), run_reader.cell_model(run)
     reference = run_reader.mesh(run, "reference.ply")
@@ -119,7 +118,7 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
             raise
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
     with understood(run.folder / "cell.xml"):
-        kinematics = Kr16Kinematics.from_model(model)
+        kinematics = kinematics_of(model)
         occluders = _occluders(run, scene, model)
     return RunCell(
         scene=scene,
@@ -192,9 +191,10 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
                 "clearance_mm": resolved.clearance_mm,
                 "plan": _plan(resolved),
                 "robot": {
+                    **_robot(run, resolved),
                     **_limits(resolved),
                     "home_deg": resolved.home_deg,
-                    "pedestal_height_mm": 0.0 if pedestal is None else pedestal.size_mm[2],
+                    "pedestal_height_mm": round(-1000 * built_in["floor"].pose[2, 3], 9),
                     **({} if pedestal is None else {"pedestal_size_mm": pedestal.size_mm[:2]}),
                 },
                 "scanner": {"type": resolved.scanner.type, **resolved.scanner.own},
@@ -246,6 +246,18 @@ def _plan(resolved: ResolvedScene) -> dict[str, object]:
     left_out = {"percent_kept", "coverage" if resolved.plan.max_views is not None else ""}
     keys = {name: getattr(resolved.plan, name) for name in PlanKeys.model_fields if name not in left_out}
     return keys | {"collision": "hull" if resolved.plan.collision == "hull" else "exact"}
+
+
+def _robot(run: RunRecord, resolved: ResolvedScene) -> dict[str, object]:
+    """The keys of `[robot]` that say which one it is and where it stands."""
+    if resolved.robot is None:
+        return {}
+    model: str = resolved.robot.model
+    if model != KR16:
+        artefact(run, model)  # checks that it is what the run wrote
+        model = str((run.folder / model).absolute())
+    upright = np.array_equal(resolved.robot.T_base, np.eye(4))
+    return {"model": model, **({} if upright else {"base": _pose(resolved.robot.T_base)})}
 
 
 def _limits(resolved: ResolvedScene) -> dict[str, object]:

@@ -4,12 +4,14 @@ Millimetres and degrees, as the keys of the files say.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal, TypedDict
 
 import numpy as np
 
+from cell.robot.model import KR16
 from cell.run.plan_json import Sweep
-from cell.run.scene_json import StandingFixture
+from cell.run.scene_json import ResolvedRobot, StandingFixture
 from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.model import World
 from planner.path.sweeps.path import SweepPath
@@ -41,6 +43,16 @@ def limits_deg(limits: JointLimits) -> LimitsDeg:
 def standing_fixtures(scene: Scene, world: World) -> list[StandingFixture]:
     """All that stands in the cell: the scene's fixtures, then post, pedestal and floor."""
     return [*(_fixture(fixture, world) for fixture in scene.fixtures), *_built_in(scene, world)]
+
+
+def resolved_robot(scene: Scene) -> ResolvedRobot | None:
+    """The robot of a scene; None: the built-in one in the origin."""
+    model = scene.robot.model
+    if model == KR16 and scene.robot.base is None:
+        return None
+    return ResolvedRobot(
+        model="kr16" if model == KR16 else "robot.xml", name=Path(model).name, T_base=scene.robot.T_base
+    )
 
 
 def sweep_of(T_object_poses: Floats, path: SweepPath) -> Sweep:
@@ -88,9 +100,9 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
         x, y, top = (mm(value) for value in world.post_top(world.T_base_object))
         height = top - floor_mm
         listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], [x, y, floor_mm + height / 2]))
-    if scene.robot.pedestal_height_mm > 0:
-        size = [*scene.robot.pedestal_size_mm, scene.robot.pedestal_height_mm]
-        listed.append(standing("pedestal", "box", size, [0.0, 0.0, floor_mm / 2]))
+    if scene.robot.pedestal_mm is not None:
+        size, middle = scene.robot.pedestal_mm
+        listed.append(standing("pedestal", "box", list(size), list(middle)))
     listed.append(standing("floor", "plane", [], [0.0, 0.0, floor_mm]))
     return listed
 

@@ -6,8 +6,8 @@ into `sha256sum` again gives it, without any of our code:
 
     LC_ALL=C sha256sum cell.xml motion.npz plan.json reference.ply scene.resolved.json viewpoints.npz | sha256sum
 
-with `fixture_<name>.ply` of each mesh fixture in its place among them. The files are hashed as the bytes that they are;
-their form is canonical because equal inputs and seed give equal bytes.
+with `fixture_<name>.ply` of each mesh fixture, and `robot.xml` where there is one, in their places among them. The
+files are hashed as the bytes that they are; their form is canonical because equal inputs and seed give equal bytes.
 
 A way that is not the plan's motion as a whole has a digest of its own: of the text `plan <digest of the plan>`, then
 one line for each via point in driving order, from where the arm stands: the number of the leg, of the view that is
@@ -26,8 +26,9 @@ SHOWN = 8
 
 
 def driving(artefacts: Iterable[str]) -> list[str]:
-    """Names of the artefacts that the motion rests on, sorted: `ALWAYS`, and the triangles of mesh fixtures."""
-    return sorted({*ALWAYS, *(name for name in artefacts if name.startswith("fixture_") and name.endswith(".ply"))})
+    """Names of the artefacts that the motion rests on, sorted: `ALWAYS`, triangles of mesh fixtures, a robot's file."""
+    fixtures = (name for name in artefacts if name.startswith("fixture_") and name.endswith(".ply"))
+    return sorted({*ALWAYS, *fixtures, *(name for name in artefacts if name == "robot.xml")})
 
 
 def of_plan(artefacts: Mapping[str, str]) -> str:

@@ -37,6 +37,14 @@ class ScannerKeys(OpenTable):
         return self.pair("range_mm") or (100.0, 300.0)
 
 
+class ResolvedRobot(JsonTable):
+    """A robot that is not built in, or that does not stand in the origin."""
+
+    model: Literal["kr16", "robot.xml"] = Field(description="the built-in robot, or the run's own file of another")
+    name: str = Field(description="of the file that the scene names, or kr16")
+    T_base: Transform = Field(description="where its base stands in the cell's frame")
+
+
 class ResolvedHousing(JsonTable):
     """The scanner's body and the bracket between it and the flange."""
 
@@ -91,6 +99,9 @@ class ResolvedScene(JsonTable):
     scanner: ScannerKeys
     planning_resolution_deg: float = Field(description="between rays that fill the matrix, with `fill` 'rays'")
     housing: ResolvedHousing
+    robot: ResolvedRobot | None = optional(
+        "which robot, and where its base stands; else the built-in one in the origin"
+    )
     fixtures: tuple[StandingFixture, ...] = Field(description="of the scene, and post, pedestal and floor")
     # The built-in home is whole numbers, and the file keeps what the scene has.
     home_deg: tuple[int | float, ...] = Field(description="joint angles at which the motion begins and ends")

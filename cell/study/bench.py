@@ -20,7 +20,7 @@ from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, part_matrix, surface_features
 from cell.rays.prediction import held_out
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.scene import devices
 from cell.scene.part_regions import with_regions
 from cell.scene.regions import require_no_wishes
@@ -33,7 +33,7 @@ from planner.cover import Cover, Problem
 from planner.measurability import coverage
 from planner.measurability.columns import pick_measurability
 from planner.measurability.matrix import Measurability
-from planner.ports import Scanner
+from planner.ports import Kinematics, Scanner
 from planner.reach import reach
 from planner.reach.reach import Reach
 from planner.surface.decimate import decimate
@@ -136,9 +136,9 @@ class Bench:
         return world
 
     @cached_property
-    def kinematics(self) -> Kr16Kinematics:
+    def kinematics(self) -> Kinematics:
         """Of the arm."""
-        return Kr16Kinematics.from_model(self.world.model)
+        return kinematics_of(self.world.model)
 
     def reach(self, candidates: Viewpoints, T_base_centre: Floats) -> Reach:
         """Which candidates the robot reaches with the part's centre at a place.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.errors import FileError
+from cell.robot.model import KR16
 from cell.scene.scene import Scene
 from cell.study.bench import Bench
 
@@ -17,7 +18,8 @@ def scene_settings(scene: Scene) -> dict[str, object]:
     content = scene.model_dump(mode="json", exclude_defaults=True)
     # Where a value is a default of a table that depends on the type of the shape, the dump leaves out the type's key.
     content["fixtures"] = [fixture.model_dump(mode="json") for fixture in scene.fixtures]
-    paths = [scene.part.path, *(getattr(fixture, "path", None) for fixture in scene.fixtures)]
+    arm = None if scene.robot.model == KR16 else scene.robot.model
+    paths = [arm, scene.part.path, *(getattr(fixture, "path", None) for fixture in scene.fixtures)]
     return {"scene": content, "files": {path: _sha256(path) for path in paths if path is not None}}
 
 

@@ -6,6 +6,7 @@ The camera is fitted to part and arm; what stands between it and them is glass. 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,15 @@ from PIL import Image
 
 from cell.errors import UsageError
 from cell.rays.embree import EmbreeRayCaster
+from cell.rays.occluders import shape_triangles
 from cell.view import rays
-from cell.view.palette import BLUE, LOOKS, ORANGE
+from cell.view.palette import BLUE, LOOKS, ORANGE, look_of
 from cell.view.pieces import Cell, Piece, placed
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
+
+if TYPE_CHECKING:
+    import mujoco
 
 _BESIDE_DEG, _ABOVE_DEG = (
     -53.0,
@@ -93,7 +98,7 @@ def draw_cell(
     line = way[np.linspace(0, len(way) - 1, min(len(way), _PATH)).astype(np.int64)] if len(way) else way
     rays.lines(drawn, seen, np.stack([line[:-1], line[1:]], axis=1), BLUE, width=2)
     rays.lines(drawn, seen, marks, "#0b5d57")
-    here = links[-1] @ cell.arm.T_link_scanner
+    here = links[6] @ cell.arm.T_link_scanner
     if any(np.allclose(here, view, atol=1e-6) for view in views):
         rays.lines(drawn, seen, rays.pyramids(here[None], cell.frustum), ORANGE, width=2)
     return drawn, seen
@@ -122,6 +127,27 @@ def tour_camera(
     moved = [piece.vertices for q in poses for piece in placed(arm, cell.arm.links(q))]
     toward = rays.direction(*_beside(stands))
     return rays.fitted(np.concatenate([*moved, stands, way]), toward, size, parallel=False, half=half)
+
+
+def draw_robot(model: mujoco.MjModel, size: tuple[int, int] = (720, 720)) -> Image.Image:
+    """A robot alone, at its home; in its zero where it has none.
+
+    Args:
+        model: compiled.
+        size: (width, height) [pixels].
+    """
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key("home").qpos if model.nkey else 0.0
+    mujoco.mj_kinematics(model, data)
+    pieces = []
+    for geom in range(model.ngeom):
+        colour = np.array(LOOKS[look_of(model.geom(geom).name, of_robot=True)])
+        pieces.append(Piece("robot", 0, *shape_triangles(model, data, geom), colour))
+    fit = np.concatenate([piece.vertices for piece in pieces])
+    camera = rays.fitted(fit, rays.direction(-60.0, _ABOVE_DEG), size, parallel=False)
+    return rays.render(camera, _Lit(camera.eye, pieces).colour_of)[0]
 
 
 def best_view(cell: Cell, part: TriangleMesh, views: Floats) -> int:

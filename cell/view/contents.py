@@ -225,7 +225,7 @@ def execution_play(run: RunRecord, recorded: RecordedExecution, done: ExecutedRu
     of_stop = {view.stop: view for view in report.views}
     said = []
     for stop, scan in zip(timeline.stops, recorded.scans, strict=True):
-        pose, own = cell.arm.links(scan.q_reported)[-1] @ cell.arm.T_link_scanner, of_stop.get(stop.number)
+        pose, own = cell.arm.links(scan.q_reported)[6] @ cell.arm.T_link_scanner, of_stop.get(stop.number)
         told = [("view", f"{stop.number}, candidate {stop.candidate}")]
         if own is not None:
             told += [("adds", f"{_percent(own.adds)} of the surface"), ("points", f"{own.points:,}")]

@@ -71,15 +71,17 @@ function apply(name) {
 
 const links = [new THREE.Group()];
 scene.add(links[0]);
-for (const T of data.arm.T_parent_link) {
+data.arm.T_parent_link.forEach((T, k) => {
   const joint = fixed(matrix(T)), link = new THREE.Group();
-  links[links.length - 1].add(joint);
+  links[data.arm.parent[k]].add(joint);
   joint.add(link);
   links.push(link);
-}
+});
 const axes = data.arm.axis.map((axis) => new THREE.Vector3(...axis));
 function pose(q, start = 0) {
-  axes.forEach((axis, k) => links[k + 1].quaternion.setFromAxisAngle(axis, q[start + k] - data.arm.reference[k]));
+  const { driver, ratio, reference } = data.arm;
+  axes.forEach((axis, k) =>
+    links[k + 1].quaternion.setFromAxisAngle(axis, ratio[k] * q[start + driver[k]] - reference[k]));
   redraw();
 }
 for (const piece of data.pieces) {

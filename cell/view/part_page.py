@@ -117,7 +117,16 @@ def _kinds(cad: CadModel, mesh: TriangleMesh, face_of_vertex: np.ndarray[tuple[i
 
 def _nothing() -> Cell:
     """A cell with nothing in it but a place for the part."""
-    still = Arm(np.tile(np.eye(4), (6, 1, 1)), np.zeros(6), np.tile([0.0, 0.0, 1.0], (6, 1)), np.eye(4), np.zeros(6))
+    still = Arm(
+        T_parent_link=np.tile(np.eye(4), (6, 1, 1)),
+        parent=np.arange(6),
+        driver=np.arange(6),
+        ratio=np.ones(6),
+        reference=np.zeros(6),
+        axis=np.tile([0.0, 0.0, 1.0], (6, 1)),
+        T_link_scanner=np.eye(4),
+        home=np.zeros(6),
+    )
     return Cell((), still, np.eye(4), np.zeros((4, 3)))
 
 

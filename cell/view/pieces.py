@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.rays.occluders import shape_triangles, standing_triangles
-from cell.robot.model import AXES, FLANGE, LINKS
+from cell.robot import model as robot
+from cell.robot.model import FLANGE
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys
@@ -22,7 +23,7 @@ from cell.view.rays import frustum
 from cell.world.model import World
 from cell.world.shapes import quaternion
 from planner.surface.mesh import TriangleMesh
-from planner.values import Bools, Floats, Value
+from planner.values import Bools, Floats, Ints, Value
 
 if TYPE_CHECKING:
     import mujoco
@@ -39,7 +40,7 @@ class Piece(Value):
 
     Attributes:
         name: what a reader calls it ("robot", "scanner", "post", a fixture's name); pieces of one name hide together.
-        link: in whose frame it is: 0 base, 1 to 6 the links.
+        link: in whose frame it is: 0 the cell's, 1 to 6 the links, then what these drive along.
         vertices: (V, 3) [m].
         faces: (F, 3) int32, outward.
         rgb: (3,) from 0 to 1.
@@ -54,31 +55,38 @@ class Piece(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm(Value):
-    """The chain of the arm, enough to place its links.
+    """The chain of the arm, enough to place its links: link_1 to link_6, then what these drive along.
 
     Attributes:
-        T_parent_link: (6, 4, 4) of link_1 to link_6 [m] at the model's reference angles; the first in base.
-        reference: (6,) these angles [rad].
-        axis: (6, 3) of the joint, in the link's frame and through its origin.
+        T_parent_link: (k, 4, 4) of each in its parent [m] at the model's reference angles.
+        parent: (k,) number of the parent: 0 the cell's frame, 1 to 6 the links, then the others.
+        driver: (k,) which of the six angles turns it.
+        ratio: (k,) by how much of it.
+        reference: (k,) its own angle in the reference [rad].
+        axis: (k, 3) of the joint, in the link's frame and through its origin.
         T_link_scanner: (4, 4) of the scanner in link_6 [m].
         home: (6,) [rad].
     """
 
-    T_parent_link: Annotated[Floats, "6 4 4"]
-    reference: Annotated[Floats, "6"]
-    axis: Annotated[Floats, "6 3"]
+    T_parent_link: Annotated[Floats, "k 4 4"]
+    parent: Annotated[Ints, "k"]
+    driver: Annotated[Ints, "k"]
+    ratio: Annotated[Floats, "k"]
+    reference: Annotated[Floats, "k"]
+    axis: Annotated[Floats, "k 3"]
     T_link_scanner: Annotated[Floats, "4 4"]
     home: Annotated[Floats, "6"]
 
     def links(self, q: Floats) -> Floats:
-        """(7, 4, 4) base and link_1 to link_6 in base [m], at (6,) joint angles [rad]."""
+        """(1 + k, 4, 4) the cell's frame, and each link in it [m], at (6,) joint angles [rad]."""
         from scipy.spatial.transform import Rotation
 
-        turns = np.tile(np.eye(4), (6, 1, 1))
-        turns[:, :3, :3] = Rotation.from_rotvec(self.axis * (np.asarray(q) - self.reference)[:, None]).as_matrix()
+        turns = np.tile(np.eye(4), (len(self.axis), 1, 1))
+        angles = np.asarray(q)[self.driver] * self.ratio
+        turns[:, :3, :3] = Rotation.from_rotvec(self.axis * (angles - self.reference)[:, None]).as_matrix()
         placed = [np.eye(4)]
-        for T, turn in zip(self.T_parent_link, turns, strict=True):
-            placed.append(placed[-1] @ T @ turn)
+        for parent, T, turn in zip(self.parent, self.T_parent_link, turns, strict=True):
+            placed.append(placed[parent] @ T @ turn)
         return np.stack(placed)
 
 
@@ -112,7 +120,7 @@ def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
     meshes = {each.name: run_reader.mesh(run, each.file) for each in scene.fixtures if each.file is not None}
     with understood(run.folder / "cell.xml"):
         data.mocap_quat[model.body("object").mocapid] = quaternion(T[:3, :3])
-        data.qpos[:] = np.radians(scene.home_deg)
+        data.qpos[:] = robot.Followers.of(model).qpos(np.radians(scene.home_deg))
         mujoco.mj_kinematics(model, data)
         return _cell(model, data, T, meshes, scene.T_flange_scanner, _seen_by(scene.scanner))
 
@@ -155,7 +163,7 @@ def placed(pieces: Sequence[Piece], links: Floats) -> list[Piece]:
 
     Args:
         pieces: in the frames of their links.
-        links: (7, 4, 4) from `Arm.links` [m].
+        links: from `Arm.links` [m].
     """
     moved = []
     for piece in pieces:
@@ -173,8 +181,9 @@ def _cell(
     frustum: Floats,
 ) -> Cell:
     """The cell of a compiled model whose state has part and post at the placement and the arm at home."""
-    links = np.tile(np.eye(4), (len(LINKS), 1, 1))
-    for number, name in enumerate(LINKS):
+    names = robot.bodies(model)  # the base does not move: what is on it is given in the cell's frame
+    links = np.tile(np.eye(4), (len(names), 1, 1))
+    for number, name in enumerate(names[1:], 1):
         links[number, :3, :3], links[number, :3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
     pieces = []
     for occluder in standing_triangles(data, T_base_object, meshes, ()):
@@ -182,24 +191,40 @@ def _cell(
         pieces.append(Piece(occluder.name, 0, vertices, occluder.faces, _rgb(look_of(occluder.name, of_robot=False))))
     for geom in range(model.ngeom):
         body = model.body(model.geom_bodyid[geom]).name
-        if body not in (*LINKS, *_TOOL):
+        if body not in (*names, *_TOOL):
             continue
-        link = LINKS.index(body) if body in LINKS else len(LINKS) - 1
+        link = names.index(body) if body in names else names.index("link_6")
         T = np.linalg.inv(links[link])
         vertices, faces = shape_triangles(model, data, geom)
-        look = look_of(model.geom(geom).name, of_robot=body in LINKS)
-        name = "robot" if body in LINKS else "scanner"
+        look = look_of(model.geom(geom).name, of_robot=body in names)
+        name = "robot" if body in names else "scanner"
         pieces.append(Piece(name, link, vertices @ T[:3, :3].T + T[:3, 3], faces, _rgb(look)))
     flange = np.eye(4)
     flange[:3, :3], flange[:3, 3] = data.site(FLANGE).xmat.reshape(3, 3), data.site(FLANGE).xpos
-    arm = Arm(
-        np.stack([_relative(model, link) for link in LINKS[1:]]),
-        np.array(model.qpos0),
-        np.stack([model.joint(axis).axis for axis in AXES]),
-        np.linalg.inv(links[-1]) @ flange @ T_flange_scanner,
-        np.array(data.qpos),
+    return Cell(
+        tuple(pieces),
+        _arm(model, data, np.linalg.inv(links[6]) @ flange @ T_flange_scanner),
+        np.asarray(T_base_object),
+        frustum,
     )
-    return Cell(tuple(pieces), arm, np.asarray(T_base_object), frustum)
+
+
+def _arm(model: mujoco.MjModel, data: mujoco.MjData, T_link_scanner: Floats) -> Arm:
+    """The chain of a compiled model whose state has the arm at home."""
+    names, followers = robot.bodies(model), robot.Followers.of(model)
+    joints = [int(model.body(name).jntadr[0]) for name in names[1:]]
+    T_parent_link = np.stack([_relative(model, name) for name in names[1:]])
+    T_parent_link[0] = _relative(model, "base") @ T_parent_link[0]
+    return Arm(
+        T_parent_link,
+        np.array([names.index(model.body(model.body(name).parentid[0]).name) for name in names[1:]]),
+        np.concatenate([np.arange(6), followers.axis]),
+        np.concatenate([np.ones(6), followers.ratio]),
+        model.qpos0[joints],
+        model.jnt_axis[joints],
+        T_link_scanner,
+        np.array(data.qpos[:6]),
+    )
 
 
 def _relative(model: mujoco.MjModel, body: str) -> Floats:

@@ -14,8 +14,8 @@ import numpy as np
 
 from cell.plan.candidates import GROWN
 from cell.rays.occluders import caster_of, occluder_triangles
+from cell.robot.arm import kinematics_of
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
-from cell.robot.kinematics import Kr16Kinematics
 from cell.run.cell import RunCell
 from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.world.collision import MujocoCollisionChecker
@@ -190,7 +190,7 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Ints) -> list
 def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None) -> Ints:
     """Views that the arm takes up."""
     T = world.T_base_object if T_base_object is None else T_base_object
-    kinematics = Kr16Kinematics.from_model(world.model)
+    kinematics = kinematics_of(world.model)
     checker = MujocoCollisionChecker(world, T)
     return np.flatnonzero(reach.solve(views, T, world.T_flange_scanner, kinematics, checker).reachable)
 

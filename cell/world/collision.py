@@ -69,7 +69,7 @@ class MujocoCollisionChecker:
         """
         import mujoco
 
-        angles = _configurations(q)
+        angles = self._world.followers.qpos(_configurations(q))
         model, data = self._world.grown, self._grown
         kinematics, collision, qpos = mujoco.mj_kinematics, mujoco.mj_collision, data.qpos
         free = np.ones(len(angles), dtype=np.bool_)
@@ -189,9 +189,10 @@ class MujocoCollisionChecker:
         return self._travel(_configurations(q_from), _configurations(q_to))
 
     def _set(self, configuration: Floats) -> None:
+        """The state at (6,) angles of the axes, or at all joint values."""
         import mujoco
 
-        self._data.qpos[:] = configuration
+        self._data.qpos[:] = configuration if len(configuration) > 6 else self._world.followers.qpos(configuration)
         mujoco.mj_kinematics(self._world.model, self._data)
 
     def _gap(self, pair: int, reach: float) -> float:

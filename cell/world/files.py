@@ -1,4 +1,4 @@
-"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose.
+"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose; `robot.xml`: its arm.
 
 MuJoCo writes six digits, which moves the flange of this arm by micrometres and turns the home pose by 4e-6 rad. So its
 text is taken for the structure, and every length, angle and mesh in it is written again from the specification, with
@@ -15,17 +15,19 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cell.robot.model import AXES, LINKS
+from cell.robot.model import KR16
 from cell.world.model import World
+from cell.world.robot_spec import place, spec_of
 from cell.world.shapes import quaternion
 from planner.values import readonly
 
 FILE_NAME = "cell.xml"
+ROBOT = "robot.xml"
 _VISIBLE_GROUP = 1
 
 
 def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = None) -> tuple[str, ...]:
-    """Write `cell.xml` into a folder; meshes are inside it.
+    """Write `cell.xml` into a folder, and `robot.xml` of a robot that is not built in; meshes are inside them.
 
     Part and post are mocap bodies in it, as in the checked model: whoever loads it may move them.
 
@@ -43,8 +45,18 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
     spec.body("post").pos = world.post_top(T)
     _for_the_eye(spec, world)
     home = spec.key("home")
-    home.qpos = world.home
+    home.qpos = world.followers.qpos(world.home)
     home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
+    _write(spec, folder / FILE_NAME)
+    if world.scene.robot.model == KR16:
+        return (FILE_NAME,)
+    alone = spec_of(world.scene.robot)
+    place(alone, np.eye(4))
+    _write(alone, folder / ROBOT)
+    return (FILE_NAME, ROBOT)
+
+
+def _write(spec: Any, path: Path) -> None:
     model = spec.compile()
     root = ElementTree.fromstring(spec.to_xml())
     for element in root.iter():
@@ -53,22 +65,23 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
         for name in ("mpos", "mquat"):
             key.attrib.pop(name, None)
     ElementTree.indent(root)
-    (folder / FILE_NAME).write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
-    return (FILE_NAME,)
+    path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
 
 
 def _for_the_eye(spec: Any, world: World) -> None:
     """Robot shapes in a visible group, a light from above, home as the configuration in which a viewer begins."""
     import mujoco
 
-    for link in LINKS:
-        for geom in spec.body(link).geoms:
-            geom.group = _VISIBLE_GROUP
+    for body in spec.bodies:
+        if body.name == "base" or len(body.joints):
+            for geom in body.geoms:
+                geom.group = _VISIBLE_GROUP
     spec.worldbody.add_light(
         name="lamp", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 4], dir=[0.3, 0.4, -0.87]
     )
-    for axis, angle in zip(AXES, world.home, strict=True):
-        joint = spec.joint(axis)
+    qpos = world.followers.qpos(world.home)
+    for joint in spec.joints:
+        angle = qpos[world.model.joint(joint.name).qposadr[0]]
         # The body is given as it stands at the reference angle: turned about its own joint.
         turned, turn = np.empty(4), np.empty(4)
         mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis), float(angle))
@@ -103,8 +116,12 @@ def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
         exact = {"qpos": spec.key(name).qpos}
     elif element.tag == "mesh":
         exact = {"vertex": spec.mesh(name).uservert}
+    elif element.tag == "numeric":
+        exact = {"data": spec.numeric(name).data}
     for attribute, values in exact.items():
         present = element.get(attribute)
+        if element.tag == "numeric" and np.array_equal(np.array((present or "").split(), dtype=np.float64), values):
+            continue  # few digits say it all
         if present is not None:
             count = len(present.split())  # a cylinder's size is written with two numbers, kept with three
             numbers = np.atleast_1d(np.asarray(values, dtype=np.float64)).ravel()[:count]

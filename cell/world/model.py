@@ -7,7 +7,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,18 +20,16 @@ from cell.robot import model as robot
 from cell.scene import devices
 from cell.scene.scene import Scene
 from cell.world import shapes as cell_shapes
+from cell.world import wrist
+from cell.world.gap import Shapes, is_convex, meshes_of
+from cell.world.robot_spec import spec_of
 from cell.world.solid_hull import solid_hull
-from cell.world.trees import trees_of
 from planner.ports import JointLimits
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
-
-    from cell.world.triangles import TriangleTree
-
-_APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
 
 # "housing with link_2", never the other way round: the more mobile of the two comes first.
 _RANK = ("housing", "bracket", *reversed(robot.LINKS))
@@ -56,8 +54,10 @@ class World(Value):
         part_hull: convex hull of the part, object frame [m].
         part_mesh: its triangles, object frame [m]; its hull where vertices alone were given.
         collision: what stands for the part: "hull" or "exact" (its triangles).
-        trees: true triangles that decide, by the geom whose hull in the model is only a filter then: the part and the
-            mesh fixtures where the scene's collision is "exact".
+        shapes: who measures distances: by the true triangles of the robot's meshes, and of the part and the mesh
+            fixtures where the scene's collision is "exact".
+        nearer: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
+        followers: joints that the axes drive along.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
         entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
         pairs: (P, 2) geom ids of every guarded pair.
@@ -78,7 +78,9 @@ class World(Value):
     part_hull: TriangleMesh
     part_mesh: TriangleMesh
     collision: str
-    trees: Mapping[int, TriangleTree]
+    shapes: Shapes
+    nearer: Mapping[tuple[int, int], float]
+    followers: robot.Followers
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
     pairs: Annotated[NDArray[np.int32], "P 2"]
@@ -115,7 +117,7 @@ class World(Value):
         data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
         data.mocap_quat[model.body("object").mocapid] = cell_shapes.quaternion(T[:3, :3])
         data.mocap_pos[model.body("post").mocapid] = self.post_top(T)
-        data.qpos[:] = self.home
+        data.qpos[:] = self.followers.qpos(self.home)
         mujoco.mj_kinematics(model, data)
         return data
 
@@ -141,25 +143,13 @@ class World(Value):
                 than `reach`.
 
         Returns:
-            The distance [m], `reach` where it is more, 0 or less in contact.
+            The distance [m], `reach` where it is more, 0 or less in contact; of two links that are guarded by less than
+            the clearance what they are beyond that, and the clearance.
         """
-        import mujoco
-
-        mesh, shape = (a, b) if a in self.trees else (b, a)
-        tree = self.trees[mesh] if mesh in self.trees else None  # noqa: SIM401  # `get` would raise inside, every time
-        if tree is not None and any_nearer and reach > 0:  # yes or no asks for no depth
-            return tree.from_geom(self.model, data, shape, mesh, reach, any_nearer=True)
-        ends = None if points is None else np.empty(6)
-        measured = float(mujoco.mj_geomDistance(self.model, data, a, b, reach, ends))
-        if ends is not None and points is not None:
-            points[:] = ends.reshape(2, 3)
-        if tree is None or measured >= reach:
-            return measured
-        exact = tree.from_geom(self.model, data, shape, mesh, max(reach, _APART), any_nearer=any_nearer, points=points)
-        if points is not None and mesh == a:
-            points[:] = points[::-1].copy()
-        # A surface has no depth: that of the hull stands for it.
-        return min(exact, reach) if exact > 0 else min(exact, measured)
+        if not self.nearer:
+            return self.shapes.distance(data, a, b, reach, any_nearer=any_nearer, points=points)
+        more = self.nearer.get((a, b), 0.0)
+        return more + self.shapes.distance(data, a, b, reach - more, any_nearer=any_nearer, points=points)
 
     def pair_name(self, geom_a: int, geom_b: int) -> str:
         """What a reader calls a pair of geoms: "housing with part"."""
@@ -201,11 +191,12 @@ def compile_world(
     T_flange_scanner = scene.mount.T
     T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline)
 
-    spec = robot.spec()
-    cell_shapes.prepare_robot(spec)
+    spec = spec_of(scene.robot)
+    cell_shapes.prepare_robot(spec, on_pedestal=scene.robot.base is None)
+    scene = _at_home(scene, spec)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
-    cell_shapes.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
+    wrist.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
     cell_shapes.add_ground(spec, scene)
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
     post_body = spec.worldbody.add_body(name="post", mocap=True)
@@ -223,6 +214,9 @@ def compile_world(
         geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
+    clearance = scene.clearance_mm / 1000.0
+    exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
+    shapes = _shapes(model, entities, exact)
     return World(
         scene=scene,
         model=model,
@@ -233,15 +227,17 @@ def compile_world(
         T_flange_scanner=T_flange_scanner,
         T_flange_housing=T_flange_housing,
         baseline=baseline / 1000.0,
-        home=np.deg2rad(scene.robot.home_deg),
+        home=np.deg2rad(scene.robot.settled_home_deg),
         limits=joint_limits.given(
             robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
         ),
-        clearance=scene.clearance_mm / 1000.0,
+        clearance=clearance,
         part_hull=hull,
         part_mesh=part.get("part", hull),
         collision=collision,
-        trees=trees_of(model, {**fixture_meshes, **part}) if scene.plan.collision == "exact" else {},
+        shapes=shapes,
+        nearer=_nearer(scene, model, shapes),
+        followers=robot.Followers.of(model),
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         pairs=_guarded_pairs(model),
@@ -250,12 +246,35 @@ def compile_world(
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
-        model = spec.compile()
+        return spec.compile()
     except ValueError as error:
         raise SceneError("the scene does not compile as a model of shapes; check sizes and meshes") from error
-    if model.nq != len(robot.AXES):
-        raise SceneError(f"the robot model has {model.nq} joint values; it must be the six axes A1..A6 alone")
-    return model
+
+
+def _at_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
+    """The scene with the home of its robot where it gives none."""
+    if scene.robot.home_deg is not None:
+        if spec.key("home") is None:
+            spec.add_key(name="home", qpos=np.zeros(spec.compile().nq))
+        return scene
+    degrees = np.degrees(robot.home(_compiled(spec.copy()))).round(4).tolist()
+    # Whole numbers stay what they are: the file of the settled scene keeps them.
+    home = tuple(int(angle) if angle == int(angle) else angle for angle in degrees)
+    return scene.model_copy(update={"robot": scene.robot.model_copy(update={"home_deg": home})})
+
+
+def _shapes(model: mujoco.MjModel, of_robot: Collection[str], exact: Mapping[str, TriangleMesh]) -> Shapes:
+    """Who measures distances: by triangles of the robot's geoms of these names, and by those of part and fixtures."""
+    links = {name: mesh for name, mesh in meshes_of(model).items() if name in of_robot}
+    return Shapes(model, {**links, **exact}, [*exact, *(name for name, mesh in links.items() if not is_convex(mesh))])
+
+
+def _nearer(scene: Scene, model: mujoco.MjModel, shapes: Shapes) -> dict[tuple[int, int], float]:
+    """Pairs that the robot's build keeps nearer than the clearance, and by how much less they are guarded [m]."""
+    clearance, kept = scene.clearance_mm / 1000.0, robot.kept_apart(model)
+    if scene.robot.model != robot.KR16:  # what is built in has its pairs chosen by hand
+        kept |= wrist.kept_by_the_wrist(model, shapes, clearance)
+    return {pair: clearance - keep for pair, keep in kept.items() if keep < clearance}
 
 
 def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:

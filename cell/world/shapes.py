@@ -5,9 +5,9 @@ Which pairs are guarded, and why the others are not:
 | pair | guarded |
 | --- | --- |
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
-| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 turns above both without ever coming down |
+| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 of a base in the origin turns above both |
 | base with anything that stands still | no: neither moves; `cell.checks.possible` looks once |
-| links among themselves | as models/kr16.xml says: neighbours share a bearing |
+| links among themselves | as the robot's model says: neighbours share a bearing |
 | bracket, housing with base, link_1..link_3 | yes |
 | bracket, housing with link_4 | yes, unless they keep apart whatever A5 and A6 are |
 | housing with link_5 | yes, unless they keep apart whatever A6 is |
@@ -20,7 +20,6 @@ carries half.
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,12 +54,12 @@ _LINK_MEETS = {
 }
 
 
-_WRIST_STEP = np.deg2rad(3.0)
-_APART = 0.01  # m
-
-
-def prepare_robot(spec: mujoco.MjSpec) -> None:
+def prepare_robot(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
     """Let the links meet what the table of this module pairs them with.
+
+    Args:
+        spec: the robot alone.
+        on_pedestal: False lets link_1 meet the floor too.
 
     Raises:
         SceneError: if a shape of a link is of a kind whose distance from triangles is not known.
@@ -70,10 +69,14 @@ def prepare_robot(spec: mujoco.MjSpec) -> None:
     # Only the pairs that the table above switches off are off: not what the engine takes for parent and child.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     spec.modelname = "scan_cell"
-    for link, meets in _LINK_MEETS.items():
-        for geom in spec.body(link).geoms:
-            if geom.type not in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER):
-                raise SceneError(f"the robot model's shape '{geom.name}' is neither a box nor a cylinder; make it one")
+    kinds = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH)
+    for body in spec.bodies:
+        meets = _LINK_MEETS.get(body.name, _CELL | _GROUND | _TOOL)
+        if body.name == "link_1" and not on_pedestal:
+            meets |= _GROUND
+        for geom in body.geoms:
+            if geom.type not in kinds:
+                raise SceneError(f"the robot model's shape '{geom.name}' is no box, cylinder or mesh; make it one")
             geom.conaffinity |= meets
 
 
@@ -81,8 +84,7 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
     """Bracket and housing, each in a body of its own whose frame is the flange's."""
     import mujoco
 
-    flange = robot.load().site(robot.FLANGE)
-    last = spec.body("link_6")
+    flange, last = spec.copy().compile().site(robot.FLANGE), spec.body("link_6")
     half = np.array(scene.housing.sides_mm) / 2000.0
     last.add_body(name="housing", pos=flange.pos, quat=flange.quat).add_geom(
         name="housing",
@@ -108,75 +110,26 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
         spec.add_exclude(name="bolted_bracket_link_5", bodyname1="bracket", bodyname2="link_5")
 
 
-def exclude_what_the_wrist_keeps_apart(spec: mujoco.MjSpec, model: mujoco.MjModel, clearance: float) -> None:
-    """Switch off the pairs of bracket or housing with link_4 or link_5 that keep apart at all wrist angles.
-
-    Apart means by the clearance [m] or, where that is larger, by `_APART`: what the mount fixes is no collision, and a
-    large clearance to the cell must not make every configuration one.
-    """
-    pieces = [name for name in ("housing", "bracket") if spec.geom(name) is not None]
-    apart = [
-        (piece, link)
-        for piece in pieces
-        for link, axes in (("link_5", ("A6",)), ("link_4", ("A5", "A6")))
-        if (piece, link) != ("bracket", "link_5")
-        and _wrist_keeps_apart(model, piece, link, axes, min(clearance, _APART))
-    ]
-    for piece, link in apart:
-        spec.add_exclude(name=f"apart_{piece}_{link}", bodyname1=piece, bodyname2=link)
-
-
-def _wrist_keeps_apart(model: mujoco.MjModel, piece: str, link: str, axes: tuple[str, ...], clearance: float) -> bool:
-    """Whether a piece of the tool keeps the clearance from a link at every angle of the axes between the two.
-
-    Looked at on a grid of angles. Both axes run through the wrist centre, so from a node of the grid to any angle half
-    a step away no point of the piece moves farther than half a step times its distance from there, per axis.
-    """
-    import mujoco
-
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    geom = model.geom(piece).id
-    shapes = np.flatnonzero(model.geom_bodyid == model.body(link).id)
-    joints = [model.joint(axis) for axis in axes]
-    farthest = float(np.linalg.norm(data.geom_xpos[geom] - data.xanchor[joints[0].id]) + model.geom_rbound[geom])
-    grids, slack = [], 0.0
-    for joint in joints:
-        low, high = joint.range if joint.name == "A5" else (0.0, 2 * np.pi)
-        angles, step = np.linspace(low, high, int(np.ceil((high - low) / _WRIST_STEP)) + 1, retstep=True)
-        grids.append(angles)
-        slack += farthest * step / 2
-    reach = clearance + slack
-    addresses = [int(joint.qposadr[0]) for joint in joints]
-    for angles in itertools.product(*grids):
-        data.qpos[addresses] = angles
-        mujoco.mj_kinematics(model, data)
-        if any(mujoco.mj_geomDistance(model, data, geom, shape, reach, None) < reach for shape in shapes):
-            return False
-    return True
-
-
 def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:
     """The floor, and the pedestal under the robot's foot."""
     import mujoco
 
-    height = scene.robot.pedestal_height_mm / 1000.0
     ground = {"contype": _GROUND, "conaffinity": 0}
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[5.0, 5.0, 0.1],
-        pos=[0.0, 0.0, -height],
+        pos=[0.0, 0.0, -scene.robot.pedestal_height_mm / 1000.0],
         rgba=[0.8, 0.8, 0.8, 1],
         **ground,
     )
-    if height > 0:
-        x, y = np.array(scene.robot.pedestal_size_mm) / 2000.0
+    if scene.robot.pedestal_mm is not None:
+        size, middle = np.array(scene.robot.pedestal_mm) / 1000.0
         spec.worldbody.add_geom(
             name="pedestal",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[x, y, height / 2],
-            pos=[0.0, 0.0, -height / 2],
+            size=size / 2,
+            pos=middle,
             rgba=[0.4, 0.42, 0.45, 1],
             **ground,
         )

@@ -15,8 +15,12 @@ link k is displaced by more than sum_i |d_i| R_ik between any two configurations
 2. *Chain.* From axis i to the anchor of joint i + 1 (a constant distance), from anchor to anchor (constant lengths),
    and from anchor k to the farthest point of link k. It holds for all joint angles and caps the first on long segments.
 
-Points of a link are the corners of its boxes, and the end centres of its cylinders with their radius added: the
-distance from an axis is convex, so it is largest there. The scanner belongs to link 6. Metres and radians.
+Points of a link are the corners of its boxes and of the boxes about its meshes, and the end centres of its cylinders
+with their radius added: the distance from an axis is convex, so it is largest there. The scanner belongs to link 6.
+
+What follows an axis is carried by a link and turns about a joint of its own, by `ratio` times that axis' angle. It
+stays within a ball about that joint's anchor, which the link carries: the ball's points move as bounded above, and what
+turns adds at most |ratio d_axis| times its radius. Metres and radians.
 """
 
 from __future__ import annotations
@@ -25,7 +29,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.robot.model import AXES
+from cell.robot.model import AXES, Followers
+from cell.world.gap import mesh_of
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -49,10 +54,27 @@ class TravelBound:
         self._anchors, self._axes = data.xanchor[joints].copy(), data.xaxis[joints].copy()
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         links: list[list[tuple[Floats, float]]] = [[] for _ in range(_N)]
+        followers = Followers.of(model)
+        self._turning: list[tuple[int, list[tuple[int, float]]]] = []  # by a link: axes that turn it on, and how far
         for geom in range(model.ngeom):
-            link = _link_of(model, int(model.geom_bodyid[geom]), bodies)
-            if link is not None:
-                links[link].append(_corners(model, data, geom))
+            body = int(model.geom_bodyid[geom])
+            link = _link_of(model, body, bodies)
+            if link is None:
+                continue
+            points, radius = _corners(model, data, geom)
+            turns: list[tuple[int, float]] = []
+            while body not in bodies and body > 0:  # a follower, or what is rigidly on one
+                joint = int(model.body_jntadr[body])
+                if joint >= _N:
+                    anchor = data.xanchor[joint]
+                    radius += float(np.linalg.norm(points - anchor, axis=1).max())
+                    points = anchor[None].copy()
+                    number = joint - _N
+                    turns.append((int(followers.axis[number]), abs(float(followers.ratio[number])) * radius))
+                body = int(model.body_parentid[body])
+            links[link].append((points, radius))
+            if turns:
+                self._turning.append((link, turns))
         sizes = [sum(len(corners) for corners, _ in link) for link in links]
         self._starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self._link_of = np.repeat(np.arange(_N), sizes)
@@ -82,6 +104,9 @@ class TravelBound:
             bound = np.minimum(mean[:, i, i:] + moved[:, i:] / 2, self._caps[i, i:])
             moved[:, i:] += steps[:, i, None] * bound
         longest: Floats = moved.max(axis=1)
+        for link, turns in self._turning:
+            own = sum(radius * steps[:, axis] for axis, radius in turns)
+            longest = np.maximum(longest, moved[:, link] + own)
         return longest
 
     def _radii_about_axes(self, q: Floats) -> Floats:
@@ -144,4 +169,10 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Flo
         return position + (signs * size) @ R.T, 0.0
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return position + np.array([[0, 0, -size[1]], [0, 0, size[1]]]) @ R.T, float(size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        vertices = mesh_of(model, geom).vertices
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
+        body = int(model.geom_bodyid[geom])
+        return data.xpos[body] + corners @ data.xmat[body].reshape(3, 3).T, 0.0
     return position[None].copy(), float(model.geom_rbound[geom])

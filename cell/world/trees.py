@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from cell.world.triangles import TriangleTree
 
 
+KIND = {6: 0, 5: 1}
+"""`cell.world.triangle_distance.BOX` and `CYLINDER` by MuJoCo's type of a shape."""
+
+
 class _Trees(Mapping[int, "TriangleTree"]):
     """Trees by geom, each built when it is first asked for: half a second where nothing comes near its hull."""
 

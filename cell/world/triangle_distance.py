@@ -1,4 +1,4 @@
-"""Distance of a box or cylinder from triangles in a tree: GJK with a certified lower bound, compiled.
+"""Distance of a convex body, or of other triangles, from triangles in a tree: GJK with a certified bound, compiled.
 
 GJK (Gilbert, Johnson and Keerthi 1988, doi:10.1109/56.2083) walks towards the point v of the difference A - B that is
 nearest to the origin. At each step the support point w of A - B against v gives
@@ -10,7 +10,7 @@ is what is returned, so a walk that is cut short or stalls on a degenerate simpl
 nearest point of a simplex is looked for among all its faces: slower than Johnson's recursion by a little, and without
 its cases where cancelled digits choose the wrong face.
 
-`nearest_triangle` walks through the tree that `cell.world.triangles` builds.
+`nearest_triangle` walks through the tree that `cell.world.triangles` builds, `nearest_pair` through two of them.
 
 These are kernels: import this module only where they are used (`planner.compiled`). They are written number by number,
 because arrays made inside a kernel take most of its time, and array expressions most of the time to compile it. One
@@ -22,8 +22,8 @@ import numpy as np
 from planner.compiled import compiled
 from planner.values import Floats, Ints
 
-BOX, CYLINDER = 0, 1
-"""Kinds of A: half sides; radius and half length along z."""
+BOX, CYLINDER, HULL = 0, 1, 2
+"""Kinds of A: a row of half sides; a row of radius and half length along z; vertices, a row each."""
 
 TRIANGLE, BOUNDS = 0, 1
 """Kinds of B: three corners; lowest and highest corner of an upright box in the first two rows."""
@@ -41,6 +41,7 @@ _INFINITE = 1e300
 
 # As int64: numba would compile GJK anew for each constant that it is called with.
 _NODE_STEPS = 6  # of GJK for the bound of a node: most of what the walk would find, for a third of its time
+_HULL_STEPS = 20  # the same of a hull of many vertices, along which the walk is slower
 _FULL_STEPS = 64
 _DEPTH = 128  # nodes that wait at most: two for each level
 
@@ -71,9 +72,13 @@ def nearest_triangle(
                 R[i, j] += part_rotation[3 * k + i] * rotation[3 * k + j]
     for i in range(3):
         if kind == BOX:
-            extent[i] = abs(R[i, 0]) * size[0] + abs(R[i, 1]) * size[1] + abs(R[i, 2]) * size[2]
+            extent[i] = abs(R[i, 0]) * size[0, 0] + abs(R[i, 1]) * size[0, 1] + abs(R[i, 2]) * size[0, 2]
+        elif kind == HULL:
+            for k in range(len(size)):
+                reach_of = abs(R[i, 0] * size[k, 0] + R[i, 1] * size[k, 1] + R[i, 2] * size[k, 2])
+                extent[i] = max(extent[i], reach_of)
         else:
-            extent[i] = size[0] * np.sqrt(max(0.0, 1 - R[i, 2] * R[i, 2])) + abs(R[i, 2]) * size[1]
+            extent[i] = size[0, 0] * np.sqrt(max(0.0, 1 - R[i, 2] * R[i, 2])) + abs(R[i, 2]) * size[0, 1]
     leaves = len(first) - 1
     waiting, lower_of = np.empty(_DEPTH, dtype=np.int64), np.empty(_DEPTH)
     waiting[0], lower_of[0], count, best = 1, 0.0, 1, reach
@@ -117,6 +122,122 @@ def nearest_triangle(
 
 
 @compiled
+def nearest_pair(
+    one: tuple[Floats, Floats],
+    tree_one: tuple[Floats, Ints, Floats],
+    two: tuple[Floats, Floats],
+    tree_two: tuple[Floats, Ints, Floats],
+    reach: float,
+    any_nearer: bool,
+    points: Floats,
+) -> float:
+    """Distance of the triangles of two trees, `reach` where it is more; see `TriangleTree.from_tree`.
+
+    Args:
+        one: origin (3,) and axes (9,) of the first tree's frame in base.
+        tree_one: its triangles, first triangle of each leaf, and boxes.
+        two: the second's frame.
+        tree_two: and its tree.
+        reach: nothing beyond is looked for [m].
+        any_nearer: stop at the first two triangles nearer than `reach`.
+        points: (2, 3) is overwritten with the nearest points, base frame [m].
+    """
+    triangles_one, first_one, bounds_one = tree_one
+    triangles_two, first_two, bounds_two = tree_two
+    R, p = np.zeros((3, 3)), np.zeros(3)
+    for i in range(3):  # the second in the frame of the first
+        for k in range(3):
+            p[i] += one[1][3 * k + i] * (two[0][k] - one[0][k])
+            for j in range(3):
+                R[i, j] += one[1][3 * k + i] * two[1][3 * k + j]
+    leaves_one, leaves_two = len(first_one) - 1, len(first_two) - 1
+    waiting, lower_of = np.empty((2 * _DEPTH, 2), dtype=np.int64), np.empty(2 * _DEPTH)
+    waiting[0, 0], waiting[0, 1], lower_of[0], count, best = 1, 1, 0.0, 1, reach
+    s, nearest, found = np.zeros((WORK, 4)), np.zeros((2, 3)), False
+    size, extent, middle, corners = np.zeros((1, 3)), np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    here, upright = np.zeros(3), np.eye(3)
+    child, lower = np.zeros((2, 2), dtype=np.int64), np.zeros(2)
+    between = np.zeros(2)  # squared distance of the middles: boxes that overlap alike are told apart by it
+    while count:
+        count -= 1
+        a, b = waiting[count, 0], waiting[count, 1]
+        if lower_of[count] >= best:
+            continue
+        if a >= leaves_one and b >= leaves_two:
+            for u in range(first_two[b - leaves_two], first_two[b - leaves_two + 1]):
+                for k in range(3):
+                    for i in range(3):
+                        corners[k, i] = p[i]
+                        for j in range(3):
+                            corners[k, i] += R[i, j] * triangles_two[u, k, j]
+                for t in range(first_one[a - leaves_one], first_one[a - leaves_one + 1]):
+                    if _boxes_apart(corners, triangles_one[t]) >= best:
+                        continue
+                    apart = distance(
+                        int(np.int64(HULL)), corners, upright, here, int(np.int64(TRIANGLE)), triangles_one[t],
+                        best, int(np.int64(_FULL_STEPS)), s,
+                    )  # fmt: skip
+                    if apart < best:
+                        best, found = apart, True
+                        for i in range(3):
+                            nearest[1, i], nearest[0, i] = s[POINT, i], s[POINT, i] - s[WAY, i]
+                        if any_nearer or best <= 0.0:
+                            count = 0
+                            break
+                if found and (any_nearer or best <= 0.0):
+                    break
+            continue
+        long_one, long_two = 0.0, 0.0
+        for i in range(3):
+            long_one = max(long_one, bounds_one[a, 1, i] - bounds_one[a, 0, i])
+            long_two = max(long_two, bounds_two[b, 1, i] - bounds_two[b, 0, i])
+        split_one = b >= leaves_two or (a < leaves_one and long_one > long_two)
+        for k in range(2):
+            child[k, 0], child[k, 1] = (2 * a + k, b) if split_one else (a, 2 * b + k)
+            box = bounds_two[child[k, 1]]
+            for i in range(3):
+                size[0, i] = (box[1, i] - box[0, i]) / 2
+            for i in range(3):
+                middle[i], extent[i] = p[i], 0.0
+                for j in range(3):
+                    middle[i] += R[i, j] * (box[0, j] + box[1, j]) / 2
+                    extent[i] += abs(R[i, j]) * size[0, j]
+            other = bounds_one[child[k, 0]]
+            between[k] = 0.0
+            for i in range(3):
+                across = middle[i] - (other[0, i] + other[1, i]) / 2
+                between[k] += across * across
+            lower[k] = _node_bound(int(np.int64(BOX)), size, R, middle, extent, other, best, s)
+        far = 0 if lower[0] > lower[1] or (lower[0] == lower[1] and between[0] > between[1]) else 1
+        for k in (far, 1 - far):
+            if lower[k] < best:
+                waiting[count, 0], waiting[count, 1], lower_of[count] = child[k, 0], child[k, 1], lower[k]
+                count += 1
+    if found:
+        for k in range(2):
+            for i in range(3):
+                points[k, i] = one[0][i]
+                for j in range(3):
+                    points[k, i] += one[1][3 * i + j] * nearest[k, j]
+    return best
+
+
+@compiled
+def _boxes_apart(one: Floats, two: Floats) -> float:
+    """A lower bound on the distance of two triangles: that of their upright boxes."""
+    squared = 0.0
+    for i in range(3):
+        gap = max(
+            min(one[0, i], one[1, i], one[2, i]) - max(two[0, i], two[1, i], two[2, i]),
+            min(two[0, i], two[1, i], two[2, i]) - max(one[0, i], one[1, i], one[2, i]),
+        )
+        if gap > 0:
+            squared += gap * gap
+    apart: float = squared**0.5
+    return apart
+
+
+@compiled
 def _node_bound(
     kind: int, size: Floats, R: Floats, p: Floats, extent: Floats, box: Floats, enough: float, s: Floats
 ) -> float:
@@ -129,7 +250,8 @@ def _node_bound(
     rough: float = squared**0.5
     if rough >= enough:
         return rough
-    return max(rough, distance(kind, size, R, p, int(np.int64(BOUNDS)), box, enough, int(np.int64(_NODE_STEPS)), s))
+    steps = int(np.int64(_HULL_STEPS)) if kind == HULL else int(np.int64(_NODE_STEPS))
+    return max(rough, distance(kind, size, R, p, int(np.int64(BOUNDS)), box, enough, steps, s))
 
 
 @compiled
@@ -140,9 +262,9 @@ def distance(
 
     Args:
         kind: of A.
-        size: (3,) of A [m].
+        size: (n, 3) of A [m].
         R: (3, 3) axes of A.
-        p: (3,) middle of A.
+        p: (3,) origin of A.
         kind_b: of B.
         b: (3, 3) B.
         enough: the walk ends as soon as the distance is known to be this or more [m].
@@ -202,13 +324,20 @@ def _support(kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floa
     y = -(R[0, 1] * vx + R[1, 1] * vy + R[2, 1] * vz)
     z = -(R[0, 2] * vx + R[1, 2] * vy + R[2, 2] * vz)
     if kind == BOX:
-        x = size[0] if x >= 0 else -size[0]
-        y = size[1] if y >= 0 else -size[1]
-        z = size[2] if z >= 0 else -size[2]
+        x = size[0, 0] if x >= 0 else -size[0, 0]
+        y = size[0, 1] if y >= 0 else -size[0, 1]
+        z = size[0, 2] if z >= 0 else -size[0, 2]
+    elif kind == HULL:
+        farthest, corner = -_INFINITE, 0
+        for k in range(len(size)):
+            height = size[k, 0] * x + size[k, 1] * y + size[k, 2] * z
+            if height > farthest:
+                farthest, corner = height, k
+        x, y, z = size[corner, 0], size[corner, 1], size[corner, 2]
     else:
         across = (x * x + y * y) ** 0.5
-        x, y = (size[0] * x / across, size[0] * y / across) if across > 0 else (size[0], 0.0)
-        z = size[1] if z >= 0 else -size[1]
+        x, y = (size[0, 0] * x / across, size[0, 0] * y / across) if across > 0 else (size[0, 0], 0.0)
+        z = size[0, 1] if z >= 0 else -size[0, 1]
     row = 0
     if kind_b == TRIANGLE:
         first = b[0, 0] * vx + b[0, 1] * vy + b[0, 2] * vz

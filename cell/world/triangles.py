@@ -1,4 +1,6 @@
-"""True triangles of a part or fixture: their distance from a box or cylinder by a tree of bounds over GJK, compiled.
+"""True triangles of a part, fixture or link: their distance from a body by a tree of bounds over GJK, compiled.
+
+A body is a box, a cylinder, or the triangles of another tree.
 
 Triangles are sorted along Morton's curve and split evenly into the leaves of a complete binary tree. A query goes down
 to the nearer child first and leaves out whatever cannot be nearer than what it has found; the bound of a node is that
@@ -9,21 +11,20 @@ A surface has no depth: bodies that touch or cut it are 0 apart. Where the mesh 
 inside is found by counting crossings of a ray, and its distance is negative. Lengths in metres.
 """
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.crossings import crossings
-from cell.world.triangle_distance import BOX, CYLINDER, nearest_triangle
+from cell.world.triangle_distance import HULL, nearest_pair, nearest_triangle
 from planner.surface.mesh import TriangleMesh
 from planner.surface.remesh import edges_of
 from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
-
-_KIND = {6: BOX, 5: CYLINDER}  # by MuJoCo's type of a shape; models/kr16.xml, scanner and pedestal have no other
 
 _LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
 
@@ -62,34 +63,6 @@ class TriangleTree:
         self._tree = triangles, first, bounds
         self.closed = is_closed(mesh)
 
-    def from_geom(
-        self,
-        model: "mujoco.MjModel",
-        data: "mujoco.MjData",
-        geom: int,
-        mesh: int,
-        reach: float,
-        *,
-        any_nearer: bool = False,
-        points: "Floats | None" = None,
-    ) -> float:
-        """Distance of a shape of a model from the triangles, where another geom has them; see `distance`.
-
-        Args:
-            model: that the geoms are of.
-            data: its state, kinematics up to date.
-            geom: a box or a cylinder.
-            mesh: the geom that stands for the triangles, which are in the frame of its body.
-            reach: nothing beyond is looked for [m].
-            any_nearer: stop at the first triangle nearer than `reach`.
-            points: (2, 3) is overwritten with the nearest points of shape and triangles, base frame [m].
-        """
-        body = int(model.geom_bodyid[mesh])
-        return self.distance(
-            _KIND[int(model.geom_type[geom])], model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom],
-            data.xpos[body], data.xmat[body], reach, any_nearer=any_nearer, points=points,
-        )  # fmt: skip
-
     def distance(
         self,
         kind: int,
@@ -106,8 +79,8 @@ class TriangleTree:
         """Distance of a body from the part.
 
         Args:
-            kind: `cell.world.triangle_distance.BOX` or `CYLINDER`.
-            size: (3,) half sides; radius, half length [m].
+            kind: `cell.world.triangle_distance.BOX`, `CYLINDER` or `HULL`.
+            size: (3,) half sides; radius, half length; (n, 3) the vertices of a hull [m].
             position: (3,) its middle, base frame [m].
             rotation: (9,) its axes, row by row, base frame.
             part_position: (3,) origin of the part's frame, base frame [m].
@@ -122,10 +95,73 @@ class TriangleTree:
         """
         found = np.zeros((2, 3)) if points is None else points
         measured = nearest_triangle(
-            kind, size, (position, rotation), (part_position, part_rotation), self._tree, reach, any_nearer, found
+            kind, size.reshape(-1, 3), (position, rotation), (part_position, part_rotation), self._tree, reach,
+            any_nearer, found,
         )  # fmt: skip
         if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
             return -measured
+        return float(measured)
+
+    def from_hull(
+        self,
+        other: "TriangleTree",
+        data: "mujoco.MjData",
+        bodies: tuple[int, int],
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: "Floats | None" = None,
+    ) -> float:
+        """Distance of the convex hull of another tree's triangles from those of this one; see `from_tree`."""
+        middle, vertices = other.hull
+        (here, R), (there, turn) = ((data.xpos[body], data.xmat[body]) for body in bodies)
+        return self.distance(
+            HULL, vertices, there + turn.reshape(3, 3) @ middle, turn, here, R, reach, any_nearer=any_nearer,
+            points=points,
+        )  # fmt: skip
+
+    @cached_property
+    def hull(self) -> tuple[Floats, Floats]:
+        """Middle (3,) of the triangles' box, and from there the vertices (n, 3) of their convex hull [m]."""
+        from scipy.spatial import ConvexHull  # kept out of the start-up
+
+        points = np.unique(self._tree[0].reshape(-1, 3), axis=0)
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        return middle, np.ascontiguousarray(points[ConvexHull(points).vertices] - middle)
+
+    def from_tree(
+        self,
+        other: "TriangleTree",
+        data: "mujoco.MjData",
+        bodies: tuple[int, int],
+        reach: float,
+        *,
+        any_nearer: bool = False,
+        points: "Floats | None" = None,
+    ) -> float:
+        """Distance from the triangles of another tree.
+
+        Args:
+            other: that tree.
+            data: a state, kinematics up to date.
+            bodies: in whose frames the triangles of this one and of the other are.
+            reach: nothing beyond is looked for [m].
+            any_nearer: stop at the first two triangles nearer than `reach`.
+            points: (2, 3) is overwritten with the nearest points of this one and the other, base frame [m].
+
+        Returns:
+            The distance [m]: `reach` where it is more, 0 in contact, negative where a triangle of one floats inside
+            the other, which is closed.
+        """
+        found = np.zeros((2, 3)) if points is None else points
+        (here, R), (there, of_other) = ((data.xpos[body], data.xmat[body]) for body in bodies)
+        measured = nearest_pair((here, R), self._tree, (there, of_other), other._tree, reach, any_nearer, found)
+        if measured > 0:
+            turn = R.reshape(3, 3).T @ of_other.reshape(3, 3)
+            shift = R.reshape(3, 3).T @ (there - here)
+            held = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)
+            if held or (other.closed and other._inside(turn.T @ (self._tree[0][0, 0] - shift))):
+                return -measured
         return float(measured)
 
     def _inside(self, local: Floats) -> bool:

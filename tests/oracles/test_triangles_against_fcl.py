@@ -6,6 +6,7 @@ by a search over every triangle.
 
 import itertools
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import fcl
 import mujoco
@@ -223,3 +224,39 @@ def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
                 if model.geom_rbound[geom] < 0.3:
                     least = min(least, fcl.distance(body, placed))
     assert 0.55 * world.clearance - 1e-4 <= least < 0.2
+
+
+@pytest.mark.parametrize("name", ["a mug", "a torus", "triangles that cross each other"])
+def test_two_meshes_are_as_far_apart_as_fcl_says(name: str) -> None:
+    """Triangles against triangles, apart and crossing, and against a convex mesh by its hull: to 2e-6 m."""
+    rng = np.random.default_rng(3)
+    ball, other = trimesh.creation.icosphere(2, 0.05), MESHES[name]()
+    trees, models = [], []
+    for mesh in (ball, other):
+        faces = np.asarray(mesh.faces, dtype=np.int32)
+        trees.append(TriangleTree(TriangleMesh(mesh.vertices, faces)))
+        model = fcl.BVHModel()
+        model.beginModel(len(mesh.vertices), len(faces))
+        model.addSubModel(np.asarray(mesh.vertices), faces)
+        model.endModel()
+        models.append(model)
+    apart = 0
+    for _ in range(40):
+        turns = [trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3] for _ in trees]
+        places = [np.zeros(3), rng.uniform(-0.15, 0.15, 3)]
+        state = SimpleNamespace(xpos=places, xmat=[turn.ravel() for turn in turns])
+        one, two = (
+            fcl.CollisionObject(model, fcl.Transform(turn, place))
+            for model, turn, place in zip(models, turns, places, strict=True)
+        )
+        truth = 0.0 if fcl.collide(one, two) else fcl.distance(one, two)
+        points = np.zeros((2, 3))
+        measured = abs(trees[0].from_tree(trees[1], state, (0, 1), 1.0, points=points))
+        assert measured == pytest.approx(truth, abs=2e-6)
+        assert np.linalg.norm(points[0] - points[1]) == pytest.approx(measured, abs=2e-6)
+        assert abs(trees[1].from_hull(trees[0], state, (1, 0), 1.0)) == pytest.approx(truth, abs=2e-6)
+        if truth > 1e-3:
+            apart += 1
+            assert abs(trees[0].from_tree(trees[1], state, (0, 1), 0.9 * truth, any_nearer=True)) == 0.9 * truth
+            assert abs(trees[0].from_tree(trees[1], state, (0, 1), 1.1 * truth, any_nearer=True)) < 1.1 * truth
+    assert apart > 5

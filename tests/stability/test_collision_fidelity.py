@@ -14,6 +14,7 @@ from cell.replay.marks import touches
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.gap import Shapes
 from cell.world.model import World, compile_world
 
 FIDELITIES = ("hull", "exact")
@@ -102,9 +103,11 @@ def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict
     data = world.data()
     data.qpos[:] = q
     mujoco.mj_kinematics(world.model, data)
-    theatre = SimpleNamespace(model=world.model, entities=world.entities, clearance=world.clearance, trees=world.trees)
+    theatre = SimpleNamespace(
+        model=world.model, entities=world.entities, clearance=world.clearance, shapes=world.shapes
+    )
     assert touches(theatre, data) == ()
-    theatre.trees = {}
+    theatre.shapes = Shapes(world.model, {}, ())
     assert any("part" in touch.names for touch in touches(theatre, data))
 
 

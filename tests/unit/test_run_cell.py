@@ -168,11 +168,11 @@ def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said
     earlier = _as_earlier(written[0], tmp_path / "run", collision)
     part, scene = run_reader.mesh(earlier, "reference.ply"), run_reader.scene(earlier)
     again = world_of(earlier, part)
-    assert {again.entities[geom] for geom in again.trees} == triangles
+    assert {again.entities[geom] for geom in again.shapes.trees} == triangles
     assert (said is None) == (taken_as_triangles(scene) == [])
     assert all(said in sentence for sentence in taken_as_triangles(scene) if said)
     theatre = dress(earlier, scene, part)
-    assert {theatre.entities[geom] for geom in theatre.trees} == ({"part"} if collision == "exact" else set())
+    assert {theatre.entities[geom] for geom in theatre.shapes.trees} == ({"part"} if collision == "exact" else set())
     assert "horn_surface" not in theatre.entities
 
 
@@ -181,11 +181,11 @@ def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tu
     run, world = written
     part, scene = run_reader.mesh(run, "reference.ply"), run_reader.scene(run)
     again = world_of(run, part)
-    assert {world.entities[geom] for geom in world.trees} == {"horn"}  # compiled from the part's vertices alone
-    assert {again.entities[geom] for geom in again.trees} == {"part", "horn"}
+    assert {world.entities[geom] for geom in world.shapes.trees} == {"horn"}  # compiled from the part's vertices alone
+    assert {again.entities[geom] for geom in again.shapes.trees} == {"part", "horn"}
     assert taken_as_triangles(scene) == []
     theatre = dress(run, scene, part)
-    assert {theatre.entities[geom] for geom in theatre.trees} == {"part", "horn"}
+    assert {theatre.entities[geom] for geom in theatre.shapes.trees} == {"part", "horn"}
     assert theatre.model.geom("horn_surface").bodyid == theatre.model.geom("horn").bodyid
     np.testing.assert_allclose(_extent(theatre.model, "horn_surface"), _extent(theatre.model, "horn"), atol=1e-6)
 

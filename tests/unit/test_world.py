@@ -272,11 +272,11 @@ def test_a_scene_that_cannot_be_is_refused(tables: dict, words: list[str]) -> No
     assert impossible(world)
 
 
-def test_a_link_of_another_shape_than_box_and_cylinder_is_named() -> None:
+def test_a_link_of_another_shape_than_box_cylinder_and_mesh_is_named() -> None:
     """Their distance from triangles is all that is known."""
     spec = robot.spec()
     spec.geom("link_4_wrist").type = mujoco.mjtGeom.mjGEOM_CAPSULE
-    with pytest.raises(SceneError, match="'link_4_wrist' is neither a box nor a cylinder"):
+    with pytest.raises(SceneError, match="'link_4_wrist' is no box, cylinder or mesh"):
         prepare_robot(spec)
 
 

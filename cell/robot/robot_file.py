@@ -1,0 +1,267 @@
+"""An arm from a URDF or MJCF, as MuJoCo reads it: which six joints drive the flange, their limits, what follows along.
+
+A URDF is read with its frames kept (MuJoCo merges links that do not move, so that base and flange vanish), visuals left
+out, and mesh paths resolved beside the file or by `packages`. Speeds, which MuJoCo leaves out, and joints that mimic
+another are taken from the URDF itself. Base frame of the arm: that of its base link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import FileError, SceneError
+from planner.values import Floats, Value
+
+if TYPE_CHECKING:
+    import mujoco
+
+LARGEST_FILE = 10_000_000
+"""Bytes of a robot's description above which it is none."""
+
+_FLANGES = ("tool0", "flange", "ee_link", "tool_flange")  # tool0 first: its z leaves the face by ROS-Industrial's rule
+_LONGEST_ARM = 50.0  # m; between joints: beyond it the lengths are millimetres
+_MOVES = {"revolute", "continuous"}
+
+
+@dataclass(frozen=True, slots=True)
+class Follower:
+    """A joint that is driven along by one of the six: angle = ratio * the axis' + offset.
+
+    Attributes:
+        joint: its name.
+        axis: index of the axis that it follows, 0 to 5.
+        ratio: -.
+        offset: [rad].
+    """
+
+    joint: str
+    axis: int
+    ratio: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotFile(Value):
+    """What a file says of an arm.
+
+    Attributes:
+        path: the file.
+        model: compiled from it, frames kept.
+        base: name of the body that is the arm's base.
+        flange: name of the body or site whose frame is the flange's.
+        flange_is_body: which of the two.
+        joints: the six joints from base to flange, in order.
+        followers: joints that are driven along.
+        lower: (6,) smallest joint angles [rad].
+        upper: (6,) largest joint angles [rad].
+        velocity: (6,) axis speeds [rad/s]; inf where the file says none.
+        home: (6,) angles of a key named home [rad]; None: the file has none, or one outside the limits.
+    """
+
+    path: Path
+    model: mujoco.MjModel
+    base: str
+    flange: str
+    flange_is_body: bool
+    joints: Annotated[tuple[str, ...], "6"]
+    followers: tuple[Follower, ...]
+    lower: Annotated[Floats, "6"]
+    upper: Annotated[Floats, "6"]
+    velocity: Annotated[Floats, "6"]
+    home: Annotated[Floats, "6"] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Urdf:
+    """What MuJoCo leaves out of a URDF."""
+
+    velocity: Mapping[str, float] = field(default_factory=dict)
+    mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+
+
+def read(
+    path: Path, *, base: str | None = None, flange: str | None = None, packages: Mapping[str, Path] | None = None
+) -> RobotFile:
+    """Read an arm.
+
+    Args:
+        path: URDF or MJCF.
+        base: link that is the arm's base; None: the root.
+        flange: link (or site of an MJCF) that is the flange; None: the one of a usual name.
+        packages: folders of ROS packages by name, for `package://NAME/...`.
+
+    Raises:
+        FileError: if the file or one of its meshes cannot be read.
+        SceneError: if it holds no arm of six hinges in a row, or one without limits.
+    """
+    import mujoco
+
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise FileError(f"{path} has {path.stat().st_size / 1e6:.0f} MB; a robot's description has at most 10")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"{path} cannot be read as a URDF or MJCF: {error}") from error
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise FileError(f"{path} is no XML: {error}; give a URDF or an MJCF") from error
+    said = _Urdf()
+    if root.tag == "robot":
+        said = _prepare(root, path, packages or {})
+    elif root.tag != "mujoco":
+        raise FileError(
+            f"{path} is neither a URDF (<robot>) nor an MJCF (<mujoco>) but <{root.tag}>; expand a xacro first"
+        )
+    try:
+        if root.tag == "robot":
+            model = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")).compile()
+        else:
+            model = mujoco.MjSpec.from_file(str(path)).compile()
+    except ValueError as error:
+        raise FileError(f"{path} cannot be read: {error}") from error
+    return _chosen(path, model, base, flange, said)
+
+
+def _prepare(root: ElementTree.Element, path: Path, packages: Mapping[str, Path]) -> _Urdf:
+    """Frames kept, visuals out, mesh paths absolute; what MuJoCo leaves out is returned."""
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", str(_mesh_file(mesh.get("filename", ""), path, packages)))
+    settings = root.find("mujoco")
+    if settings is None:
+        settings = ElementTree.SubElement(root, "mujoco")
+    compiler = settings.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(settings, "compiler")
+    for key, value in (
+        ("fusestatic", "false"),
+        ("discardvisual", "true"),
+        ("strippath", "false"),
+        ("balanceinertia", "true"),
+    ):
+        compiler.set(key, value)
+    velocity, mimics = {}, {}
+    for joint in root.findall("joint"):
+        name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
+        if limit is not None and _number(limit, "velocity", 0.0) > 0.0:
+            velocity[name] = _number(limit, "velocity", 0.0)
+        if mimic is not None:
+            mimics[name] = (mimic.get("joint", ""), _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0))
+        if joint.get("type") == "revolute" and (
+            limit is None or limit.get("lower") is None or limit.get("upper") is None
+        ):
+            raise SceneError(f"{path}: the joint '{name}' has no limits; give it <limit lower upper velocity>")
+    return _Urdf(velocity, mimics)
+
+
+def _number(element: ElementTree.Element, key: str, default: float) -> float:
+    try:
+        return float(element.get(key, default))
+    except ValueError:
+        return default
+
+
+def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
+    """Where a mesh of a URDF is.
+
+    Raises:
+        FileError: if it is nowhere that was looked.
+    """
+    plain = name.removeprefix("file://")
+    if name.startswith("package://"):
+        package, _, inside = name.removeprefix("package://").partition("/")
+        tried = [packages[package] / inside] if package in packages else []
+        # A description beside its package's folder, or within it.
+        tried += [folder / inside for folder in path.resolve().parents if folder.name == package]
+        tried += [folder / package / inside for folder in path.resolve().parents]
+        hint = f"; say where the package is: --package {package}=DIR"
+    else:
+        tried, hint = [path.resolve().parent / plain], ""
+    for file in tried:
+        if file.is_file():
+            return file
+    raise FileError(f"{path} names the mesh {name}, and there is no {tried[0]}{hint}")
+
+
+def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | None, said: _Urdf) -> RobotFile:
+    """The six joints from base to flange, with their limits."""
+    import mujoco
+
+    bodies = [model.body(i).name for i in range(model.nbody)]
+    sites = [model.site(i).name for i in range(model.nsite)]
+    root = base or next((name for i, name in enumerate(bodies) if i and model.body_parentid[i] == 0), "world")
+    if root not in bodies:
+        raise SceneError(f"{path} has no link '{root}' to be the base; it has {_listed(bodies[1:])}")
+    end = flange or next((name for name in _FLANGES if name in bodies or name in sites), None)
+    if end is None:
+        raise SceneError(
+            f"{path} has no link named flange or tool0; say which is the flange (robot.flange_link): "
+            f"{_listed(bodies[1:])}"
+        )
+    if end not in bodies and end not in sites:
+        raise SceneError(f"{path} has no link '{end}' to be the flange; it has {_listed(bodies[1:])}")
+    body = bodies.index(end) if end in bodies else int(model.site(end).bodyid[0])
+    chain: list[int] = []
+    while body > 0 and body != bodies.index(root):
+        at = int(model.body_jntadr[body])
+        chain[:0] = range(at, at + int(model.body_jntnum[body])) if at >= 0 else []
+        body = int(model.body_parentid[body])
+    if body == 0 and root != "world":
+        raise SceneError(f"{path}: the flange '{end}' is not carried by the base '{root}'")
+    names = [model.joint(joint).name for joint in chain]
+    if len(chain) != 6 or any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in chain):
+        raise SceneError(
+            f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_listed(names)}); an arm has six, all revolute"
+        )
+    for joint in chain:
+        if not model.jnt_limited[joint]:
+            # A continuous joint turns without end: a turn to either side is what a plan may use of it.
+            model.jnt_range[joint] = (-2.0 * np.pi, 2.0 * np.pi)
+    lower, upper = model.jnt_range[chain].T
+    if not (lower < upper).all():
+        axis = int(np.argmin(lower < upper))
+        raise SceneError(f"{path}: the joint '{names[axis]}' has an empty range; give it <limit lower upper velocity>")
+    anchors = model.body_pos[model.jnt_bodyid[chain]]
+    if np.abs(anchors).max() > _LONGEST_ARM:
+        raise SceneError(
+            f"{path}: joints lie {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one looks like "
+            "millimetres"
+        )
+    followers = []
+    for i in range(model.njnt):
+        name = model.joint(i).name
+        if i in chain:
+            continue
+        source, ratio, offset = said.mimics.get(name, ("", 0.0, 0.0))
+        if source not in names:
+            raise SceneError(
+                f"{path}: the joint '{name}' is none of the six and follows none of them; fix it or let it mimic one"
+            )
+        followers.append(Follower(name, names.index(source), ratio, offset))
+    velocity = np.array([said.velocity.get(name, np.inf) for name in names])
+    home = _home(model, model.jnt_qposadr[chain])
+    if home is not None and not ((home >= lower) & (home <= upper)).all():
+        home = None
+    return RobotFile(
+        path, model, root, end, end in bodies, tuple(names), tuple(followers), lower, upper, velocity, home
+    )
+
+
+def _home(model: mujoco.MjModel, values: NDArray[np.integer]) -> Floats | None:
+    """The key named home of an MJCF."""
+    keys = [key for key in range(model.nkey) if model.key(key).name == "home"]
+    return np.array(model.key_qpos[keys[0]][values]) if keys else None
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names) if names else "none"

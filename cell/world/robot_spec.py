@@ -1,0 +1,287 @@
+"""The robot of a scene as a specification that a cell is built around: the built-in KR 16, or an arm from a file.
+
+An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalised`). Which pairs of its links are
+guarded, its triangles say: two that touch at every one of `POSES` seeded poses are joined by something that the chain
+does not show (a closed bearing, a parallelogram) and are excused; every other pair is guarded, but for neighbours. Two
+that the arm's build keeps near each other are guarded by less than the cell's clearance (`Relations`). A home that no
+file gives is looked for: the flange down before the arm at half its reach, nothing near anything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cell import caches
+from cell.errors import FileError
+from cell.robot import model as robot
+from cell.robot import robot_file
+from cell.robot.arm import kinematics_of
+from cell.robot.normalised import normalised
+from cell.world.gap import Shapes, is_convex, meshes_of
+from planner.values import Floats
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from cell.scene.scene import Robot
+
+POSES = 10_000
+"""Seeded poses at which a pair must touch to be excused."""
+
+JOINED = "joined_"
+"""What the names of their exclusions begin with."""
+
+_TOOL = "tool of a home"
+_OWN = 0.02  # m; that a home found here keeps between links at least, as far as they can be
+_NEAR = 0.02  # m; two links that come no nearer, or get farther apart, keep the cell's clearance
+_TILTS = (0.0, 0.6, 1.2)  # of the way ahead for one down, where looking straight down is not free
+_HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
+
+
+def spec_of(of: Robot) -> mujoco.MjSpec:
+    """The robot of a scene, editable: attach it to a cell, then compile; its base stands where the scene says.
+
+    Raises:
+        FileError: if its file or one of its meshes cannot be read.
+        SceneError: if it is no arm that can be planned with.
+    """
+    if of.model == robot.KR16:
+        spec = robot.spec()
+    else:
+        packages = tuple(sorted((of.packages or {}).items()))
+        down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
+        path = Path(of.model)
+        stamp = path.stat().st_mtime_ns if path.is_file() else 0
+        spec = from_file(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, stamp).copy()
+    if of.base is not None:
+        place(spec, of.base.T)
+    return spec
+
+
+def place(spec: mujoco.MjSpec, T_base: Floats) -> None:
+    """Put the base of a robot at a pose (4, 4) [m] of the cell."""
+    import mujoco
+
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T_base[:3, :3]).ravel())
+    base = spec.body("base")
+    base.pos, base.quat = T_base[:3, 3], quat
+
+
+@lru_cache(maxsize=4)
+def from_file(
+    path: Path,
+    base_link: str | None = None,
+    flange_link: str | None = None,
+    packages: tuple[tuple[str, str], ...] = (),
+    velocity_deg_s: tuple[float, ...] | None = None,
+    down: tuple[float, float, float] | None = None,
+    stamp: int = 0,
+) -> mujoco.MjSpec:
+    """The arm of a file, in the form of `models/kr16.xml`; never changed by who asks for it.
+
+    Args:
+        path: a URDF, an MJCF, or an MJCF of that form already, which is taken as it is.
+        base_link: link that is its base; None: the root.
+        flange_link: link that is its flange; None: the one of a usual name.
+        packages: name and folder of ROS packages.
+        velocity_deg_s: (6,) speeds for axes of which the file says none [deg/s].
+        down: (3,) where the flange looks at home, base frame; None: down.
+        stamp: another number where the file may have changed since it was read.
+    """
+    import mujoco
+
+    if path.suffix == ".xml" and in_our_form(path):
+        try:
+            return mujoco.MjSpec.from_file(str(path))
+        except ValueError as error:
+            raise FileError(f"{path} cannot be read as an MJCF: {error}") from error
+    folders = {name: Path(folder) for name, folder in packages}
+    file = robot_file.read(path, base=base_link, flange=flange_link, packages=folders)
+    spec = normalised(file, velocity_deg_s)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise FileError(f"{path} has shapes that MuJoCo does not take: {error}") from error
+    own = OwnPairs(model)
+    found, names = own.relations(), robot.bodies(model)
+    for one, other in found.joined:
+        del own.pairs[one, other]
+        spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
+    for one, other, keep in found.keeps:
+        spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep], size=1)
+    home = file.home
+    if home is None:
+        keeps = {(one, other): keep for one, other, keep in found.keeps}
+        looks = np.array((0.0, 0.0, -1.0) if down is None else down)
+        home = next((q for each in (_with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
+    if home is not None:
+        spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
+    return spec
+
+
+def in_our_form(path: Path) -> bool:
+    """Whether a file is an MJCF in the form of `models/kr16.xml`: with the limits that only that form has."""
+    try:
+        return "axis_velocity_limit_deg_s" in path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """What an arm's own triangles say of its pairs of links.
+
+    Attributes:
+        joined: pairs that touch at every seeded pose.
+        keeps: pairs and the distance [m] that is guarded between them where it is less than the cell's clearance: half
+            of the smallest that was seen of two that never touch, half of the largest of two that are never apart.
+    """
+
+    joined: list[tuple[str, str]]
+    keeps: list[tuple[str, str, float]]
+
+
+class OwnPairs:
+    """The pairs of links of an arm that can touch each other, and how far they are apart.
+
+    Args:
+        model: the robot alone, compiled.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        import mujoco
+
+        self.model, self._data, self._followers = model, mujoco.MjData(model), robot.Followers.of(model)
+        meshes = meshes_of(model)
+        self.shapes = Shapes(model, meshes, [name for name, mesh in meshes.items() if not is_convex(mesh)])
+        self._as_triangles = Shapes(model, meshes, list(meshes))
+        self.pairs: dict[tuple[str, str], list[tuple[int, int]]] = {}
+        excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
+        for a, b in itertools.combinations(range(model.ngeom), 2):
+            bodies = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
+            if bodies[0] != bodies[1] and bodies not in excluded and bodies[::-1] not in excluded:
+                self.pairs.setdefault((model.body(bodies[0]).name, model.body(bodies[1]).name), []).append((a, b))
+        limits = robot.limits(model)
+        self.q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (POSES, 6))
+
+    def gap(self, pair: tuple[str, str], reach: float) -> float:
+        """Distance of two links where the arm stands [m], `reach` where it is more."""
+        return min(self.shapes.distance(self._data, a, b, reach) for a, b in self.pairs[pair])
+
+    def touch(self, pair: tuple[str, str]) -> bool:
+        """Whether true triangles of two links touch where the arm stands, whatever their hulls are."""
+        apart = self._as_triangles.distance
+        return any(apart(self._data, a, b, 1e-9, any_nearer=True) <= 0 for a, b in self.pairs[pair])
+
+    def stand(self, q: Floats) -> None:
+        """Put the arm at (6,) joint angles [rad]."""
+        import mujoco
+
+        self._data.qpos[:] = self._followers.qpos(q)
+        mujoco.mj_kinematics(self.model, self._data)
+
+    def relations(self) -> Relations:
+        """What the seeded poses say of each pair; looked at once for an arm, which takes seconds."""
+        known = caches.folder("robots") / f"{self._digest()}.json"
+        with contextlib.suppress(OSError, ValueError):
+            return Relations(**json.loads(known.read_text(encoding="utf-8")))
+        joined, lowest, widest = list(self.pairs), dict.fromkeys(self.pairs, np.inf), dict.fromkeys(self.pairs, 0.0)
+        for q in self.q:
+            self.stand(q)
+            joined = [pair for pair in joined if self.touch(pair)]
+            for pair in self.pairs:
+                if pair not in joined and (lowest[pair] > 0 or widest[pair] < _NEAR):
+                    distance = self.gap(pair, _NEAR)
+                    lowest[pair], widest[pair] = min(lowest[pair], distance), max(widest[pair], distance)
+        keeps = {pair: lowest[pair] / 2 if lowest[pair] > 0 else widest[pair] / 2 for pair in self.pairs}
+        found = Relations(
+            joined=joined,
+            keeps=[(*pair, keep) for pair, keep in keeps.items() if pair not in joined and keep < _NEAR / 2],
+        )
+        with contextlib.suppress(OSError), caches.whole(known) as place:
+            place.write_text(json.dumps(asdict(found)), encoding="utf-8")
+        return found
+
+    def _digest(self) -> str:
+        """sha256 of all that says which links touch."""
+        model = self.model
+        shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
+        chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
+        arrays = (*shapes, *chain)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
+
+    def elbow(self, q: Floats, up: Floats) -> float:
+        """How high the third axis stands at (6,) joint angles [m], along `up`."""
+        self.stand(q)
+        return float(self._data.joint("A3").xanchor @ up)
+
+    def apart(self, q: Floats, keeps: Mapping[tuple[str, str], float]) -> bool:
+        """Whether no two links are nearer than `_OWN`, or than what they keep [m], at (6,) joint angles."""
+        self.stand(q)
+        return all(self.gap(pair, _OWN) >= min(_OWN, keeps.get(pair, _OWN)) for pair in self.pairs)
+
+
+def _with_tool(spec: mujoco.MjSpec) -> OwnPairs:
+    """The arm with the largest built-in scanner on its flange."""
+    import mujoco
+
+    copy = spec.copy()
+    flange = spec.copy().compile().site(robot.FLANGE)
+    tool = copy.body("link_6").add_body(name=_TOOL, pos=flange.pos, quat=flange.quat)
+    tool.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.039, 0.03, 0.0], pos=[0.0, 0.0, 0.03])
+    tool.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.08, 0.04, 0.03], pos=[0.0375, 0.0, 0.09])
+    for link in ("link_5", "link_6"):
+        copy.add_exclude(name=f"{_TOOL}_{link}", bodyname1=_TOOL, bodyname2=link)
+    return OwnPairs(copy.compile())
+
+
+def found_home(own: OwnPairs, keeps: Mapping[tuple[str, str], float], down: Floats) -> Floats | None:
+    """(6,) joint angles at which the flange looks down before the arm at half its reach [rad]; None: none was found.
+
+    Where the scanner would touch the arm then, it looks down and ahead.
+
+    Of the solutions the one whose elbow is highest, then the one that turns least.
+
+    Args:
+        own: the arm.
+        keeps: pairs that are nearer by their build, and what they keep [m].
+        down: (3,) where the flange is to look, base frame.
+    """
+    kinematics = kinematics_of(own.model)
+    limits = kinematics.limits
+    reach = float(np.linalg.norm(kinematics.forward(own.q[:2000])[:, :3, 3], axis=1).max())
+    level = down * (1.0, 1.0, 0.0)
+    ahead = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(level) < 0.5 else level / np.linalg.norm(level)
+    for tilt, share, height in itertools.product(_TILTS, _SHARES, _HEIGHTS):
+        looks = down + tilt * ahead
+        poses = _looking(looks / np.linalg.norm(looks), reach * (share * ahead + np.array([0.0, 0.0, height])))
+        q = kinematics.inverse(poses).reshape(-1, 6)
+        q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]  # NaN is neither
+        free = [angles for angles in q if own.apart(angles, keeps)]
+        if free:
+            return min(free, key=lambda angles: (-round(own.elbow(angles, -down), 6), float(np.abs(angles).sum())))
+    return None
+
+
+def _looking(z: Floats, origin: Floats) -> Floats:
+    """(4, 4, 4) poses at an origin [m] that look along z, turned about it by quarter turns."""
+    x = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = x - z * (x @ z)
+    x /= np.linalg.norm(x)
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    for turn in range(4):
+        poses[turn, :3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+        x = np.cross(z, x)
+    poses[:, :3, 3] = origin
+    return poses

@@ -1,0 +1,310 @@
+"""An arm from a URDF or an MJCF: what is read, what it becomes, which links are guarded, what a mistake is told as."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from cell.errors import CellError
+from cell.robot import model as robot
+from cell.robot.arm import kinematics_of
+from cell.scene.scene import Scene
+from cell.world import robot_spec
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.gap import is_convex, mesh_of
+from cell.world.model import compile_world
+from planner.surface.mesh import TriangleMesh
+
+# Origin in the parent [m] and axis of each joint, and the middle and sides of the box that is its link.
+CHAIN = (
+    ((0, 0, 0.3), (0, 0, 1), (0, 0, 0.1), (0.12, 0.12, 0.2)),
+    ((0.1, 0, 0.2), (0, 1, 0), (0, 0.15, 0.25), (0.08, 0.08, 0.6)),
+    ((0, 0, 0.5), (0, -1, 0), (0.05, 0, 0.05), (0.3, 0.1, 0.1)),
+    ((0.25, 0, 0.1), (1, 0, 0), (0.1, 0, 0), (0.16, 0.06, 0.06)),
+    ((0.25, 0, 0), (0, 1, 0), (0.01, 0, 0), (0.05, 0.05, 0.05)),
+    ((0.05, 0, 0), (-1, 0, 0), (0.02, 0, 0), (0.02, 0.04, 0.04)),
+)
+CUBE = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z in (-0.03, 0.03)])
+
+
+def urdf(
+    extra: str = "", limit: str = '<limit lower="-2.8" upper="2.8" velocity="3" effort="0"/>', **links: str
+) -> str:
+    """An arm of six links made of boxes; `links` replace the collision shape of a link, `extra` is added."""
+    foot = '<collision><geometry><box size="0.2 0.2 0.4"/></geometry></collision>'
+    text = f'<robot name="small"><link name="base_link">{foot}</link>'
+    for number, (origin, axis, middle, sides) in enumerate(CHAIN, 1):
+        box = f'<origin xyz="{_text(middle)}"/><geometry><box size="{_text(sides)}"/></geometry>'
+        text += f'''<link name="l{number}"><collision>{links.get(f"l{number}", box)}</collision></link>
+            <joint name="j{number}" type="revolute"><parent link="{"base_link" if number == 1 else f"l{number - 1}"}"/>
+            <child link="l{number}"/><origin xyz="{_text(origin)}"/><axis xyz="{_text(axis)}"/>{limit}</joint>'''
+    text += """<link name="tool0"/><joint name="mount" type="fixed"><parent link="l6"/><child link="tool0"/>
+        <origin xyz="0.04 0 0" rpy="0 1.5707963267948966 0"/></joint>"""
+    return text + extra + "</robot>"
+
+
+def _text(values: tuple[float, ...]) -> str:
+    return " ".join(str(value) for value in values)
+
+
+LEVER = """<link name="lever"><collision><origin xyz="0 -0.2 0.1"/><geometry><box size="0.03 0.03 0.2"/></geometry>
+    </collision></link><joint name="drive" type="continuous"><parent link="l2"/><child link="lever"/>
+    <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/><mimic joint="j3" multiplier="-0.5" offset="0.2"/></joint>"""
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(robot_spec, "POSES", 200)
+
+
+def written(folder: Path, text: str) -> Path:
+    """The text as a file."""
+    path = folder / "arm.urdf"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def by_mujoco(text: str, q: np.ndarray, body: str) -> np.ndarray:
+    """(4, 4) where MuJoCo puts a link of the URDF, what mimics driven by hand."""
+    kept = '<robot name="small"><mujoco><compiler fusestatic="false"/></mujoco>'
+    model = mujoco.MjSpec.from_string(text.replace('<robot name="small">', kept)).compile()
+    data = mujoco.MjData(model)
+    for axis, angle in enumerate(q, 1):
+        data.joint(f"j{axis}").qpos = angle
+    if "drive" in text:
+        data.joint("drive").qpos = 0.2 - 0.5 * q[2]
+    mujoco.mj_kinematics(model, data)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = data.body(body).xmat.reshape(3, 3), data.body(body).xpos
+    return T
+
+
+def test_flange_and_levers_are_where_mujoco_puts_them(tmp_path: Path) -> None:
+    """The arm in our form stands as the file's does: flange and, driven by its axis, the lever, to 1e-9."""
+    text = urdf(LEVER)
+    model = robot_spec.from_file(written(tmp_path, text)).compile()
+    kinematics, followers, data = kinematics_of(model), robot.Followers.of(model), mujoco.MjData(model)
+    at_zero = by_mujoco(text, np.zeros(6), "lever")
+    for q in np.random.default_rng(1).uniform(-2.8, 2.8, (20, 6)):
+        np.testing.assert_allclose(kinematics.forward(q[None])[0], by_mujoco(text, q, "tool0"), rtol=0, atol=1e-9)
+        data.qpos[:] = followers.qpos(q)
+        mujoco.mj_kinematics(model, data)
+        due = by_mujoco(text, q, "lever")
+        np.testing.assert_allclose(data.body("lever").xpos, due[:3, 3], rtol=0, atol=1e-9)
+        turned = data.body("lever").xmat.reshape(3, 3) @ at_zero[:3, :3]  # its frame is parallel to the base at zero
+        np.testing.assert_allclose(turned, due[:3, :3], rtol=0, atol=1e-9)
+
+
+def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
+    """The flange looks down, within the limits, and no two links touch."""
+    model = robot_spec.from_file(written(tmp_path, urdf())).compile()
+    home = robot.home(model)
+    np.testing.assert_allclose(kinematics_of(model).forward(home[None])[0][:3, 2], (0, 0, -1), atol=1e-9)
+    assert (np.abs(home) <= 2.8).all()
+    assert robot_spec.OwnPairs(model).apart(home, {})
+
+
+def fork(apart: float = 0.09) -> trimesh.Trimesh:
+    """Two plates with a web behind them: what turns between them touches the hull and not the fork."""
+    sides = [
+        trimesh.creation.box((0.24, 0.01, 0.12), trimesh.transformations.translation_matrix((0.2, y, 0)))
+        for y in (-apart, apart)
+    ]
+    return trimesh.util.concatenate(
+        [*sides, trimesh.creation.box((0.02, 0.19, 0.12), trimesh.transformations.translation_matrix((0.09, 0, 0)))]
+    )
+
+
+def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
+    """Between the plates of a fork the last link is free at every pose; its hull would have it in contact at all."""
+    fork().export(tmp_path / "fork.stl")
+    text = urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>')
+    model = robot_spec.from_file(written(tmp_path, text)).compile()
+    own = robot_spec.OwnPairs(model)
+    assert [model.geom(geom).name for geom in own.shapes.hollow] == ["link_4_0"]
+    a, b = model.geom("link_4_0").id, model.geom("link_6_0").id
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    own.stand(np.zeros(6))
+    assert mujoco.mj_geomDistance(model, data, a, b, 1.0, None) < 0
+    # The disc, 40 mm square, reaches 28.3 mm from its axis at most; at zero its side is 85 - 20 mm from a plate.
+    assert own.gap(("link_4", "link_6"), 1.0) == pytest.approx(0.065, abs=1e-6)
+    assert not own.relations().joined
+
+
+def test_what_is_built_near_is_guarded_by_less_than_the_clearance(tmp_path: Path) -> None:
+    """A square of 40 mm turns between plates 60 mm apart: never in contact, and free at a clearance of 10 mm."""
+    fork(0.035).export(tmp_path / "fork.stl")
+    path = written(tmp_path, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
+    model = robot_spec.from_file(path).compile()
+    (keep,) = {
+        keep for pair, keep in robot.kept_apart(model).items() if "link_4_0" in {model.geom(g).name for g in pair}
+    }
+    assert 0.5 * (0.03 - 0.02 * np.sqrt(2)) <= keep <= 0.002
+    world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
+    checker = MujocoCollisionChecker(world)
+    q = np.array([0.0, 0.3, 0.3, 0.0, 0.0, 0.0])
+    assert not [pair for pair in checker.contacts(q) if "link_6 with link_4" in pair]
+    data = world.data()
+    data.qpos[:] = q
+    mujoco.mj_kinematics(world.model, data)
+    a, b = (world.model.geom(f"link_{number}_0").id for number in (4, 6))
+    assert world.shapes.distance(data, a, b, 0.3) == pytest.approx(0.01, abs=1e-6)
+    assert world.distance(data, a, b, 0.3) == pytest.approx(0.01 + world.clearance - keep, abs=1e-6)
+
+
+def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
+    """A block on link 1 that encloses the axis of link 3's far end: excused if, and only if, it touches everywhere."""
+    block = '<link name="block"><collision><geometry><box size="0.05 0.05 0.05"/></geometry></collision></link>'
+    joint = """<joint name="turn" type="continuous"><parent link="l1"/><child link="block"/>
+        <origin xyz="0.1 0 0.2"/><axis xyz="0 1 0"/><mimic joint="j2"/></joint>"""
+    long = '<origin xyz="0 0.15 0.25"/><geometry><box size="0.08 0.38 0.6"/></geometry>'
+    model = robot_spec.from_file(written(tmp_path, urdf(block + joint, l2=long))).compile()
+    excluded = [model.exclude(i).name for i in range(model.nexclude)]
+    assert "joined_link_2_block" in excluded
+    assert sum(name.startswith("joined_") for name in excluded) == 1
+
+
+def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
+    """A ball is convex, a fork is not, nor is a ball with a dent."""
+    ball = trimesh.creation.icosphere(3, 0.1)
+    assert is_convex(TriangleMesh(ball.vertices, ball.faces.astype(np.int32)))
+    assert not is_convex(TriangleMesh(fork().vertices, fork().faces.astype(np.int32)))
+    dent = ball.vertices * np.where(ball.vertices[:, :1] > 0.09, 0.85, 1.0)
+    assert not is_convex(TriangleMesh(dent, ball.faces.astype(np.int32)))
+
+
+@pytest.mark.parametrize("base", [None, {"position_mm": (0, 0, 2000), "abc_deg": (0, 0, 180)}])
+def test_a_cell_guards_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[str, object] | None) -> None:
+    """Standing or hanging: no point moves farther than the bound, and the flange is where kinematics say."""
+    path = written(tmp_path, urdf(LEVER))
+    scene = Scene.model_validate({"robot": {"model": str(path), "base": base, "pedestal_height_mm": 0}})
+    world = compile_world(scene, CUBE)
+    assert ("pedestal" in world.entities) is False
+    checker, kinematics = MujocoCollisionChecker(world), kinematics_of(world.model)
+    rng = np.random.default_rng(2)
+    q_from = rng.uniform(-2, 2, (30, 6))
+    q_to = q_from + rng.normal(0, 0.3, (30, 6))
+    bound = checker.travel(q_from, q_to)
+    data = world.data()
+    arm = [geom for geom, name in enumerate(world.entities) if name.startswith("link_") or name == "lever"]
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+    def at(q: np.ndarray) -> np.ndarray:
+        data.qpos[:] = world.followers.qpos(q)
+        mujoco.mj_kinematics(world.model, data)
+        placed = [
+            data.geom_xpos[geom] + (corners * world.model.geom_size[geom]) @ data.geom_xmat[geom].reshape(3, 3).T
+            for geom in arm
+        ]
+        return np.concatenate(placed)
+
+    for one, other, most in zip(q_from, q_to, bound, strict=True):
+        assert np.linalg.norm(at(one) - at(other), axis=1).max() <= most
+        T = kinematics.forward(other[None])[0]
+        np.testing.assert_allclose(data.site("flange").xpos, T[:3, 3], atol=1e-9)
+
+
+def no_mesh(text: str) -> str:
+    """A hand whose mesh is in a package that is nowhere."""
+    return text.replace('<box size="0.05 0.05 0.05"/>', '<mesh filename="package://acme/hand.stl"/>')
+
+
+def five_axes(text: str) -> str:
+    """The last axis does not turn."""
+    return text.replace('"j6" type="revolute"', '"j6" type="fixed"')
+
+
+def millimetres(text: str) -> str:
+    """Its lengths a thousand times longer."""
+    root = ElementTree.fromstring(text)
+    for origin in root.iter("origin"):
+        origin.set("xyz", " ".join(str(1000 * float(value)) for value in origin.get("xyz", "0 0 0").split()))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (urdf(limit=""), "'j1' has no limits; give it <limit lower upper velocity>"),
+        (
+            urdf(limit='<limit lower="-1" upper="1" velocity="0" effort="0"/>'),
+            "give the six axes' as robot.velocity_deg_s",
+        ),
+        (urdf().replace("tool0", "hand"), "say which is the flange"),
+        (five_axes(urdf()), "has 5 joints from 'base_link' to 'tool0'"),
+        (millimetres(urdf()), "looks like millimetres"),
+        (no_mesh(urdf()), "--package acme=DIR"),
+    ],
+)
+def test_a_mistake_is_one_sentence(tmp_path: Path, text: str, words: str) -> None:
+    """What is wrong and what to do stand in one sentence that names the file."""
+    path = written(tmp_path, text)
+    with pytest.raises(CellError) as told:
+        robot_spec.from_file(path)
+    assert words in str(told.value)
+    assert str(path) in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+CAPSULES = """<mujoco model="small"><worldbody><body name="foot"><geom type="box" size="0.1 0.1 0.2"/>
+  <body name="b1" pos="0 0 0.3"><joint name="q1" axis="0 0 1" range="-170 170"/><geom type="sphere" size="0.08"/>
+  <body name="b2" pos="0.1 0 0.2"><joint name="q2" axis="0 1 0" range="-170 170"/>
+    <geom type="capsule" size="0.03" fromto="0 0.1 0 0 0.1 0.5"/>
+  <body name="b3" pos="0 0 0.5"><joint name="q3" axis="0 1 0" range="-170 170"/><geom type="capsule" size="0.03 0.05"/>
+  <body name="b4" pos="0.25 0 0.1"><joint name="q4" axis="1 0 0" range="-170 170"/><geom type="sphere" size="0.03"/>
+  <body name="b5" pos="0.25 0 0"><joint name="q5" axis="0 1 0" range="-170 170"/><geom type="sphere" size="0.03"/>
+  <body name="b6" pos="0.05 0 0"><joint name="q6" axis="1 0 0" range="-170 170"/>
+    <geom type="ellipsoid" size="0.01 0.02 0.02"/><site name="flange" pos="0.03 0 0" euler="0 90 0"/>
+  </body></body></body></body></body></body></body></worldbody>
+  <keyframe><key name="home" qpos="0 0 0.5 0 1 0"/></keyframe></mujoco>"""
+
+
+def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
+    """A capsule becomes a polyhedron about it that stands off by no more than 5 %; the key home is taken."""
+    path = tmp_path / "arm.xml"
+    path.write_text(CAPSULES, encoding="utf-8")
+    model = robot_spec.from_file(path, velocity_deg_s=(90.0,) * 6).compile()
+    np.testing.assert_allclose(robot.home(model), (0, 0, 0.5, 0, 1, 0), atol=1e-9)
+    np.testing.assert_allclose(np.degrees(robot.limits(model).velocity), 90.0)
+    mesh = mesh_of(model, model.geom("link_2_0").id)
+    off = mesh.vertices - (0, 0.1, 0)
+    off[:, 2] -= np.clip(off[:, 2], 0, 0.5)
+    assert (np.linalg.norm(off, axis=1) <= 0.03 * 1.05).all()
+    middles = mesh.vertices[mesh.faces].mean(axis=1) - (0, 0.1, 0)
+    middles[:, 2] -= np.clip(middles[:, 2], 0, 0.5)
+    assert (np.linalg.norm(middles, axis=1) >= 0.03 - 1e-7).all()
+
+
+def test_an_arm_is_planned_with_proven_and_driven(
+    tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """From the file to a scan; a plan keeps its robot, and a changed file is told before it is driven."""
+    written(tmp_path, urdf(LEVER))
+    trimesh.creation.box((50, 50, 40)).export(tmp_path / "block.stl")
+    scene = """[robot]
+        model = "arm.urdf"
+        [placement]
+        position_mm = [600, 150, 450]"""
+    (tmp_path / "cell.toml").write_text(scene, encoding="utf-8")
+    told = json.loads(run_cell("robot", "arm.urdf", "--json", cwd=tmp_path).stdout)
+    assert told["family"] == "spherical wrist"
+    assert told["residual_mm"] < 1e-6
+    assert told["followers"] == ["drive by A3 x -0.5"]
+    wishes = ("--faces", "40", "--samples", "1", "--candidates", "optimal-scanning-zone", "--coverage", "0.9")
+    done = run_cell("plan", "block.stl", "--units=mm", "--scene=cell.toml", *wishes, "--out=run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "robot.xml" in json.loads((tmp_path / "run/manifest.json").read_text())["artefacts"]
+    done = run_cell("scan", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    written(tmp_path, urdf())
+    done = run_cell("scan", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "the robot's file" in done.stderr
