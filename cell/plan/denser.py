@@ -76,7 +76,7 @@ def chosen_where_kept(
 
 def _near(selected: Selected, asked: Floats) -> bool:
     """Whether views keep the coverage that is asked for, or would with targets raised by no more than `RAISED`."""
-    return selected.keeps(asked) or bool((selected.raised(asked) <= asked + RAISED).all())
+    return selected.keeps(asked) or bool((selected.raised(asked, at_most=np.inf) <= asked + RAISED).all())
 
 
 def _settled(

@@ -131,10 +131,10 @@ class Selected:
         """Whether the views measure the shares asked for on the held-out samples."""
         return bool((self.shares >= asked).all())
 
-    def raised(self, asked: Floats) -> Floats:
+    def raised(self, asked: Floats, at_most: float = 1.0) -> Floats:
         """(P,) targets on the matrix at which views should measure the shares asked for on the held-out samples too."""
         gap = np.maximum(self.claimed - self.shares, 0.0)
-        return np.asarray(np.minimum(asked + gap + np.where(self.shares < asked, _STEP, 0.0), 1.0))
+        return np.asarray(np.minimum(asked + gap + np.where(self.shares < asked, _STEP, 0.0), at_most))
 
     def bounded(self, easier: "Selected") -> "Selected":
         """With the bounds of one that was asked for less, where they are better."""

@@ -257,7 +257,8 @@ def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visib
         full: the plan that covers all usual samples.
 
     Returns:
-        The selection; it measures less than was asked for only where covering all of the denser samples does.
+        The selection; it measures less than was asked for only where covering all of the denser samples does, and never
+        less than `full` then.
     """
     density = 1 if full.visible >= visible else DENSER
     M = bench.matrix("aimed", candidates, density)
@@ -266,10 +267,14 @@ def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visib
     share = min(1.0, visible / coverable) if coverable > 0 else 1.0
     for _ in range(_RAISES):
         found = bench.select("aimed", candidates, allowed, solver="auto", share=share, density=density)
-        if found.visible >= visible or share >= 1.0:
+        if found.visible >= visible:
             return found
+        if share >= 1.0:
+            break
         share = min(1.0, share + (visible - found.visible) / coverable + _STEP)
-    return full if density == 1 else bench.select("aimed", candidates, allowed, solver="auto", density=density)
+    if density > 1 and share < 1.0:
+        found = bench.select("aimed", candidates, allowed, solver="auto", density=density)
+    return full if density == 1 or full.visible >= found.visible else found
 
 
 def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views: int, full: Judged) -> Judged:

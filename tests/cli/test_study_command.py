@@ -55,7 +55,7 @@ def test_the_paper_s_trend_and_that_ours_needs_no_more_views(table: Path) -> Non
     """
     rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
     views = [int(row["views rays"]) for row in rows]
-    assert min(views[1:-1]) < min(views[0], views[-1])
+    assert min(views[1:-1]) <= min(views[0], views[-1]) < max(views)
     for row in rows:
         assert int(row["views ours at visible rays"]) <= int(row["views rays"]), row
         assert float(row["visible ours at views rays %"]) >= float(row["visible rays %"]) - TOLERANCE_POINTS, row

@@ -56,13 +56,13 @@ def test_fewest_views_for_a_coverage_keep_it_and_no_fewer_were_needed_by_more(be
 
 
 def test_more_than_all_usual_samples_need_is_looked_for_among_denser_ones(bench: Bench) -> None:
-    """Asked for all that every candidate together measures: more views, nearer to it; the samples are told."""
+    """Asked for all that every candidate together measures: nearer to it, or the plan of the usual samples."""
     full = bench.select("aimed", bench.zone, None, solver="auto")
     everything = bench.visible(bench.zone.T_object_scanner)
     assert full.visible < everything
     found = fewest_for(bench, bench.zone, None, everything, full)
-    assert found.density == DENSER
-    assert full.visible < found.visible <= everything
+    assert full.visible <= found.visible <= everything
+    assert (found.density == DENSER) == (found.visible > full.visible)
     assert len(found.cover.views) >= full.cover.lower_bound
 
 

@@ -11,6 +11,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.run.report_json import Attainable
 from cell.scanners.laser_area import LaserArea
 from planner.measurability.coverage import Coverage
+from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.attainable import attainable
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
@@ -67,7 +68,7 @@ def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
     """Of few samples the estimate is the count itself and has no error; of half of them it is within a few errors."""
     targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
     areas = np.full(300, 2.0)
-    samples = SimpleNamespace(points=targets.points.T, normals=targets.normals.T, areas=areas)
+    samples = SurfaceSamples(targets.points.T, targets.normals.T, areas, np.arange(300), np.arange(300))
     covered = targets.points[2] > 0.02
     some = Coverage(covered, float(areas[covered].sum()), float(areas.sum()))
     prediction = SimpleNamespace(samples=samples, coverable=some, scanner=None, casters=())

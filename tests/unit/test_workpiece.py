@@ -169,7 +169,7 @@ def _break(folder: Path, case: str) -> Path:
         "truncated off": ("x.off", write(folder, body(), "y.off").read_bytes()[:900]),
         "text named glb": ("x.glb", b"hello\n" * 30),
         "truncated glb": ("x.glb", write(folder, body(), "y.glb").read_bytes()[:2000]),
-        "step": ("x.step", b"ISO-10303-21;"),
+        "iges": ("x.igs", b"S      1"),
         "no suffix": ("x.", b"hello"),
         "zero area": ("x.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n"),
     }  # fmt: skip
@@ -201,7 +201,7 @@ def _break(folder: Path, case: str) -> Path:
         ("truncated off", "cannot be read as OFF"),
         ("text named glb", "is not a binary glTF file"),
         ("truncated glb", "is cut short"),
-        ("step", "'.step', which is not supported; supported are .stl, .obj, .ply, .off, .glb"),
+        ("iges", "'.igs', which is not supported; supported are .stl, .obj, .ply, .off, .glb"),
         ("no suffix", "not supported"),
         ("zero area", "every face of x has zero area"),
     ],
