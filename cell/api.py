@@ -34,11 +34,12 @@ if TYPE_CHECKING:
     from cell.scan.options import ScanOptions
     from cell.scan.safety import Ask
     from cell.scene.scene import Scene
+    from cell.setups.planned_setups import PlannedSetups
 
 Progress = Callable[[str, int, int], None]
 """Told `(stage, done, total)` while work goes on; what it raises ends the work. A stage begins with (0, 0)."""
 
-__all__ = ["Progress", "hand_eye", "locate", "open_run", "plan", "scan"]
+__all__ = ["Progress", "hand_eye", "locate", "open_run", "plan", "plan_setups", "scan"]
 
 
 def plan(
@@ -46,6 +47,7 @@ def plan(
     *,
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
+    open_of: "Sequence[PlannedRun | str | Path]" = (),
     use_cache: bool = True,
     progress: "Progress | Narrator | None" = None,
     argv: Sequence[str] = (),
@@ -58,6 +60,8 @@ def plan(
             checked scene. None takes the scene's part.
         scene: scene file (TOML); None is the built-in scene.
         out: run folder to make; None makes one below sim_runs/.
+        open_of: finished plans of the part in other poses: only what their views leave open is planned, in the cell of
+            the first unless a scene is given (docs/setups.md).
         use_cache: whether measurability matrices are taken from and left in the user's cache.
         progress: told how far the work is; None works in silence.
         argv: kept in the manifest beside the options.
@@ -73,17 +77,63 @@ def plan(
     from cell.edit.editable import EditableRun
     from cell.plan import pipeline
 
+    scene_path = None if scene is None else Path(scene)
+    where, narrator = None if out is None else Path(out), _narrator(progress)
+    if open_of:
+        from cell.scene.scene import Scene
+        from cell.setups.beside import scene_beside
+        from cell.setups.open_of import plan_open
+
+        earlier = [open_run(_folder(run)) for run in open_of]
+        checked = part if isinstance(part, Scene) else scene_beside(earlier[0], scene_path, wishes, part)
+        folder = plan_open(
+            earlier, checked, scene_path=scene_path, out=where, argv=argv, use_cache=use_cache, narrator=narrator
+        )
+        return EditableRun.opened(folder)
     checked, workpiece = _scene(part, scene, wishes)
     folder = pipeline.plan(
-        checked,
-        part=workpiece,
-        scene_path=None if scene is None else Path(scene),
-        out=None if out is None else Path(out),
-        argv=argv,
-        use_cache=use_cache,
-        narrator=_narrator(progress),
+        checked, part=workpiece, scene_path=scene_path, out=where, argv=argv, use_cache=use_cache, narrator=narrator
     )
     return EditableRun.opened(folder)
+
+
+def plan_setups(
+    part: "str | Path | trimesh.Trimesh | Scene | None" = None,
+    *,
+    most: int | None = None,
+    offer: int = 24,
+    scene: "str | Path | None" = None,
+    out: "str | Path | None" = None,
+    use_cache: bool = True,
+    progress: "Progress | Narrator | None" = None,
+    argv: Sequence[str] = (),
+    **wishes: object,
+) -> "PlannedSetups":
+    """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views (docs/setups.md).
+
+    Args:
+        part: as for `plan`.
+        most: set-ups that may be used; None: as many as it takes.
+        offer: poses that are looked at, at most.
+        scene: scene file (TOML); None is the built-in scene. Its placement is the first pose that is offered.
+        out: folder to make; None makes one below sim_runs/.
+        use_cache: as for `plan`.
+        progress: told how far the work is; None works in silence.
+        argv: kept in the manifests.
+        **wishes: options of `cell plan` by name; those that ask for more than a coverage are refused.
+
+    Raises:
+        CellError: in one sentence; the folder keeps what was finished.
+    """
+    from cell.setups.plan_setups import plan_setups as planned
+    from cell.setups.planned_setups import PlannedSetups
+
+    checked, workpiece = _scene(part, scene, wishes)
+    folder = planned(
+        checked, part=workpiece, most=most, offer=offer, scene_path=None if scene is None else Path(scene),
+        out=None if out is None else Path(out), argv=argv, use_cache=use_cache, narrator=_narrator(progress),
+    )  # fmt: skip
+    return PlannedSetups.opened(folder)
 
 
 def scan(

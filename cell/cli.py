@@ -31,6 +31,7 @@ from cell.commands import (
     robot,
     scan,
     sensors,
+    setups,
     study,
     view,
     why,
@@ -47,6 +48,7 @@ app = typer.Typer(
 )
 
 app.command(epilog=plan.EPILOG)(plan.plan)
+app.command(epilog=setups.EPILOG)(setups.setups)
 app.command(epilog=check.EPILOG)(check.check)
 app.command(epilog=robot.EPILOG)(robot.robot)
 app.command(epilog=sensors.EPILOG)(sensors.sensors)

@@ -10,12 +10,14 @@ import typer
 from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields
 from cell.scene.option import flag
 from cell.scene.options import scene_of
+from cell.scene.posed import PART
 
 EPILOG = (
     "Examples:\n\n"
     "cell plan --place 1200,500,0\n\n"
     "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95\n\n"
     "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial\n\n"
+    "cell plan --open-of sim_runs/trial --place 1200,500,0,0,0,180\n\n"
     "cell plan --max-views 8 --curve\n\n"
     "cell plan --overlap 20% --coverage 0.98\n\n"
     "cell plan --pose-sd 0.5mm,0.1deg --alpha 0.05 --coverage 0.98\n\n"
@@ -30,6 +32,15 @@ def plan(
     part: Part = None,
     scene: SceneFile = None,
     wishes: OfScene,
+    open_of: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RUN",
+            help="Another set-up: plan only what the views of this finished plan leave open, with the part where "
+            "--place says. May be given several times.",
+            rich_help_panel=PART,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
@@ -47,8 +58,16 @@ def plan(
     from cell.run.digest import SHOWN
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_of(scene, wishes, part, flag)
-    run = api.plan(checked, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:])
+    if open_of:
+        from cell.setups.beside import scene_beside
+
+        checked = scene_beside(api.open_run(open_of[0]), scene, wishes, part, flag)
+    else:
+        checked = scene_of(scene, wishes, part, flag)
+    run = api.plan(
+        checked, scene=scene, out=out, open_of=open_of or (), use_cache=not no_cache, progress=terminal,
+        argv=sys.argv[1:],
+    )  # fmt: skip
     if as_json:
         sys.stdout.write(json.dumps(run.as_json(), indent=2, allow_nan=False) + "\n")
     else:

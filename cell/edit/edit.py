@@ -81,6 +81,11 @@ def edit(
             f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "
             "leave repair out, or plan with a coverage"
         )
+    if wanted.repair and run.report.open_of is not None:
+        raise UsageError(
+            f"{run.folder} was asked only for what other set-ups leave open, and a repair would ask for the rest as "
+            "well; leave repair out, or plan it again with open_of"
+        )
     check(wanted, len(run.candidate), run.report.verdicts.total)
     resolved, moved = reader.scene(run.record), T_base_object is not None
     before = Before(run, reader.candidates(run.record), reader.reached(run.record), moved)

@@ -16,6 +16,7 @@ from cell.plan.refined import Append, movable, with_fewer
 from cell.plan.request import AGAIN_WORK, LOOK_WORK, RAISED, WORK, Selected
 from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
+from cell.rays.prediction import Prediction
 from planner.measurability import quality
 from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability, fill, measured, occlude
@@ -23,12 +24,14 @@ from planner.measurability.rows import add_rows
 from planner.ports import SigmaScanner
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 ROUNDS = 6
 """Times that samples are added at most; each time the views are chosen again."""
 
-_FRESH = 20_000  # samples that are looked at
+FRESH = 20_000
+"""Samples that are looked at."""
+
 _MORE = 4_000  # rows that a round adds at most, or twice as many as there are: each round's views say where more help
 
 
@@ -54,7 +57,8 @@ def chosen_where_kept(
     """
     if not _adds(problem):
         return problem, first_choice(problem, rng)
-    asked, spread = problem.request.asked, problem.prediction.samples
+    asked, known = problem.request.asked, problem.prediction
+    spread = known.samples if known.asked is None else pick_samples(known.samples, known.asked)
     face_areas = np.bincount(spread.planning_face, weights=spread.areas, minlength=len(surface.planning.faces)).astype(
         np.float64, copy=False
     )
@@ -65,11 +69,15 @@ def chosen_where_kept(
             problem, selected = _settled(problem, selected, rng, append)
             if _near(selected, asked):
                 break
-        pool = sample(surface.reference, surface.planning, _FRESH, fresh)
+        pool = sample(surface.reference, surface.planning, FRESH, fresh)
+        pool = pool if known.asks is None else pick_samples(pool, known.asks(pool))
         added = _needed(problem, selected, pool)
         if not added.any():
             break
-        more = _rows(problem, pick_samples(pool, added))
+        more = rows_of(
+            problem.candidates, problem.reached.reachable, problem.prediction, pick_samples(pool, added),
+            sigma=problem.M.sigma is not None,
+        )  # fmt: skip
         problem = replace(problem, M=add_rows(problem.M, more, face_areas))
     return problem, first_choice(problem, rng, looked=selected)
 
@@ -123,12 +131,22 @@ def _needed(problem: Problem, selected: Selected, pool: SurfaceSamples) -> Bools
     return np.asarray(np.isin(np.arange(len(pool)), some))
 
 
-def _rows(problem: Problem, features: SurfaceSamples) -> Measurability:
-    """What reachable candidates measure of further features, occluders applied, the limit on sigma kept."""
-    usable = np.flatnonzero(problem.reached.reachable)
-    candidates, scanner = pick_viewpoints(problem.candidates, usable), problem.prediction.scanner
-    part, others = problem.prediction.casters
+def rows_of(
+    candidates: Viewpoints, reachable: Bools, prediction: Prediction, features: SurfaceSamples, *, sigma: bool
+) -> Measurability:
+    """What reachable candidates measure of further features, occluders applied, the limit on sigma kept.
+
+    Args:
+        candidates: V viewpoints, all poses of each.
+        reachable: (V,) those that are asked.
+        prediction: for the sensor's law and what stands in the way.
+        features: the rows.
+        sigma: whether the layer of sigma is there.
+    """
+    usable, total = np.flatnonzero(reachable), len(candidates)
+    candidates, scanner = pick_viewpoints(candidates, usable), prediction.scanner
+    part, others = prediction.casters
     M = occlude(fill(candidates, features, scanner, part), candidates, scanner, others, ray_caster=part)
-    if problem.M.sigma is not None:
+    if sigma:
         M = quality.sigma_layer(M, candidates, cast(SigmaScanner, scanner), casters=(part, others))
-    return spread_measurability(M, usable, len(problem.candidates))
+    return spread_measurability(M, usable, total)

@@ -88,7 +88,8 @@ def plan(
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
             require_attainable(scene, scanner)
             exit_code = (steps_of or _steps)(run, Job(scene, part, settings, scanner))
-            folder.seal()
+            if (folder.path / "plan.json").is_file():  # of several set-ups each has its own folder and digest
+                folder.seal()
         return folder.finish(exit_code)
 
 

@@ -1,6 +1,6 @@
 """Requests beyond the fewest views, in words with units: rows for terminal and report, sections for the page."""
 
-from cell.run.plan_json import Overlap, Promise
+from cell.run.plan_json import OpenOf, Overlap, Promise
 from cell.run.report_json import Report
 
 
@@ -36,7 +36,19 @@ def rows(report: Report) -> list[tuple[str, str]]:
         found.append(("overlap", _overlap(report, report.overlap)))
     if report.promise:
         found += _promise(report.promise)
+    if report.open_of:
+        found.append(("all set-ups together", _together(report.open_of)))
     return found
+
+
+def _together(found: OpenOf) -> str:
+    touched = (
+        f"; {_percent(found.in_contact)} that was open touches what the part lies on here" if found.in_contact else ""
+    )
+    return (
+        f"{_percent(found.together)} of the surface, {_percent(found.before)} before this one; this one measures "
+        f"{_percent(found.share)} of what was open and its reachable candidates can measure{touched}"
+    )
 
 
 def _overlap(report: Report, overlap: Overlap) -> str:

@@ -54,8 +54,8 @@ from planner.timing.motion import Motion
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
-_FEATURES, SELECTION, MOTION, _ENSEMBLE = 0, 2, 3, 4
-EXECUTIONS, CURVE, _SCOUTS, _ASKED, _FRESH = 5, 6, 7, 8, 9
+FEATURES, SELECTION, MOTION, _ENSEMBLE = 0, 2, 3, 4
+EXECUTIONS, CURVE, SCOUTS, _ASKED, FRESH = 5, 6, 7, 8, 9
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
 
@@ -129,7 +129,7 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
         if other := doubts.other_count(len(planning.faces), job.settings.faces):
             run.narrator.note(other)
         candidates = first(job.scene, job.settings, job.part, planning)
-        features = surface_features(job.scene, reference, planning, run.rng(_FEATURES))
+        features = surface_features(job.scene, reference, planning, run.rng(FEATURES))
         if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
             run.narrator.note(doubt)
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
@@ -181,7 +181,7 @@ def grow_candidates(
     if job.scene.plan.candidates != GROWN:
         return candidates, reached
     with run.step("grow the candidates") as progress:
-        scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(_SCOUTS))
+        scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(SCOUTS))
         casters = casters_of(surface, cell)
         scanner = limited(job.scene, job.scanner)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
@@ -264,7 +264,7 @@ def connect(
     """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
         chooses, before = run.rng(SELECTION), problem
-        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(_FRESH), append)
+        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(FRESH), append)
         if problem.M is not before.M:
             plan_files.write_measurability(run.folder, problem.M)
         if problem.candidates is not before.candidates:

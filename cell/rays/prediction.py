@@ -1,6 +1,6 @@
 """Predicted coverage of a plan on samples that the optimiser has not seen (planner/measurability/coverage.py)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from planner.measurability.matrix import measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 HELD_OUT_STREAM = 1
 """Stream of randomness of the held-out samples: plan, execution and `cell why` speak of the same ones."""
@@ -41,12 +41,16 @@ class Prediction:
         scanner: the sensor's law.
         casters: the part's and the occluders', object frame.
         coverable: what at least one reachable candidate measures.
+        asked: (S,) samples on which a coverage is kept; None: all.
+        asks: the same of any samples.
     """
 
     samples: SurfaceSamples
     scanner: Scanner
     casters: Sequence[RayCaster]
     coverable: Coverage
+    asked: Bools | None = None
+    asks: Callable[[SurfaceSamples], Bools] | None = None
 
     @classmethod
     def of(
@@ -84,10 +88,14 @@ class Prediction:
     def share_of_coverable(self, T_object_scanner: Floats) -> float:
         """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable.
 
-        What the views measure counts as coverable: they need not be candidates.
+        Of the samples that are asked about. What the views measure counts as coverable: they need not be candidates.
         """
-        visible = self.visible(T_object_scanner)
-        whole = float(self.samples.areas[self.coverable.covered | visible.covered].sum())
+        visible, areas = self.visible(T_object_scanner), self.samples.areas
+        can = self.coverable.covered | visible.covered
+        if self.asked is not None:
+            can = can & self.asked
+            return float(areas[can & visible.covered].sum() / areas[can].sum()) if can.any() else 1.0
+        whole = float(areas[can].sum())
         return visible.area / whole if whole > 0 else 1.0
 
     def seen(self, T_object_scanner: Floats) -> NDArray[np.bool_]:

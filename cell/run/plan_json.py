@@ -146,6 +146,27 @@ class Cost(JsonTable):
     bound_seconds: float = Field(description="no selection and no motion over it need less")
 
 
+class OpenOf(JsonTable):
+    """Of a further set-up: what others left open of the surface, and what all measure together; fractions of it.
+
+    Surface that a support touches in a set-up counts as not measured in it.
+    """
+
+    digests: tuple[str, ...] = Field(
+        description="of the plans of the set-ups before; all have the samples of the first"
+    )
+    before: float = Field(description="what their views measure")
+    together: float = Field(description="what they and the views of this plan measure")
+    coverable: float = Field(description="what they and all candidates that are reached here measure")
+    in_contact: float = Field(description="what they leave open and a support touches here: no view here has it")
+
+    @property
+    def share(self) -> float:
+        """What this plan measures of what was open and can be measured here."""
+        most = self.coverable - self.before
+        return (self.together - self.before) / most if most > 0 else 1.0
+
+
 class Sweep(JsonTable):
     """What is driven at a view of a line sensor: a straight line at constant speed through all of its K poses."""
 
@@ -200,4 +221,5 @@ class PlanFile(JsonTable):
     promise: Promise | None = optional()
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
+    open_of: OpenOf | None = optional()
     views: tuple[PlanView, ...] = Field(description="as they will be executed, in visiting order")

@@ -90,13 +90,17 @@ def open_run(folder: Path) -> RunRecord:
     """Open a run folder by its manifest.
 
     Raises:
-        FileError: if it is missing, not a run folder, damaged or of another schema.
+        FileError: if it is missing, not a run folder, damaged or of another schema, or holds several set-ups.
     """
     if not folder.is_dir():
         raise FileError(_no_folder(folder))
     path = folder / "manifest.json"
     if not path.is_file():
         raise FileError(f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made")
+    if (folder / "setups.json").is_file():
+        raise FileError(
+            f"{folder} holds several set-ups; give the run folder of one of them, {folder / 'setups' / '1'}"
+        )
     manifest = read_manifest(path)
     schema = manifest.schema_version
     if schema != SCHEMA:

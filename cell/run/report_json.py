@@ -10,6 +10,7 @@ from cell.run.plan_json import (
     Dropped,
     MostCoverage,
     Multiplicity,
+    OpenOf,
     Overlap,
     Promise,
     Verdicts,
@@ -182,5 +183,6 @@ class Report(JsonTable):
     promise: Promise | None = optional()
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
+    open_of: OpenOf | None = optional()
     curve: Curve | None = optional()
     clearance: Clearance | None = optional("how near the motion comes to anything; older runs do not say it")

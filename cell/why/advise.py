@@ -90,7 +90,7 @@ def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
             share, error = _share(samples, left, arm(world.placed(T_base_centre)))
             open_share = 1.0 - visible
             found.append(
-                Advice(what, visible + open_share * share, open_share * error, _command(run, T_base_centre))
+                Advice(what, visible + open_share * share, open_share * error, _open_of(run, T_base_centre))
             )  # fmt: skip
     places: list[Advice] = []
     some = np.sort(rng.permutation(len(samples))[:ASKED])
@@ -132,11 +132,20 @@ def _elsewhere(world: World) -> Iterator[tuple[str, Floats]]:
                 yield f"another place, moved by {x:g}, {y:g}, {up:g} mm", T
 
 
+def _place(T_base_centre: Floats) -> str:
+    """What `--place` takes for a pose of the part's centre."""
+    position, abc = kuka_abc_from_pose(T_base_centre)
+    return ",".join(f"{value + 0.0:g}" for value in [*(position * 1000).round(3), *(np.degrees(abc).round(3))])
+
+
+def _open_of(run: RunRecord, T_base_centre: Floats) -> str:
+    """The command that plans a second set-up for what a run leaves open."""
+    return shlex.join(["cell", "plan", "--open-of", str(run.folder), "--place", _place(T_base_centre)])
+
+
 def _command(run: RunRecord, T_base_centre: Floats) -> str:
     """The run's own command line at another placement; of a run that was not begun by `cell plan`, the option alone."""
-    position, abc = kuka_abc_from_pose(T_base_centre)
-    numbers = [*(position * 1000).round(3), *(np.degrees(abc).round(3))]
-    place = ",".join(f"{value + 0.0:g}" for value in numbers)
+    place = _place(T_base_centre)
     words = list(run.manifest.argv)
     if words[:1] != ["plan"]:
         return f"--place {place}"

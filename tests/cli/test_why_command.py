@@ -70,6 +70,7 @@ def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: Cell, tmp
         words = advice["command"].split()
         assert words[:2] == ["cell", "plan"]
         assert words.count("--place") == 1
+        assert words.count("--open-of") == ("second set-up" in advice["what"])
         assert "--out" not in words
         assert 0 <= advice["share"] <= 1
         assert advice["share"] >= visible - 2e-4 or "second set-up" not in advice["what"]

@@ -14,6 +14,7 @@ from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
 from cell.run.scene_json import ResolvedScene
+from cell.run.setups_json import SetupsFile
 from cell.run.why_json import WhyReport
 from cell.scene.plan_settings import PlanKeys
 
@@ -27,6 +28,7 @@ FILES = {
     "report.json of an execution": ExecutionReport,
     "why/why.json": WhyReport,
     "explore.json of an exploration": ExploreFile,
+    "setups.json of `cell setups`": SetupsFile,
 }
 
 

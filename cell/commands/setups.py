@@ -1,0 +1,66 @@
+"""`cell setups` as the command line gives it: a part in, the poses it is measured in and their plans out."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields
+from cell.scene.option import flag
+from cell.scene.options import scene_of
+
+EPILOG = (
+    "Examples:\n\n"
+    "cell setups part.stl --units mm --place 1200,500,0\n\n"
+    "cell setups mug --most 2 --offer 8 --coverage 0.95 --json\n\n"
+    "Each set-up is a run folder of its own: cell scan FOLDER/setups/1.\n\n"
+    "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, "
+    "130 Ctrl-C."
+)
+
+
+@from_fields
+def setups(
+    *,
+    part: Part = None,
+    scene: SceneFile = None,
+    wishes: OfScene,
+    most: Annotated[
+        int | None,
+        typer.Option(min=1, help="Set-ups that may be used. Default: as many as it takes.", rich_help_panel="Set-ups"),
+    ] = None,
+    offer: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Poses that are looked at: as placed and stable ones, at four turns.", rich_help_panel="Set-ups"
+        ),
+    ] = 24,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
+    ] = None,
+    as_json: AsJson = False,
+    no_cache: Annotated[
+        bool,
+        typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel="Output"),
+    ] = False,
+) -> None:
+    """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views, each with a bound."""
+    from cell import api
+    from cell.commands.terminal import Terminal
+    from cell.setups.report import rows
+
+    terminal = Terminal(quiet_stdout=as_json)
+    checked = scene_of(scene, wishes, part, flag)
+    made = api.plan_setups(
+        checked, most=most, offer=offer, scene=scene, out=out, use_cache=not no_cache, progress=terminal,
+        argv=sys.argv[1:],
+    )  # fmt: skip
+    if as_json:
+        sys.stdout.write(json.dumps(made.as_json(), indent=2, allow_nan=False) + "\n")
+    else:
+        terminal.pairs(f"Set-ups of {made.file.part}", [*rows(made.file), ("folder", str(made.folder))])
+        terminal.then(*(("cell", "scan", folder) for folder in made.folders))
+    raise typer.Exit(made.exit_code)

@@ -1,0 +1,236 @@
+"""`cell plan --open-of RUN`: a further set-up for what the views of finished plans leave open.
+
+Samples, candidates and seed are those of the first run. Its candidates are reached again where the part lies now, and
+more are grown for what is open; the matrix has the open samples alone as rows, and a coverage below 1 is kept on the
+open ones of the held-out samples. What a support touches in this set-up is asked of none of its views.
+"""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cell import scanners
+from cell.errors import UnreachableError, UsageError
+from cell.narrator import Narrator
+from cell.part.workpiece import Workpiece
+from cell.plan import files as plan_files
+from cell.plan import pipeline, steps
+from cell.plan.appended import behind
+from cell.plan.problem import Problem
+from cell.plan.reachable import require_reachable
+from cell.plan.steps import Cell, Job, Run
+from cell.plan.view_plan import ConnectedPlan
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import PartSurface
+from cell.rays.occluders import Occluder, occluder_triangles
+from cell.run import reader
+from cell.run.cell import scene_of_run
+from cell.run.plan_json import OpenOf
+from cell.run.planned import PlannedRun
+from cell.scene.scene import Scene
+from cell.setups.contact import touching
+from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
+from cell.setups.growing import with_grown
+from planner.reach.reach import Reach
+from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.values import Bools
+from planner.viewpoints import growth
+from planner.viewpoints.viewpoints import Viewpoints
+
+_KEPT = ("reference.ply", "planning.ply")
+_SAME = 1e-6  # m, and entries of a rotation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Open:
+    """What earlier set-ups leave open, as far as this one can be asked for it.
+
+    Attributes:
+        setups: those that are planned.
+        supports: what the part lies on or among in this one, object frame.
+    """
+
+    setups: Sequence[EarlierSetup]
+    supports: Sequence[Occluder]
+
+    def asks(self, samples: SurfaceSamples) -> Bools:
+        """(S,) samples that no view measures and that are free here."""
+        return ~measured_by(self.setups, samples) & ~touching(samples, self.supports)
+
+
+def plan_open(
+    runs: Sequence[PlannedRun],
+    scene: Scene,
+    *,
+    scene_path: Path | None,
+    out: Path | None,
+    argv: Sequence[str],
+    use_cache: bool,
+    narrator: Narrator,
+) -> Path:
+    """Plan a further set-up.
+
+    Args:
+        runs: finished plans of one part, the one first whose samples and candidates all have.
+        scene: of the set-up; part and seed are those of the first run whatever it says.
+        scene_path: where it came from; None for that of the first run.
+        out: the run folder to make; None makes one below sim_runs/.
+        argv: for the manifest.
+        use_cache: whether matrices may be taken from and left in the cache.
+        narrator: is told what goes on.
+
+    Returns:
+        The run folder; its exit code is 3 where the plan stays below a coverage that was asked for.
+
+    Raises:
+        UsageError: if the runs do not belong together, or the set-up is one of theirs.
+        UnreachableError: if nothing that is open can be measured in this set-up.
+        FileError: if a run is damaged, or the folder cannot be written.
+    """
+    with narrator.stage("read the plans"):
+        setups = [EarlierSetup.of(run) for run in runs]
+        require_one_part(setups)
+    first = runs[0]
+    resolved = reader.scene(first.record)
+    plan = scene.plan.model_copy(update={"seed": first.record.seed})
+    scene = scene.model_copy(update={"part": scene_of_run(first.record).part, "plan": plan})
+    part = Workpiece(resolved.part.name, reader.mesh(first.record, "reference.ply"), resolved.part.sha256)
+    return pipeline.plan(
+        scene, part=part, scene_path=scene_path or first.folder / "scene.toml", out=out, argv=argv,
+        use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, setups),
+    )  # fmt: skip
+
+
+def _steps(setups: Sequence[EarlierSetup], run: Run, job: Job) -> int:
+    """Steps 2 to 9 on what is open; returns 0, or 3 where the plan stays below a coverage that was asked for."""
+    surface = _surface(setups[0].run, run, job)
+    run.drawing.part_ready(run.folder.path)
+    cell = steps.compile_cell(run, job, surface)
+    _require_another(setups, cell)
+    run.drawing.cell_ready(run.folder.path)
+    left = _Open(setups, occluder_triangles(cell.world))
+    with run.step("what is open"):
+        rows = left.asks(surface.features)
+        if not rows.any():
+            raise UnreachableError(
+                "nothing is left to plan: the views before measure every sample that is free of its support here; one "
+                "set-up fewer will do, or turn the part"
+            )
+        surface = replace(surface, features=pick_samples(surface.features, rows))
+    candidates, reached = _candidates(left, run, job, surface, cell)
+    measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
+    with run.step("what is open of the held-out samples"):
+        samples = prediction.samples
+        before, touched = measured_by(setups, samples), touching(samples, left.supports)
+        prediction = replace(prediction, asked=~before & ~touched, asks=left.asks)
+    problem = steps.ask(run, job, cell, measured, prediction)
+    problem, chosen = steps.connect(run, problem, surface, behind(run, job, cell, surface))
+    found = _together(setups, before, touched, problem, chosen)
+    pipeline.finish(run, job, surface.planning, problem, chosen, {"open_of": found})
+    return 3 if _below(run.narrator, job, found) else 0
+
+
+def _surface(first: PlannedRun, run: Run, job: Job) -> PartSurface:
+    """The part and the samples of the first run; the files of the meshes stay what they were, to the byte."""
+    with run.step("read the samples"):
+        for name in _KEPT:
+            shutil.copyfile(first.folder / name, run.folder.path / name)
+            run.folder.adopt(name)
+        reference = job.part.reference
+        return PartSurface(
+            reference, reader.mesh(first.record, "planning.ply"), reader.measurability(first.record).features,
+            EmbreeRayCaster(reference.vertices, reference.faces),
+        )  # fmt: skip
+
+
+def _require_another(setups: Sequence[EarlierSetup], cell: Cell) -> None:
+    """Refuse a set-up in which the part stands where it stood.
+
+    Raises:
+        UsageError: naming the run.
+    """
+    for setup in setups:
+        if np.abs(setup.cell.scene.T_base_object - cell.world.T_base_object).max() <= _SAME:
+            raise UsageError(
+                f"the part lies as in {setup.run.folder}: the set-ups are equal and nothing more can be measured; give "
+                "another --place x,y,z,A,B,C, or cell edit the run"
+            )
+
+
+def _candidates(left: _Open, run: Run, job: Job, surface: PartSurface, cell: Cell) -> tuple[Viewpoints, Reach]:
+    """The first run's candidates, reached where the part lies now, and more for what is open.
+
+    Raises:
+        UnreachableError: if the arm reaches none.
+    """
+    with run.step("reach and grow the candidates") as progress:
+        scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(steps.SCOUTS))
+        scouts = pick_samples(scouts, left.asks(scouts))
+        candidates, reached = with_grown(job, surface, cell, _viewpoints(left.setups[0]), scouts, progress)
+    plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
+    plan_files.write_reach(run.folder, reached)
+    require_reachable(job.scene.plan, job.part, reached)
+    return candidates, reached
+
+
+def _viewpoints(setup: EarlierSetup) -> Viewpoints:
+    """The candidates of a run before its scanner made sweeps of them."""
+    known = reader.candidates(setup.run.record)
+    T_view_scanner = getattr(setup.cell.scanner, "T_view_scanner", np.eye(4)[None])
+    middle = len(T_view_scanner) // 2
+    T = known.T_object_scanner[:, [middle]]
+    if len(T_view_scanner) > 1:
+        T = T @ np.linalg.inv(T_view_scanner[middle])
+    return Viewpoints(T, known.face, known.standoff, known.roll)
+
+
+def _together(
+    setups: Sequence[EarlierSetup], before: Bools, touched: Bools, problem: Problem, chosen: ConnectedPlan
+) -> OpenOf:
+    """What all set-ups measure of the held-out samples.
+
+    Args:
+        setups: those before.
+        before: (S,) what they measure.
+        touched: (S,) what a support touches in this one.
+        problem: this one's candidates.
+        chosen: this one's views.
+    """
+    prediction = problem.prediction
+    areas = prediction.samples.areas
+    seen = np.asarray(chosen.visible.covered) & ~touched
+    can = np.asarray(prediction.coverable.covered) & ~touched
+
+    def share(which: Bools) -> float:
+        return float(areas[which].sum() / areas.sum())
+
+    return OpenOf(
+        digests=tuple(setup.run.digest for setup in setups),
+        before=share(before),
+        together=share(before | seen),
+        coverable=share(before | seen | can),
+        in_contact=share(touched & ~before),
+    )
+
+
+def _below(narrator: Narrator, job: Job, found: OpenOf) -> bool:
+    """Whether a coverage that was asked for is missed; says which, and what would help."""
+    plan = job.scene.plan
+    plain = plan.max_views is None and plan.multiplicity == 1 and plan.pose_sd_mm == 0 == plan.pose_sd_deg
+    missed = plain and plan.coverage < 1 and found.share < plan.coverage
+    if missed:
+        narrator.note(
+            f"this set-up measures {100 * found.share:.2f} % of what was open and can be measured in it, less than the "
+            f"{100 * plan.coverage:g} % asked for: what is left is shaded by the arm or falls between all samples"
+        )
+    if found.together < plan.required_visible:
+        narrator.note(
+            f"all set-ups measure {100 * found.together:.2f} % of the surface, less than the "
+            f"{100 * plan.required_visible:g} % required; go on with another set-up of what these leave open"
+        )
+        return True
+    return missed

@@ -1,0 +1,202 @@
+"""`cell setups`: which poses a part is measured in, and from which views in each, planned as one cover.
+
+Every offered set-up is reached, grown and measured over one set of samples; the cover over all of them is connected in
+every set-up that it uses, and chosen again without what cannot be connected. Each set-up is then a run folder of its
+own below `setups/`.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cell import scanners
+from cell.errors import UnreachableError, UsageError
+from cell.narrator import Narrator
+from cell.part.workpiece import Workpiece
+from cell.plan import candidates, pipeline, steps
+from cell.plan import files as plan_files
+from cell.plan.problem import Problem
+from cell.plan.steps import Job, Run
+from cell.plan.view_plan import ConnectedPlan
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.matrix import PartSurface, surface_features
+from cell.run.planned import open_run
+from cell.run.setups_json import ChosenSetup, OfferedSetup, SetupsCoverage, SetupsFile
+from cell.scene.plan_settings import PlanSettings
+from cell.scene.scene import Scene
+from cell.setups.joint import JointCover
+from cell.setups.measured import Setup, measured_setup
+from cell.setups.offered import Offer, offered
+from cell.setups.report import page, status
+from cell.setups.search import Search
+from cell.world.model import compile_world
+from planner.surface.decimate import decimate
+from planner.surface.sample import sample
+from planner.values import Bools
+from planner.viewpoints import growth
+
+_FOREIGN = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order", "pose_sd_mm",
+            "pose_sd_deg", "curve", "solver", "fill", "pinned", "banned")  # fmt: skip
+"""Wishes of `[plan]` that a cover of several set-ups does not answer."""
+
+
+def plan_setups(
+    scene: Scene,
+    *,
+    part: Workpiece | None,
+    most: int | None,
+    offer: int,
+    scene_path: Path | None,
+    out: Path | None,
+    argv: Sequence[str],
+    use_cache: bool,
+    narrator: Narrator,
+) -> Path:
+    """Plan several set-ups.
+
+    Args:
+        scene: the checked scene; its placement says where the part's centre and its lowest point are.
+        part: in place of the scene's.
+        most: set-ups that may be used; None: as many as it takes.
+        offer: poses that are looked at, at most.
+        scene_path: where the scene came from; None for the built-in one.
+        out: the folder to make; None makes one below sim_runs/.
+        argv: for the manifests.
+        use_cache: whether matrices may be taken from and left in the cache.
+        narrator: is told what goes on.
+
+    Returns:
+        The folder: setups.json, report.md, and a run folder for each set-up below setups/.
+
+    Raises:
+        UsageError: for a wish that a cover of several set-ups does not answer.
+        UnreachableError: if no set-up that is offered measures anything.
+    """
+    for key in _FOREIGN:
+        if getattr(scene.plan, key) != PlanSettings.model_fields[key].default:
+            raise UsageError(f"plan.{key} is no wish that a cover of several set-ups answers; leave it out")
+    if scene.region:
+        raise UsageError("regions are no wish that a cover of several set-ups answers; leave them out")
+    steps_of = partial(_steps, most, offer, scene_path, narrator)
+    return pipeline.plan(
+        scene, part=part, scene_path=scene_path, out=out, argv=argv, use_cache=use_cache, narrator=narrator,
+        steps_of=steps_of,
+    )  # fmt: skip
+
+
+def _steps(most: int | None, offer: int, scene_path: Path | None, narrator: Narrator, run: Run, job: Job) -> int:
+    """All of it, into the open folder; returns 0, or 3 where a coverage that was asked for is missed."""
+    surface, offers, tried = _offered(run, job, offer)
+    setups = {row: found for row, found in enumerate(tried) if isinstance(found, Setup)}
+    if not any(len(setup.measured.M.indices) for setup in setups.values()):
+        told = next((found for found in tried if isinstance(found, str)), "no candidate measures anything")
+        raise UnreachableError(f"none of the {len(offers)} set-ups offered can be planned ({told}); move the part")
+    with run.step("select and connect"):
+        found, connected = Search(run, surface, setups, most).result()
+    visible = {row: setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()}
+    order = sorted(visible, key=lambda row: (-int(visible[row].sum()), row))
+    for number, row in enumerate(order, start=1):
+        setup, (problem, plan) = setups[row], connected[row]
+        pipeline.plan(
+            setup.job.scene, part=job.part, scene_path=scene_path, out=run.folder.path / "setups" / str(number),
+            argv=run.folder.manifest.argv, use_cache=run.use_cache, narrator=narrator,
+            steps_of=partial(_write, surface, problem, plan),
+        )  # fmt: skip
+    file = _file(run, job, setups, found, offers, tried, [(row, visible[row]) for row in order])
+    run.folder.write_json("setups.json", file.as_json())
+    run.folder.write_text("report.md", page(file))
+    missed = file.coverage.visible_of_coverable < file.coverage.asked < 1
+    if missed:
+        run.narrator.note(
+            f"the set-ups measure {100 * file.coverage.visible_of_coverable:.2f} % of what can be measured, less than "
+            f"the {100 * file.coverage.asked:g} % asked for; allow more set-ups, or ask for less"
+        )
+    return 3 if missed or file.coverage.visible < job.scene.plan.required_visible else 0
+
+
+def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], list[Setup | str]]:
+    """The rows that all set-ups share, what is offered, and each as it was measured, or why it cannot be."""
+    with run.step("decimate and sample"):
+        reference = job.part.reference
+        planning = decimate(reference, job.settings.faces)
+        shared = candidates.first(job.scene, job.settings, job.part, planning)
+        features = surface_features(job.scene, reference, planning, run.rng(steps.FEATURES))
+        surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
+        scouts = sample(reference, planning, growth.SCOUTS, run.rng(steps.SCOUTS))
+        world = compile_world(
+            job.scene,
+            reference.vertices,
+            part_faces=reference.faces,
+            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
+        )
+        offers = offered(world, reference, most)
+    tried = [measured_setup(run, job, surface, world, each, shared, scouts) for each in offers]
+    return surface, offers, tried
+
+
+def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: Run, job: Job) -> int:
+    """The run folder of one set-up, of what is known already."""
+    with run.step("write the plan"):
+        plan_files.write_meshes(run.folder, surface.reference, surface.planning)
+        run.drawing.part_ready(run.folder.path)
+    steps.compile_cell(run, job, surface)
+    plan_files.write_viewpoints(run.folder, problem.candidates)
+    plan_files.write_reach(run.folder, problem.reached)
+    plan_files.write_measurability(run.folder, problem.M)
+    run.drawing.cell_ready(run.folder.path)
+    told = {"status": "one of several set-ups that one cover was planned for; how few views are needed stands there"}
+    pipeline.finish(run, job, surface.planning, problem, chosen, told)
+    return 0
+
+
+def _file(
+    run: Run, job: Job, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer], tried: list[Setup | str],
+    used: list[tuple[int, Bools]],
+) -> SetupsFile:  # fmt: skip
+    """What setups.json says."""
+    chosen, seen = [], np.zeros_like(used[0][1])
+    for number, (row, visible) in enumerate(used, start=1):
+        plan = open_run(run.folder.path / "setups" / str(number))
+        adds = float((visible & ~seen).mean())
+        seen = seen | visible
+        chosen.append(
+            ChosenSetup(
+                folder=f"setups/{number}",
+                digest=plan.digest,
+                offered=row,
+                views=len(plan.q),
+                visible=float(visible.mean()),
+                adds=adds,
+            )
+        )
+    can = np.logical_or.reduce([setup.coverable for setup in setups.values()]) | seen
+    coverage = SetupsCoverage(
+        visible=float(seen.mean()), coverable=float(can.mean()), visible_of_coverable=float(seen.sum() / can.sum()),
+        asked=job.scene.plan.coverage,
+    )  # fmt: skip
+    return SetupsFile(
+        part=job.part.name,
+        seed=run.seed,
+        coverage=coverage,
+        status=status(found, len(offers), job.scene.plan.coverage),
+        setups_bound=found.setups_bound,
+        views=sum(each.views for each in chosen),
+        views_bound=found.views_bound,
+        chosen=tuple(chosen),
+        offered=tuple(_told(offer, each) for offer, each in zip(offers, tried, strict=True)),
+    )
+
+
+def _told(offer: Offer, found: Setup | str) -> OfferedSetup:
+    possible = isinstance(found, Setup)
+    return OfferedSetup(
+        name=offer.name,
+        placement_mm=offer.placement.position_mm,
+        placement_abc_deg=offer.placement.abc_deg,
+        reachable=int(found.measured.reached.reachable.sum()) if isinstance(found, Setup) else 0,
+        coverable=float(found.coverable.mean()) if isinstance(found, Setup) else 0.0,
+        in_contact=float(found.touched.mean()) if isinstance(found, Setup) else 0.0,
+        left_out="" if possible else str(found),
+    )

@@ -1,0 +1,74 @@
+"""What is said of several set-ups: the page, and the rows of a terminal."""
+
+from cell.run.setups_json import SetupsFile
+from cell.setups.joint import JointCover
+
+
+def status(found: JointCover, offered: int, asked: float) -> str:
+    """What is proven of both numbers, for these candidates and samples.
+
+    Args:
+        found: the cover.
+        offered: set-ups that were looked at.
+        asked: share of what can be measured that was asked for.
+    """
+    setups, setups_bound, views, views_bound = len(found.views), found.setups_bound, found.n_views, found.views_bound
+    fewest = (
+        f"proven fewest of the {offered} set-ups offered"
+        if setups <= setups_bound
+        else f"{setups} set-ups, not fewer than {setups_bound} of the {offered} offered"
+    )
+    if not found.enough:
+        fewest = f"{setups} of the {offered} set-ups offered, too few for what was asked"
+    at = (
+        "" if found.target == asked else f", at {_percent(found.target)} of the samples for the {100 * asked:g} % asked"
+    )
+    if views <= views_bound:
+        return f"{fewest}; proven fewest views in so many{at}"
+    more = views - views_bound
+    return f"{fewest}; at most {more} {'view' if more == 1 else 'views'} more than the fewest in so many{at}"
+
+
+def rows(file: SetupsFile) -> list[tuple[str, str]]:
+    """Names and values for a terminal."""
+    coverage = file.coverage
+    found = [
+        ("set-ups", f"{len(file.chosen)}  ({file.status})"),
+        ("views", f"{file.views} in all, not fewer than {file.views_bound}"),
+        (
+            "visible coverage",
+            f"{_percent(coverage.visible)} of the surface, {_percent(coverage.visible_of_coverable)} of what the "
+            "set-ups offered can measure",
+        ),
+    ]
+    found += [
+        (setup.folder, f"{file.offered[setup.offered].name}: {setup.views} views, adds {_percent(setup.adds)}")
+        for setup in file.chosen
+    ]
+    best = max(each.coverable for each in file.offered)
+    return [*found, ("best single set-up", f"{_percent(best)} of the surface can be measured in it")]
+
+
+def page(file: SetupsFile) -> str:
+    """report.md of the whole."""
+    lines = [f"# Set-ups of {file.part}", "", "| | |", "|---|---|"]
+    lines += [f"| {name} | {value} |" for name, value in rows(file)]
+    lines += ["", "## Set-ups offered", "", "| | pose | x, y, z mm | A, B, C deg | reachable | coverable | touches | |"]
+    lines += ["|---|---|---|---|---|---|---|---|"]
+    for row, each in enumerate(file.offered):
+        use = next(
+            (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.chosen if chosen.offered == row), ""
+        )
+        lines.append(
+            f"| {row} | {each.name} | {_list(each.placement_mm)} | {_list(each.placement_abc_deg)} | {each.reachable} "
+            f"| {_percent(each.coverable)} | {_percent(each.in_contact)} | {each.left_out or use} |"
+        )
+    return "\n".join([*lines, ""])
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
+
+
+def _list(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:g}" for value in values)

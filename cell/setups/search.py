@@ -1,0 +1,168 @@
+"""The cover over all set-ups, connected: tried, and tried again without what cannot be connected and with more samples.
+
+A coverage below 1 is kept on the held-out samples: where a cover misses it, fresh samples on the planning faces that it
+fails on become rows of every set-up (as `cell.plan.denser` does for one), and where fresh samples show nothing more the
+target on the rows is raised.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cell.errors import UnreachableError
+from cell.plan import denser, steps
+from cell.plan.problem import PinnedOutError, Problem
+from cell.plan.steps import Run
+from cell.plan.view_plan import ConnectedPlan, choose_and_connect, first_choice
+from cell.rays.matrix import PartSurface
+from cell.setups.joint import JointCover, joint_cover
+from cell.setups.measured import Setup
+from planner.cover import CoverStatus
+from planner.measurability.rows import add_rows
+from planner.surface.sample import pick_samples, sample
+
+_TRIES = 20  # covers in all
+_STEP = 0.0005  # beyond the gap that the held-out samples show, as `cell.plan.request` raises a target
+
+Connected = Mapping[int, tuple[Problem, ConnectedPlan]]
+
+
+class Search:
+    """What is known while covers are tried.
+
+    Args:
+        run: the open run; nothing is written.
+        surface: the part.
+        setups: the possible ones, by their rows among those offered.
+        most: of them that may be used; None: any number.
+    """
+
+    def __init__(self, run: Run, surface: PartSurface, setups: Mapping[int, Setup], most: int | None) -> None:
+        self._run, self._surface, self._setups, self._most = run, surface, setups, most
+        self._M = {row: setup.measured.M for row, setup in setups.items()}  # as the arms leave it
+        self._usable = {row: np.array(setup.measured.reached.reachable) for row, setup in setups.items()}
+        self._asked = next(iter(setups.values())).job.scene.plan.coverage
+        self._target = self._asked
+        spread = next(iter(setups.values())).prediction.samples
+        self._face_areas = np.bincount(
+            spread.planning_face, weights=spread.areas, minlength=len(surface.planning.faces)
+        ).astype(np.float64, copy=False)
+        self._fresh = run.rng(steps.FRESH)
+        self._chooses = run.rng(steps.SELECTION)
+
+    def result(self) -> tuple[JointCover, Connected]:
+        """The cover, and the plan of each set-up that it uses; the last one tried where none keeps the coverage.
+
+        Covers are tried by short searches; bounds, and perhaps fewer views, are for the last one alone.
+
+        Raises:
+            UnreachableError: if none could be connected.
+        """
+        last, rounds = None, 0
+        for _ in range(_TRIES):
+            found = self._cover(brief=True)
+            if (connected := self._connected(found)) is None:
+                continue
+            last = found, connected
+            lacks = self._lacks(found, connected)
+            if lacks <= 0:
+                break
+            rounds += 1
+            if rounds > denser.ROUNDS or not self._add_rows(connected):
+                if self._target >= 1:
+                    break
+                self._target = min(1.0, self._target + lacks + _STEP)
+        if last is None:
+            raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
+        found, connected = last
+        thorough = self._cover(brief=False)
+        fewer = self._connected(thorough) if thorough.n_views < found.n_views else None
+        if fewer is not None and self._lacks(thorough, fewer) <= 0:
+            found, connected = thorough, fewer
+        bound = min(max(found.views_bound, thorough.views_bound), found.n_views)
+        return replace(found, views_bound=bound), connected
+
+    def _cover(self, *, brief: bool) -> JointCover:
+        return joint_cover(
+            list(self._M.values()), list(self._usable.values()), self._target, self._chooses, most=self._most,
+            brief=brief,
+        )  # fmt: skip
+
+    def _connected(self, found: JointCover) -> Connected | None:
+        """The plans of a cover's set-ups; None where a view cannot be connected, or arms leave less than was asked."""
+        rows = list(self._setups)
+        try:
+            plans = {rows[index]: self._plan(rows[index], views.tolist()) for index, views in found.views.items()}
+        except PinnedOutError:
+            return None  # its candidate is usable no more
+        self._M |= {row: plan.matrix for row, (_, plan) in plans.items()}
+        covered = np.logical_or.reduce(
+            [plan.matrix.matrix()[:, plan.candidate].sum(axis=1) > 0 for _, plan in plans.values()]
+        )
+        area = float(next(iter(self._M.values())).features.areas[covered].sum())
+        return plans if area >= found.wanted_area * (1 - 1e-9) else None
+
+    def _lacks(self, found: JointCover, connected: Connected) -> float:
+        """Share of what can be measured of the held-out samples by which a coverage below 1 is missed.
+
+        What can be measured by all set-ups; by those that are used where so many as are allowed are too few.
+        """
+        if self._asked >= 1:
+            return 0.0
+        seen = np.logical_or.reduce(
+            [self._setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()]
+        )
+        can = (
+            np.logical_or.reduce([self._setups[row].coverable for row in (self._setups if found.enough else connected)])
+            | seen
+        )
+        return self._asked - float(seen.sum() / can.sum())  # they stand for equal areas
+
+    def _add_rows(self, connected: Connected) -> bool:
+        """Whether fresh samples showed what a candidate measures and no view: rows of every set-up then."""
+        fresh = sample(self._surface.reference, self._surface.planning, denser.FRESH, self._fresh)
+        seen = [self._setups[row].measures(plan.T_object_poses, fresh) for row, (_, plan) in connected.items()]
+        left = pick_samples(fresh, ~np.logical_or.reduce(seen))
+        if not len(left):
+            return False
+        can = np.logical_or.reduce(
+            [
+                setup.measures(setup.measured.candidates.T_object_scanner[self._usable[row]], left)
+                for row, setup in self._setups.items()
+            ]
+        )
+        if not can.any():
+            return False
+        faces = left.planning_face[can]
+        added = pick_samples(fresh, np.isin(fresh.planning_face, faces))
+        self._M = {
+            row: add_rows(self._M[row], setup.rows_of(added), self._face_areas) for row, setup in self._setups.items()
+        }
+        return True
+
+    def _plan(self, row: int, views: list[int]) -> tuple[Problem, ConnectedPlan]:
+        """The views of one set-up with the motion through them.
+
+        Raises:
+            PinnedOutError: if one of them cannot be connected, which is usable no more then.
+        """
+        setup = self._setups[row]
+        others = np.setdiff1d(np.arange(len(setup.measured.reached)), views)
+        given = {"coverage": 1.0, "pinned": tuple(views), "banned": tuple(others.tolist())}
+        scene = setup.job.scene
+        asked = replace(setup.job, scene=scene.model_copy(update={"plan": scene.plan.model_copy(update=given)}))
+        measured = replace(setup.measured, M=self._M[row])
+        problem = steps.ask(self._run, asked, setup.cell, measured, setup.prediction)
+        chooses = self._run.rng(steps.SELECTION)
+        try:
+            chosen = choose_and_connect(
+                problem, first_choice(problem, chooses), selection_rng=chooses, motion_rng=self._run.rng(steps.MOTION)
+            )
+        except PinnedOutError as error:
+            self._usable[row][error.candidate] = False
+            raise
+        cover = replace(chosen.cover, lower_bound=1, status=CoverStatus.BOUNDED, solver="joint")
+        return problem, replace(
+            chosen, cover=cover, selected=replace(chosen.selected, targets=np.array([self._target]))
+        )

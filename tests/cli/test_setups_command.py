@@ -1,0 +1,102 @@
+"""`cell setups` as a user meets it: a folder with a run for each set-up, and both numbers with their bounds."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.api import open_run
+from cell.rays.prediction import held_out
+from cell.run.cell import read_cell
+from cell.setups.contact import touching
+from planner.measurability.matrix import measured
+from planner.values import Bools
+
+Cell = Callable[..., Any]
+
+SMALL = (
+    "--units", "mm", "--place", "1100,400,100", "--faces", "40", "--samples", "4", "--standoff", "250", "--seed", "3",
+    "--candidates", "optimal-scanning-zone", "--coverage", "0.97", "--offer", "6",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(made_once: Callable[..., Path], part_file: Path, run_cell: Cell) -> Path:
+    """Folder of the small part's set-ups, of six that are offered; beside it what the command said."""
+
+    def make(folder: Path) -> None:
+        done = run_cell("setups", part_file, *SMALL, "--out", "made", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "stdout").write_text(done.stdout)
+
+    return made_once("setups", make) / "made"
+
+
+def _seen(run: Path) -> Bools:
+    """(S,) held-out samples that a view of a run measures, each asked for all of them, and no support touches."""
+    planned = open_run(run)
+    cell = read_cell(planned.record)
+    samples = held_out(cell.reference, cell.planning, planned.record.seed)
+    poses = np.stack([view.T_object_poses for view in planned.plan.views])
+    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
+    return seen & ~touching(samples, cell.occluders)
+
+
+def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
+    """The union of all runs on the held-out samples; a second set-up is needed and the bound says so."""
+    said = json.loads((made / "setups.json").read_text())
+    seen = [_seen(made / setup["folder"]) for setup in said["chosen"]]
+    assert said["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
+    assert [setup["visible"] for setup in said["chosen"]] == pytest.approx([each.mean() for each in seen], abs=1e-12)
+    assert sum(setup["adds"] for setup in said["chosen"]) == pytest.approx(said["coverage"]["visible"], abs=1e-12)
+    assert said["coverage"]["visible_of_coverable"] >= 0.97
+    assert len(said["chosen"]) == said["setups_bound"]
+    assert said["views"] == sum(setup["views"] for setup in said["chosen"]) >= said["views_bound"] >= len(seen)
+    assert len(said["offered"]) == 6
+    assert max(each["coverable"] for each in said["offered"]) <= said["coverage"]["coverable"]
+    assert "proven fewest of the 6 set-ups offered" in " ".join(
+        (made.parent / "stdout").read_text().replace("│", " ").split()
+    )
+    assert "## Set-ups offered" in (made / "report.md").read_text()
+
+
+def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """Rows are the same samples in all; digests are those of the runs; a run is scanned as any."""
+    said = json.loads((made / "setups.json").read_text())
+    points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in said["chosen"]]
+    for other in points[1:]:
+        np.testing.assert_array_equal(other, points[0])
+    for setup in said["chosen"]:
+        run = open_run(made / setup["folder"])
+        assert run.digest == setup["digest"]
+        offered = said["offered"][setup["offered"]]
+        assert list(run.report.settings.placement_mm) == offered["placement_mm"]
+        assert list(run.report.settings.placement_abc_deg) == offered["placement_abc_deg"]
+    shutil.copytree(made, tmp_path / "made")
+    done = run_cell("scan", "made/setups/1", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", cwd=tmp_path)
+    assert done.returncode == 6
+    assert "made holds several set-ups; give the run folder of one of them, made/setups/1" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        (("--max-views", "3"), 2, "plan.max_views is no wish that a cover of several set-ups answers"),
+        (("--place", "9000,0,100"), 4, "none of the 1 set-ups offered can be planned"),
+    ],
+)
+def test_what_cannot_be_is_said(
+    options: tuple[str, ...], code: int, told: str, part_file: Path, run_cell: Cell, tmp_path: Path
+) -> None:
+    """One sentence and a code; no finished folder is left."""
+    small = [word for word in SMALL if word not in ("--coverage", "0.97", "--offer", "6")]
+    done = run_cell("setups", part_file, *small, "--offer", "1", *options, "--out", "made", cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert told in done.stderr
+    assert not (tmp_path / "made").exists()

@@ -1,0 +1,133 @@
+"""Further set-ups: what a support touches, and which scene a set-up has."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.api import open_run
+from cell.errors import UsageError
+from cell.rays.occluders import Occluder
+from cell.scene.option import flag
+from cell.scene.scene import Scene
+from cell.setups.beside import scene_beside
+from cell.setups.contact import touching
+from cell.setups.earlier import EarlierSetup, require_one_part
+from cell.setups.offered import offered
+from cell.world.model import compile_world
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
+
+
+def _samples(points: Any, normals: Any) -> SurfaceSamples:
+    n = len(points)
+    flat = np.zeros(n, dtype=np.int32)
+    return SurfaceSamples(np.asarray(points, dtype=float), np.asarray(normals, dtype=float), np.ones(n), flat, flat)
+
+
+def _table(low: float, high: float) -> Occluder:
+    """A plate of 400 x 400 mm between two heights [m]."""
+    box = trimesh.creation.box(bounds=[[-0.2, -0.2, low], [0.2, 0.2, high]])
+    return Occluder("table", box.vertices, box.faces)
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "normal", "touched"),
+    [
+        (0.0, (0, 0, -1), True),
+        (0.99, (0, 0, -1), True),
+        (1.01, (0, 0, -1), False),
+        (-0.05, (0, 0, -1), True),  # as deep as scenes may have it
+        (0.3, (0, 0, 1), False),  # the upper side of a sheet
+        (0.0, (1, 0, 0), False),  # a wall that rises from the table
+        (0.5, (np.sin(1.2), 0, -np.cos(1.2)), False),  # 1.38 mm along its normal
+        (0.5, (np.sin(1.0), 0, -np.cos(1.0)), True),  # 0.93 mm
+    ],
+)
+def test_a_sample_touches_where_its_normal_meets_the_support_within_a_millimetre(
+    height_mm: float, normal: tuple[float, float, float], touched: bool
+) -> None:
+    """Above a plate, by height and direction; the plate ends beside it."""
+    samples = _samples([[0.01, 0.02, height_mm / 1000], [0.3, 0, height_mm / 1000]], [normal, normal])
+    assert touching(samples, [_table(-0.05, 0.0)]).tolist() == [touched, False]
+
+
+def test_a_support_does_not_touch_through_a_sheet() -> None:
+    """A sheet of 0.3 mm between two plates: its lower side touches the lower one, its upper side the upper one."""
+    samples = _samples([[0, 0, 0], [0, 0, 0.0003]], [[0, 0, -1], [0, 0, 1]])
+    below, above = _table(-0.05, 0.0), _table(0.0003, 0.05)
+    assert touching(samples, [below]).tolist() == [True, False]
+    assert touching(samples, [above]).tolist() == [False, True]
+
+
+def test_a_ball_touches_with_the_cap_that_is_near() -> None:
+    """The normal at an angle t from below meets the plate after (R - R cos t) / cos t: cos t >= R / (R + 1 mm)."""
+    radius = 0.05
+    normals = np.random.default_rng(0).normal(size=(200_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    samples = _samples(normals * radius + [0, 0, radius], normals)
+    touched = touching(samples, [_table(-0.05, 0.0)])
+    np.testing.assert_array_equal(touched, -normals[:, 2] >= radius / (radius + 1e-3))
+    assert touched.mean() == pytest.approx(1e-3 / (radius + 1e-3) / 2, rel=0.1)
+
+
+def test_the_scene_of_a_further_set_up_is_the_runs_but_for_the_pose(planned: Path) -> None:
+    """Three numbers keep the part's angles, six replace them; coverage may be another."""
+    run = open_run(planned)
+    scene = scene_beside(run, None, {"place": "1100,400,100,0,0,180", "coverage": "0.9"})
+    assert scene.placement.position_mm == (1100, 400, 100)
+    assert scene.placement.abc_deg == (0, 0, 180)
+    assert (scene.plan.coverage, scene.plan.seed, scene.plan.faces) == (0.9, 3, 120)
+    assert scene_beside(run, None, {"place": (1000, 0, 100)}).placement.abc_deg == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("wishes", "part", "told"),
+    [
+        ({}, None, "needs another pose of the part: give --place"),
+        ({"place": "1100,400,100,0,0,180", "seed": "4"}, None, "--seed beside --open-of is that of the run"),
+        ({"place": "1100,400,100,0,0,180", "faces": "50"}, None, "--faces beside --open-of is that of the run"),
+        (
+            {"place": "1100,400,100,0,0,180", "speed": "0.5"},
+            None,
+            "--speed beside --open-of is the run's; give",
+        ),
+        ({"place": "1100,400,100,0,0,180"}, "mug", "mug beside --open-of: the part is that of"),
+    ],
+)
+def test_what_set_ups_share_cannot_be_wished(
+    wishes: dict[str, object], part: str | None, told: str, planned: Path
+) -> None:
+    """Part, samples and seed are the run's, and so is the cell without a scene file."""
+    with pytest.raises(UsageError, match=told):
+        scene_beside(open_run(planned), None, wishes, part, flag)
+
+
+def test_runs_go_together_that_have_one_part(planned: Path, swept: Path) -> None:
+    """A run is named once; the part is known by its mesh."""
+    one, other = (EarlierSetup.of(open_run(path)) for path in (planned, swept))
+    require_one_part([one, other])  # both are of the blob
+    with pytest.raises(UsageError, match="named twice"):
+        require_one_part([one, one])
+
+
+def test_a_box_is_offered_on_its_six_sides() -> None:
+    """At four turns each, as placed first; centre and height of the lowest point stay, and no two are the same."""
+    box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
+    scene = Scene.model_validate({"placement": {"position_mm": [1200, 500, 30]}})
+    world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
+    offers = offered(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 100)
+    assert len(offers) == 24
+    assert offers[0].placement == scene.placement
+    assert len({offer.name for offer in offers[:4]}) == 4
+    T = np.stack([offer.placement.T for offer in offers])
+    apart = np.abs(T[:, None, :3, :3] - T[None, :, :3, :3]).max(axis=(2, 3)) + np.eye(24)
+    assert apart.min() > 0.5
+    np.testing.assert_allclose(T[:, :2, 3], [[1.2, 0.5]] * 24, atol=1e-9)
+    lowest = [(box.vertices @ pose[:3, :3].T)[:, 2].min() + pose[2, 3] for pose in T]
+    np.testing.assert_allclose(lowest, -0.05, atol=2e-6)  # angles are rounded to a thousandth of a degree
+    assert [offer.placement for offer in offered(world, TriangleMesh(box.vertices, box.faces), 5)] == [
+        offer.placement for offer in offers[:5]
+    ]
