@@ -161,7 +161,18 @@ def _prepare(root: ElementTree.Element, path: Path, packages: Mapping[str, Path]
             limit is None or limit.get("lower") is None or limit.get("upper") is None
         ):
             raise SceneError(f"{path}: the joint '{name}' has no limits; give it <limit lower upper velocity>")
+        if joint.get("type") == "revolute" and limit is not None and mimic is None:
+            # MuJoCo takes a range that is empty for none at all, and the joint for one that turns without end.
+            _require_range(path, name, _number(limit, "lower", np.nan), _number(limit, "upper", np.nan))
     return _Urdf(velocity, mimics)
+
+
+def _require_range(path: Path, joint: str, lower: float, upper: float) -> None:
+    if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
+        raise SceneError(
+            f"{path}: the joint '{joint}' has the range {lower:g} to {upper:g}, which is none; give it "
+            "<limit lower upper velocity>"
+        )
 
 
 def _number(element: ElementTree.Element, key: str, default: float) -> float:
@@ -228,33 +239,53 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
             # A continuous joint turns without end: a turn to either side is what a plan may use of it.
             model.jnt_range[joint] = (-2.0 * np.pi, 2.0 * np.pi)
     lower, upper = model.jnt_range[chain].T
-    if not (lower < upper).all():
-        axis = int(np.argmin(lower < upper))
-        raise SceneError(f"{path}: the joint '{names[axis]}' has an empty range; give it <limit lower upper velocity>")
+    for name, low, high in zip(names, lower, upper, strict=True):
+        _require_range(path, name, low, high)
+        if name in said.mimics:
+            raise SceneError(
+                f"{path}: the joint '{name}' is one of the six and mimics '{said.mimics[name][0]}'; an arm has six "
+                "that are driven each for itself"
+            )
     anchors = model.body_pos[model.jnt_bodyid[chain]]
     if np.abs(anchors).max() > _LONGEST_ARM:
         raise SceneError(
             f"{path}: joints lie {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one looks like "
             "millimetres"
         )
+    velocity = np.array([said.velocity.get(name, np.inf) for name in names])
+    home = _home(model, model.jnt_qposadr[chain])
+    if home is not None and not ((home >= lower) & (home <= upper)).all():
+        home = None
+    return RobotFile(
+        path, model, root, end, end in bodies, tuple(names), _followers(path, model, names, said), lower, upper,
+        velocity, home,
+    )  # fmt: skip
+
+
+def _followers(path: Path, model: mujoco.MjModel, names: list[str], said: _Urdf) -> tuple[Follower, ...]:
+    """What is driven along by the six joints of these names.
+
+    Raises:
+        SceneError: if a joint is neither one of them nor turned by one of them.
+    """
+    import mujoco
+
     followers = []
     for i in range(model.njnt):
         name = model.joint(i).name
-        if i in chain:
+        if name in names:
             continue
         source, ratio, offset = said.mimics.get(name, ("", 0.0, 0.0))
         if source not in names:
             raise SceneError(
                 f"{path}: the joint '{name}' is none of the six and follows none of them; fix it or let it mimic one"
             )
+        if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE:
+            raise SceneError(
+                f"{path}: the joint '{name}' mimics '{source}' and slides; only what turns is driven along, fix it"
+            )
         followers.append(Follower(name, names.index(source), ratio, offset))
-    velocity = np.array([said.velocity.get(name, np.inf) for name in names])
-    home = _home(model, model.jnt_qposadr[chain])
-    if home is not None and not ((home >= lower) & (home <= upper)).all():
-        home = None
-    return RobotFile(
-        path, model, root, end, end in bodies, tuple(names), tuple(followers), lower, upper, velocity, home
-    )
+    return tuple(followers)
 
 
 def _home(model: mujoco.MjModel, values: NDArray[np.integer]) -> Floats | None:

@@ -194,12 +194,13 @@ class OwnPairs:
     def relations(self) -> Relations:
         """What the seeded poses say of each pair; looked at once for an arm, which takes seconds."""
         known = caches.folder("robots") / f"{self._digest()}.json"
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, TypeError):
             return Relations(**json.loads(known.read_text(encoding="utf-8")))
         joined, lowest, widest = list(self.pairs), dict.fromkeys(self.pairs, np.inf), dict.fromkeys(self.pairs, 0.0)
         for q in self.q:
             self.stand(q)
             joined = [pair for pair in joined if self.touch(pair)]
+            lowest |= dict.fromkeys(joined, 0.0)
             for pair in self.pairs:
                 if pair not in joined and (lowest[pair] > 0 or widest[pair] < _NEAR):
                     distance = self.gap(pair, _NEAR)
@@ -218,8 +219,9 @@ class OwnPairs:
         model = self.model
         shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
         chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
-        arrays = (*shapes, *chain)
-        return hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
+        arrays = (*shapes, *chain, model.geom_bodyid)
+        text = repr((robot.bodies(model), POSES, _NEAR)).encode()
+        return hashlib.sha256(text + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
 
     def elbow(self, q: Floats, up: Floats) -> float:
         """How high the third axis stands at (6,) joint angles [m], along `up`."""

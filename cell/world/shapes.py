@@ -5,7 +5,7 @@ Which pairs are guarded, and why the others are not:
 | pair | guarded |
 | --- | --- |
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
-| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 of a base in the origin turns above both |
+| link_2..link_6, bracket, housing with pedestal, floor | yes; an upright link_1 of a base in the origin turns above both |
 | base with anything that stands still | no: neither moves; `cell.checks.possible` looks once |
 | links among themselves | as the robot's model says: neighbours share a bearing |
 | bracket, housing with base, link_1..link_3 | yes |
@@ -59,7 +59,7 @@ def prepare_robot(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
 
     Args:
         spec: the robot alone.
-        on_pedestal: False lets link_1 meet the floor too.
+        on_pedestal: False lets link_1 meet the floor too, as it does where its axis is not upright.
 
     Raises:
         SceneError: if a shape of a link is of a kind whose distance from triangles is not known.
@@ -70,6 +70,7 @@ def prepare_robot(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     spec.modelname = "scan_cell"
     kinds = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH)
+    on_pedestal = on_pedestal and abs(spec.joint("A1").axis[2]) > 1 - 1e-6
     for body in spec.bodies:
         meets = _LINK_MEETS.get(body.name, _CELL | _GROUND | _TOOL)
         if body.name == "link_1" and not on_pedestal:

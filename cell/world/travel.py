@@ -55,11 +55,12 @@ class TravelBound:
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         links: list[list[tuple[Floats, float]]] = [[] for _ in range(_N)]
         followers = Followers.of(model)
-        self._turning: list[tuple[int, list[tuple[int, float]]]] = []  # by a link: axes that turn it on, and how far
+        # By a link, None by the base: axes that turn it on, and how far.
+        self._turning: list[tuple[int | None, list[tuple[int, float]]]] = []
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
             link = _link_of(model, body, bodies)
-            if link is None:
+            if link is None and model.body_jntadr[model.body_weldid[body]] < 0:
                 continue
             points, radius = _corners(model, data, geom)
             turns: list[tuple[int, float]] = []
@@ -72,7 +73,8 @@ class TravelBound:
                     number = joint - _N
                     turns.append((int(followers.axis[number]), abs(float(followers.ratio[number])) * radius))
                 body = int(model.body_parentid[body])
-            links[link].append((points, radius))
+            if link is not None:
+                links[link].append((points, radius))
             if turns:
                 self._turning.append((link, turns))
         sizes = [sum(len(corners) for corners, _ in link) for link in links]
@@ -106,7 +108,7 @@ class TravelBound:
         longest: Floats = moved.max(axis=1)
         for link, turns in self._turning:
             own = sum(radius * steps[:, axis] for axis, radius in turns)
-            longest = np.maximum(longest, moved[:, link] + own)
+            longest = np.maximum(longest, own if link is None else moved[:, link] + own)
         return longest
 
     def _radii_about_axes(self, q: Floats) -> Floats:

@@ -57,6 +57,10 @@ LEVER = """<link name="lever"><collision><origin xyz="0 -0.2 0.1"/><geometry><bo
     </collision></link><joint name="drive" type="continuous"><parent link="l2"/><child link="lever"/>
     <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/><mimic joint="j3" multiplier="-0.5" offset="0.2"/></joint>"""
 
+SLIDES = LEVER.replace('type="continuous"', 'type="prismatic"').replace(
+    "<mimic", '<limit lower="0" upper="1" velocity="1" effort="0"/><mimic'
+)
+
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,6 +174,9 @@ def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
     excluded = [model.exclude(i).name for i in range(model.nexclude)]
     assert "joined_link_2_block" in excluded
     assert sum(name.startswith("joined_") for name in excluded) == 1
+    # What the cache knows stands by names: with another one it is another arm.
+    renamed = written(tmp_path, urdf((block + joint).replace('"block"', '"stop"'), l2=long))
+    assert "joined_link_2_stop" in {each.name for each in robot_spec.from_file(renamed, stamp=1).excludes}
 
 
 def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
@@ -212,6 +219,44 @@ def test_a_cell_guards_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[
         np.testing.assert_allclose(data.site("flange").xpos, T[:3, 3], atol=1e-9)
 
 
+def test_what_an_axis_drives_on_the_base_is_in_the_travel(tmp_path: Path) -> None:
+    """A lever on the foot that follows A3 moves, and is bounded, while no link does."""
+    long = LEVER.replace('parent link="l2"', 'parent link="base_link"').replace('"0 -0.2 0.1"', '"0.9 0 0"')
+    long = long.replace('multiplier="-0.5"', 'multiplier="5"')
+    scene = Scene.model_validate({"robot": {"model": str(written(tmp_path, urdf(long)))}})
+    checker = MujocoCollisionChecker(compile_world(scene, CUBE))
+    turned = np.array([[0, 0, 0.01, 0, 0, 0]])
+    moved = 2 * 0.9 * np.sin(5 * 0.01 / 2)  # the middle of its box
+    assert moved <= checker.travel(0 * turned, turned)[0] <= 1.3 * moved
+
+
+@pytest.mark.parametrize(("tip", "guarded"), [(0, False), (0.5, True)])
+def test_a_first_link_that_tips_is_kept_off_the_floor(tmp_path: Path, tip: float, guarded: bool) -> None:
+    """Where A1 is not upright link_1 can come down: floor and pedestal are guarded against it."""
+    text = urdf().replace('<origin xyz="0 0 0.3"/>', f'<origin xyz="0 0 0.3" rpy="{tip} 0 0"/>', 1)
+    assert "rpy" in text.split("j2")[0]
+    world = compile_world(Scene.model_validate({"robot": {"model": str(written(tmp_path, text))}}), CUBE)
+    named = {frozenset((world.entities[a], world.entities[b])) for a, b in world.pairs}
+    assert (frozenset(("link_1", "floor")) in named) is guarded
+    assert (frozenset(("link_1", "pedestal")) in named) is guarded
+
+
+def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pair that touches at the first seeded pose alone is guarded by half of the largest distance seen."""
+    own = robot_spec.OwnPairs(robot_spec.from_file(written(tmp_path, urdf())).compile())
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "nothing_known"))
+    pair = next(iter(own.pairs))
+    own.pairs = {pair: own.pairs[pair]}
+    stands: list[float] = []
+
+    def stand(q: np.ndarray) -> None:
+        stands.append(0.015 if stands else 0.0)
+
+    own.stand, own.touch = stand, lambda _: stands[-1] <= 0  # type: ignore[method-assign]
+    own.gap = lambda _, reach: stands[-1] - 0.01 * (len(stands) == 3)  # type: ignore[method-assign]
+    assert own.relations().keeps == [(*pair, 0.0075)]
+
+
 def no_mesh(text: str) -> str:
     """A hand whose mesh is in a package that is nowhere."""
     return text.replace('<box size="0.05 0.05 0.05"/>', '<mesh filename="package://acme/hand.stl"/>')
@@ -238,6 +283,12 @@ def millimetres(text: str) -> str:
             urdf(limit='<limit lower="-1" upper="1" velocity="0" effort="0"/>'),
             "give the six axes' as robot.velocity_deg_s",
         ),
+        *(
+            (urdf(limit=f'<limit lower="{low}" upper="{high}" velocity="3" effort="0"/>'), "which is none")
+            for low, high in (("0", "0"), ("1", "-1"), ("nan", "1"), ("-inf", "inf"))
+        ),
+        (urdf().replace('<child link="l3"/>', '<child link="l3"/><mimic joint="j2"/>'), "'j3' is one of the six"),
+        (urdf(SLIDES), "'drive' mimics 'j3' and slides"),
         (urdf().replace("tool0", "hand"), "say which is the flange"),
         (five_axes(urdf()), "has 5 joints from 'base_link' to 'tool0'"),
         (millimetres(urdf()), "looks like millimetres"),
