@@ -5,7 +5,7 @@ Which pairs are guarded, and why the others are not:
 | pair | guarded |
 | --- | --- |
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
-| link_2..link_6, bracket, housing with pedestal, floor | yes; an upright link_1 of a base in the origin turns above both |
+| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 of a base in the origin, upright, is above both |
 | base with anything that stands still | no: neither moves; `cell.checks.possible` looks once |
 | links among themselves | as the robot's model says: neighbours share a bearing |
 | bracket, housing with base, link_1..link_3 | yes |
