@@ -166,7 +166,7 @@ def report(
             f"{model.body(model.geom_bodyid[a]).name} with {model.body(model.geom_bodyid[b]).name}": round(
                 1000 * keep, 3
             )
-            for (a, b), keep in robot.kept_apart(model).items()
+            for (a, b), (keep, _) in robot.kept_apart(model).items()
             if a < b
         },
         home_deg=None if home is None else tuple(np.degrees(home).round(4).tolist()),

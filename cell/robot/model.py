@@ -103,8 +103,8 @@ def bodies(model: mujoco.MjModel) -> tuple[str, ...]:
     return (*LINKS, *driven)
 
 
-def kept_apart(model: mujoco.MjModel) -> dict[tuple[int, int], float]:
-    """Pairs of geoms that are guarded by less than the cell's clearance, and by how much [m].
+def kept_apart(model: mujoco.MjModel) -> dict[tuple[int, int], tuple[float, bool]]:
+    """Pairs of geoms that are guarded by less than the cell's clearance: by how much [m], and if they ever touch.
 
     Two links that the arm's build keeps near each other: the numeric `keeps_<i>_<j>`, by their numbers in `bodies`.
     """
@@ -113,10 +113,11 @@ def kept_apart(model: mujoco.MjModel) -> dict[tuple[int, int], float]:
         kind, _, pair = model.numeric(number).name.partition("_")
         if kind != "keeps":
             continue
+        keep, touch = model.numeric(number).data
         one, other = (model.body(names[int(index)]) for index in pair.split("_"))
         for a in range(one.geomadr[0], one.geomadr[0] + one.geomnum[0]):
             for b in range(other.geomadr[0], other.geomadr[0] + other.geomnum[0]):
-                found[a, b] = found[b, a] = float(model.numeric(number).data[0])
+                found[a, b] = found[b, a] = float(keep), bool(touch)
     return found
 
 

@@ -184,9 +184,10 @@ class MujocoCollisionChecker:
             q_to: (N, 6) [rad].
 
         Returns:
-            (N,) length [m], never smaller than the true displacement; see `cell.world.travel`.
+            (N,) length [m], never smaller than the true displacement; see `cell.world.travel`. Longer where two links
+            that can touch are guarded by less than the clearance, so that what is certified by it is so for them too.
         """
-        return self._travel(_configurations(q_from), _configurations(q_to))
+        return self._world.finer * self._travel(_configurations(q_from), _configurations(q_to))
 
     def _set(self, configuration: Floats) -> None:
         """The state at (6,) angles of the axes, or at all joint values."""

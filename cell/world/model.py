@@ -57,6 +57,8 @@ class World(Value):
         shapes: who measures distances: by the true triangles of the robot's meshes, and of the part and the mesh
             fixtures where the scene's collision is "exact".
         nearer: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
+        finer: by how many times a motion has to be looked at closer, so that none of these pairs that can touch does
+            so between two looks.
         followers: joints that the axes drive along.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
         entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
@@ -80,6 +82,7 @@ class World(Value):
     collision: str
     shapes: Shapes
     nearer: Mapping[tuple[int, int], float]
+    finer: float
     followers: robot.Followers
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
@@ -217,6 +220,7 @@ def compile_world(
     clearance = scene.clearance_mm / 1000.0
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
     shapes = _shapes(model, entities, exact)
+    kept = _kept(scene, model, shapes)
     return World(
         scene=scene,
         model=model,
@@ -236,7 +240,8 @@ def compile_world(
         part_mesh=part.get("part", hull),
         collision=collision,
         shapes=shapes,
-        nearer=_nearer(scene, model, shapes),
+        nearer={pair: clearance - keep for pair, (keep, _) in kept.items()},
+        finer=_finer(model, clearance, kept),
         followers=robot.Followers.of(model),
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
@@ -269,12 +274,26 @@ def _shapes(model: mujoco.MjModel, of_robot: Collection[str], exact: Mapping[str
     return Shapes(model, {**links, **exact}, [*exact, *(name for name, mesh in links.items() if not is_convex(mesh))])
 
 
-def _nearer(scene: Scene, model: mujoco.MjModel, shapes: Shapes) -> dict[tuple[int, int], float]:
-    """Pairs that the robot's build keeps nearer than the clearance, and by how much less they are guarded [m]."""
+def _kept(scene: Scene, model: mujoco.MjModel, shapes: Shapes) -> dict[tuple[int, int], tuple[float, bool]]:
+    """Pairs that the robot's build keeps nearer than the clearance: what guards them [m], and if they ever touch."""
     clearance, kept = scene.clearance_mm / 1000.0, robot.kept_apart(model)
     if scene.robot.model != robot.KR16:  # what is built in has its pairs chosen by hand
         kept |= wrist.kept_by_the_wrist(model, shapes, clearance)
-    return {pair: clearance - keep for pair, keep in kept.items() if keep < clearance}
+    return {pair: (keep, touch) for pair, (keep, touch) in kept.items() if keep < clearance}
+
+
+def _finer(model: mujoco.MjModel, clearance: float, kept: Mapping[tuple[int, int], tuple[float, bool]]) -> float:
+    """How many times closer than by the clearance [m] a motion is looked at (`planner.path.certified_edge`).
+
+    There a pair of which one stands may come nearer by less than half the clearance between two looks, one of which
+    both move by less than the whole: neither may be more than the pair keeps.
+    """
+    finer = 1.0
+    for pair, (keep, touch) in kept.items():
+        both = (model.body_weldid[model.geom_bodyid[list(pair)]] > 0).all()
+        if touch and keep > 0:  # two that are never apart are never free
+            finer = max(finer, clearance * (1.0 if both else 0.5) / keep)
+    return finer
 
 
 def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:

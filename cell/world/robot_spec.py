@@ -118,11 +118,11 @@ def from_file(
     for one, other in found.joined:
         del own.pairs[one, other]
         spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
-    for one, other, keep in found.keeps:
-        spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep], size=1)
+    for one, other, keep, touch in found.keeps:
+        spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep, float(touch)], size=2)
     home = file.home
     if home is None:
-        keeps = {(one, other): keep for one, other, keep in found.keeps}
+        keeps = {(one, other): keep for one, other, keep, _ in found.keeps}
         looks = np.array((0.0, 0.0, -1.0) if down is None else down)
         home = next((q for each in (_with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
     if home is not None:
@@ -145,11 +145,12 @@ class Relations:
     Attributes:
         joined: pairs that touch at every seeded pose.
         keeps: pairs and the distance [m] that is guarded between them where it is less than the cell's clearance: half
-            of the smallest that was seen of two that never touch, half of the largest of two that are never apart.
+            of the smallest that was seen of two that never touch, half of the largest of two that are never apart; and
+            whether they touch anywhere.
     """
 
     joined: list[tuple[str, str]]
-    keeps: list[tuple[str, str, float]]
+    keeps: list[tuple[str, str, float, bool]]
 
 
 class OwnPairs:
@@ -208,7 +209,11 @@ class OwnPairs:
         keeps = {pair: lowest[pair] / 2 if lowest[pair] > 0 else widest[pair] / 2 for pair in self.pairs}
         found = Relations(
             joined=joined,
-            keeps=[(*pair, keep) for pair, keep in keeps.items() if pair not in joined and keep < _NEAR / 2],
+            keeps=[
+                (*pair, keep, lowest[pair] <= 0)
+                for pair, keep in keeps.items()
+                if pair not in joined and keep < _NEAR / 2
+            ],
         )
         with contextlib.suppress(OSError), caches.whole(known) as place:
             place.write_text(json.dumps(asdict(found)), encoding="utf-8")
@@ -220,7 +225,7 @@ class OwnPairs:
         shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
         chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
         arrays = (*shapes, *chain, model.geom_bodyid)
-        text = repr((robot.bodies(model), POSES, _NEAR)).encode()
+        text = repr((robot.bodies(model), POSES, _NEAR, Relations.__annotations__)).encode()
         return hashlib.sha256(text + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
 
     def elbow(self, q: Floats, up: Floats) -> float:

@@ -67,11 +67,13 @@ def _wrist_keeps_apart(model: mujoco.MjModel, piece: str, link: str, axes: tuple
     return True
 
 
-def kept_by_the_wrist(model: mujoco.MjModel, shapes: Shapes, clearance: float) -> dict[tuple[int, int], float]:
-    """What bracket and housing keep of link_4 and link_5 where the mount holds them nearer than the clearance [m].
+def kept_by_the_wrist(
+    model: mujoco.MjModel, shapes: Shapes, clearance: float
+) -> dict[tuple[int, int], tuple[float, bool]]:
+    """What bracket and housing keep of link_4 and link_5 where the mount holds them nearer than the clearance.
 
     Looked at on a grid of wrist angles, as `cell.world.robot_spec` looks at two links of an arm from a file: half of
-    the smallest distance of two that never touch, half of the largest of two that do.
+    the smallest distance [m] of two that never touch, half of the largest of two that do; and whether they touch.
     """
     import mujoco
 
@@ -83,6 +85,7 @@ def kept_by_the_wrist(model: mujoco.MjModel, shapes: Shapes, clearance: float) -
         (model.geom(name).id, int(geom)): [np.inf, 0.0]
         for name in names
         for link in ("link_4", "link_5")
+        if (name, link) != ("bracket", "link_5")
         for geom in np.flatnonzero(model.geom_bodyid == model.body(link).id)
     }
     for angles in itertools.product(*grids):
@@ -94,5 +97,5 @@ def kept_by_the_wrist(model: mujoco.MjModel, shapes: Shapes, clearance: float) -
     for (a, b), (lowest, widest) in pairs.items():
         keep = (lowest if lowest > 0 else widest) / 2
         if keep < clearance:
-            kept[a, b] = kept[b, a] = keep
+            kept[a, b] = kept[b, a] = keep, lowest <= 0
     return kept

@@ -19,6 +19,8 @@ from cell.world import robot_spec
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.gap import is_convex, mesh_of
 from cell.world.model import compile_world
+from cell.world.travel import TravelBound
+from planner.path.certified_edge import subdivide
 from planner.surface.mesh import TriangleMesh
 
 # Origin in the parent [m] and axis of each joint, and the middle and sides of the box that is its link.
@@ -149,7 +151,7 @@ def test_what_is_built_near_is_guarded_by_less_than_the_clearance(tmp_path: Path
     path = written(tmp_path, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
     model = robot_spec.from_file(path).compile()
     (keep,) = {
-        keep for pair, keep in robot.kept_apart(model).items() if "link_4_0" in {model.geom(g).name for g in pair}
+        keep for pair, (keep, _) in robot.kept_apart(model).items() if "link_4_0" in {model.geom(g).name for g in pair}
     }
     assert 0.5 * (0.03 - 0.02 * np.sqrt(2)) <= keep <= 0.002
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
@@ -162,6 +164,21 @@ def test_what_is_built_near_is_guarded_by_less_than_the_clearance(tmp_path: Path
     a, b = (world.model.geom(f"link_{number}_0").id for number in (4, 6))
     assert world.shapes.distance(data, a, b, 0.3) == pytest.approx(0.01, abs=1e-6)
     assert world.distance(data, a, b, 0.3) == pytest.approx(0.01 + world.clearance - keep, abs=1e-6)
+
+
+@pytest.mark.parametrize(("apart", "finer"), [(0.035, False), (0.032, True)])
+def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path, apart: float, finer: bool) -> None:
+    """Between two looks of a certified segment two links that touch somewhere come nearer by less than guards them."""
+    fork(apart).export(tmp_path / "fork.stl")
+    path = written(tmp_path, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
+    world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
+    assert (world.finer > 1) is finer
+    checker, q_to = MujocoCollisionChecker(world), np.array([0.0, 0.3, 0.3, 0.0, 0.0, 2.0])
+    looks = subdivide(q_to * (1, 1, 1, 1, 1, 0), q_to, checker)
+    moved = TravelBound(world.model)(looks[:-1], looks[1:]) / 2  # to the nearest look, either of the two
+    if finer:
+        pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
+        assert 2 * moved.max() < world.clearance - world.nearer[pair]
 
 
 def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
@@ -254,7 +271,7 @@ def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatc
 
     own.stand, own.touch = stand, lambda _: stands[-1] <= 0  # type: ignore[method-assign]
     own.gap = lambda _, reach: stands[-1] - 0.01 * (len(stands) == 3)  # type: ignore[method-assign]
-    assert own.relations().keeps == [(*pair, 0.0075)]
+    assert own.relations().keeps == [(*pair, 0.0075, True)]
 
 
 def no_mesh(text: str) -> str:
