@@ -17,6 +17,8 @@ from planner.measurability.matrix import Measurability
 from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints
 
+_MOST_VIEWS = 2**31 - 1  # more than any plan has; a demand above is not a number of NumPy's any more
+
 
 def require_measurable(regions: Sequence[RegionWishes], M: Measurability) -> None:
     """Refuse regions of which no reachable candidate measures anything, naming their limits.
@@ -67,7 +69,7 @@ class RegionGoals:
         return cls(
             np.array([first + own.index(each) if each in own else 0 for each in regions]),
             np.array(asked or [plan.coverage]),
-            np.array([plan.multiplicity if each.views is None else each.views for each in regions]),
+            np.array([min(plan.multiplicity if each.views is None else each.views, _MOST_VIEWS) for each in regions]),
             np.array([each.weight for each in regions]),
         )
 

@@ -247,6 +247,8 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
     assert (wish.part == np.array([1, 0, 0])[rows.region]).all()
     assert wish.weights == pytest.approx(rows.areas * np.array([1, 1, 2])[rows.region])
     assert RegionGoals.of((), scene.plan) is None
+    huge = scene.region[0].model_copy(update={"views": 10**20})
+    assert RegionGoals.of((huge,), scene.plan).views.dtype == np.int64
     only = scene_with(box, [{"name": "a", "kind": "plane", "max_spacing_mm": 1.0}, NO], "mm")
     assert RegionGoals.of(only.region, only.plan).plain
 
