@@ -63,12 +63,14 @@ def chosen_where_kept(
         np.float64, copy=False
     )
     selected = None
-    for _ in range(ROUNDS + 1):
+    for left in reversed(range(ROUNDS + 1)):
         selected = first_choice(problem, rng, looked=selected, look=LOOK_WORK)
         if _near(selected, asked):
             problem, selected = _settled(problem, selected, rng, append)
             if _near(selected, asked):
                 break
+        if not left:  # what is raised and bounded from here on has to have been looked at on the same samples
+            break
         pool = sample(surface.reference, surface.planning, FRESH, fresh)
         pool = pool if known.asks is None else pick_samples(pool, known.asks(pool))
         added = _needed(problem, selected, pool)

@@ -112,6 +112,7 @@ class Selected:
         answer: what is known beyond the cover, which for most requests says all; else None.
         cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
         shares: (P,) of what is coverable on the held-out samples, measured by the views; 1 where it was not looked at.
+        weighted: whether shares are of weighted areas, which the cover does not tell.
     """
 
     cover: Cover
@@ -120,12 +121,14 @@ class Selected:
     answer: Connection | RobustCover | None = None
     cost_bound: float = 0.0
     shares: Floats = field(default_factory=lambda: np.ones(1))
+    weighted: bool = False
 
     @property
     def claimed(self) -> Floats:
         """(P,) share of what is coverable that the views measure on the matrix, or at least do."""
-        several = len(self.targets) > 1
-        return self.targets if several else np.array([self.cover.covered_area / self.cover.coverable_area])
+        if self.weighted or len(self.targets) > 1:
+            return self.targets
+        return np.array([self.cover.covered_area / self.cover.coverable_area])
 
     def keeps(self, asked: Floats) -> bool:
         """Whether the views measure the shares asked for on the held-out samples."""
@@ -246,7 +249,8 @@ def _cover(
         return Selected(joined, targets, joined.sentence if how.connected else how.sentence, how)
     known = None if start is None or request.plan.solver != "auto" else start.cover.views
     chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, budget=work)
-    return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound)
+    weighted = wish.weights is not None
+    return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound, weighted=weighted)
 
 
 def check_named(plan: PlanSettings, reached: Reach) -> None:
