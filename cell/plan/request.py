@@ -134,10 +134,21 @@ class Selected:
         """Whether the views measure the shares asked for on the held-out samples."""
         return bool((self.shares >= asked).all())
 
-    def raised(self, asked: Floats, at_most: float = 1.0) -> Floats:
+    def raised(self, asked: Floats) -> Floats:
         """(P,) targets on the matrix at which views should measure the shares asked for on the held-out samples too."""
+        return np.minimum(self._wanted(asked), 1.0)
+
+    def nearly(self, asked: Floats) -> bool:
+        """Whether views keep the shares asked for, or should with targets raised by no more than `RAISED`.
+
+        Where more than all of the matrix' samples would be wanted, no target helps, however near it is.
+        """
+        return self.keeps(asked) or bool((self._wanted(asked) <= np.minimum(asked + RAISED, 1.0)).all())
+
+    def _wanted(self, asked: Floats) -> Floats:
+        """(P,) shares of the matrix' samples by which a gap like that of these views is made up for; may exceed 1."""
         gap = np.maximum(self.claimed - self.shares, 0.0)
-        return np.asarray(np.minimum(asked + gap + np.where(self.shares < asked, _STEP, 0.0), at_most))
+        return np.asarray(asked + gap + np.where(self.shares < asked, _STEP, 0.0))
 
     def bounded(self, easier: "Selected") -> "Selected":
         """With the bounds of one that was asked for less, where they are better."""

@@ -9,7 +9,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from cell.plan import denser
-from cell.plan.request import LOOK_WORK, Request, select
+from cell.plan.request import LOOK_WORK, Request, Selected, select
 from cell.scene.plan_settings import PlanSettings
 
 
@@ -64,6 +64,17 @@ def test_weighted_views_claim_no_more_than_they_were_asked_for() -> None:
     assert looked.claimed <= measured
 
 
+@pytest.mark.parametrize(
+    ("asked", "share", "near"), [(0.99, 0.9895, True), (0.99, 0.98, False), (0.999, 0.9988, False)]
+)
+def test_a_target_above_everything_is_not_near(asked: float, share: float, near: bool) -> None:
+    """At 0.999 asked, views that measure all of the matrix leave no target that is higher: samples are to be added."""
+    cover = SimpleNamespace(covered_area=0.99 if asked == 0.99 else 1.0, coverable_area=1.0)
+    looked = Selected(cover, np.array([asked]), "", shares=np.array([share]))
+    assert looked.nearly(np.array([asked])) is near
+    assert looked.raised(np.array([asked])) <= 1
+
+
 @dataclass
 class Stub:
     """What adding samples asks of a problem; M counts how often some were added."""
@@ -79,10 +90,10 @@ def test_what_is_raised_in_the_end_was_looked_at_on_the_same_samples(monkeypatch
 
     def first_choice(problem: Stub, rng: object, *, looked: object, look: int = 0) -> SimpleNamespace:
         looks.append((problem.M, look))
-        return SimpleNamespace()
+        return SimpleNamespace(nearly=lambda _: False)
 
     for name, stands_in in {
-        "first_choice": first_choice, "_adds": lambda _: True, "_near": lambda *_: False,
+        "first_choice": first_choice, "_adds": lambda _: True,
         "sample": lambda *_: None, "_needed": lambda *_: np.ones(1, dtype=bool), "pick_samples": lambda *_: None,
         "_rows": lambda *_: None, "add_rows": lambda M, *_: M + 1,
     }.items():  # fmt: skip
