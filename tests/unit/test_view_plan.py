@@ -77,11 +77,13 @@ def test_a_target_above_everything_is_not_near(asked: float, share: float, near:
 
 @dataclass
 class Stub:
-    """What adding samples asks of a problem; M counts how often some were added."""
+    """What adding samples asks of a problem; M knows how often some were added."""
 
     request: Any
     prediction: Any
-    M: int = 0
+    M: Any
+    candidates: Any = None
+    reached: Any = None
 
 
 def test_what_is_raised_in_the_end_was_looked_at_on_the_same_samples(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,17 +91,21 @@ def test_what_is_raised_in_the_end_was_looked_at_on_the_same_samples(monkeypatch
     looks: list[tuple[int, int]] = []
 
     def first_choice(problem: Stub, rng: object, *, looked: object, look: int = 0) -> SimpleNamespace:
-        looks.append((problem.M, look))
+        looks.append((problem.M.added, look))
         return SimpleNamespace(nearly=lambda _: False)
+
+    def after(rounds: int) -> SimpleNamespace:
+        return SimpleNamespace(added=rounds, sigma=None)
 
     for name, stands_in in {
         "first_choice": first_choice, "_adds": lambda _: True,
         "sample": lambda *_: None, "_needed": lambda *_: np.ones(1, dtype=bool), "pick_samples": lambda *_: None,
-        "_rows": lambda *_: None, "add_rows": lambda M, *_: M + 1,
+        "rows_of": lambda *_, sigma: None, "add_rows": lambda M, *_: after(M.added + 1),
     }.items():  # fmt: skip
         monkeypatch.setattr(denser, name, stands_in)
     spread = SimpleNamespace(planning_face=np.zeros(1, dtype=int), areas=np.ones(1))
     surface = SimpleNamespace(planning=SimpleNamespace(faces=np.zeros((1, 3))), reference=None)
-    problem = Stub(SimpleNamespace(asked=np.array([0.99])), SimpleNamespace(samples=spread))
+    prediction = SimpleNamespace(samples=spread, asked=None, asks=None)
+    problem = Stub(SimpleNamespace(asked=np.array([0.99])), prediction, after(0), None, SimpleNamespace(reachable=None))
     denser.chosen_where_kept(problem, surface, None, None)
     assert looks == [*((k, denser.LOOK_WORK) for k in range(denser.ROUNDS + 1)), (denser.ROUNDS, 0)]
