@@ -22,7 +22,7 @@ from cell.errors import UnreachableError, UsageError
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
-from cell.plan import pipeline, steps
+from cell.plan import pipeline, region_report, steps
 from cell.plan.appended import appended
 from cell.plan.candidates import limited
 from cell.plan.problem import PinnedOutError, Problem
@@ -132,7 +132,7 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
     if wanted.repair:
         run.narrator.note(f"repaired by adding candidate {', '.join(added)}" if added else "there is nothing to repair")
     report = pipeline.finish(run, job, surface.planning, problem, chosen, told)
-    return 3 if _below(run.narrator, report) else 0
+    return 3 if _below(run.narrator, report, job.scene.plan) else 0
 
 
 def _surface(before: Before, run: Run, job: Job) -> PartSurface:
@@ -272,19 +272,28 @@ def _bounded(
     return holds, replace(chosen, cover=cover, selected=replace(chosen.selected, targets=np.array([target])))
 
 
-def _below(narrator: Narrator, report: Report) -> bool:
-    """Whether the plan stays below a coverage that was asked for; says which, and what would help."""
+def _below(narrator: Narrator, report: Report, asked: PlanSettings) -> bool:
+    """Whether the plan stays below a coverage that was asked for; says which, and what would help.
+
+    Args:
+        narrator: is told.
+        report: of the plan.
+        asked: wishes of the first of the runs that this one came from.
+    """
     coverage, settings = report.coverage, report.settings
     share, visible = coverage.visible_of_coverable, coverage.visible
-    missed = settings.coverage < 1 and share < settings.coverage
-    if missed:
-        narrator.note(
+    plain = asked.max_views is None and asked.multiplicity == 1 and asked.pose_sd_mm == asked.pose_sd_deg == 0
+    told = region_report.missed(report) if plain else []
+    if plain and report.regions is None and settings.coverage < 1 and share < settings.coverage:
+        told.append(
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the "
             f"{100 * settings.coverage:g} % asked for; repair adds the fewest views that restore it"
         )
     if visible < settings.required_visible:
-        narrator.note(
+        told.append(
             f"the plan measures {100 * visible:.2f} % of the surface, less than the "
             f"{100 * settings.required_visible:g} % required; repair adds the fewest views that restore it"
         )
-    return missed or visible < settings.required_visible
+    for sentence in told:
+        narrator.note(sentence)
+    return bool(told)

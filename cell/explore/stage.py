@@ -27,7 +27,7 @@ from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.run.explore_json import OpenReason
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
@@ -193,7 +193,7 @@ def _compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
-        return Cell(world, MujocoCollisionChecker(world), Kr16Kinematics.from_model(world.model))
+        return Cell(world, MujocoCollisionChecker(world), kinematics_of(world.model))
 
 
 def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cell.plan.problem import Problem
 from cell.plan.refined import Append, movable, with_fewer
-from cell.plan.request import AGAIN_WORK, LOOK_WORK, RAISED, WORK, Selected
+from cell.plan.request import AGAIN_WORK, LOOK_WORK, WORK, Selected
 from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
@@ -23,7 +23,7 @@ from planner.measurability.matrix import Measurability, fill, measured, occlude
 from planner.measurability.rows import add_rows
 from planner.ports import SigmaScanner
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
-from planner.values import Bools, Floats
+from planner.values import Bools
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 ROUNDS = 6
@@ -63,12 +63,14 @@ def chosen_where_kept(
         np.float64, copy=False
     )
     selected = None
-    for _ in range(ROUNDS + 1):
+    for left in reversed(range(ROUNDS + 1)):
         selected = first_choice(problem, rng, looked=selected, look=LOOK_WORK)
-        if _near(selected, asked):
+        if selected.nearly(asked):
             problem, selected = _settled(problem, selected, rng, append)
-            if _near(selected, asked):
+            if selected.nearly(asked):
                 break
+        if not left:  # what is raised and bounded from here on has to have been looked at on the same samples
+            break
         pool = sample(surface.reference, surface.planning, FRESH, fresh)
         pool = pool if known.asks is None else pick_samples(pool, known.asks(pool))
         added = _needed(problem, selected, pool)
@@ -80,11 +82,6 @@ def chosen_where_kept(
         )  # fmt: skip
         problem = replace(problem, M=add_rows(problem.M, more, face_areas))
     return problem, first_choice(problem, rng, looked=selected)
-
-
-def _near(selected: Selected, asked: Floats) -> bool:
-    """Whether views keep the coverage that is asked for, or would with targets raised by no more than `RAISED`."""
-    return selected.keeps(asked) or bool((selected.raised(asked, at_most=np.inf) <= asked + RAISED).all())
 
 
 def _settled(

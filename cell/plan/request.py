@@ -112,6 +112,7 @@ class Selected:
         answer: what is known beyond the cover, which for most requests says all; else None.
         cost_bound: no selection for the coverage that the user asks for costs less, whatever `target` was raised to.
         shares: (P,) of what is coverable on the held-out samples, measured by the views; 1 where it was not looked at.
+        weighted: whether shares are of weighted areas, which the cover does not tell.
     """
 
     cover: Cover
@@ -120,21 +121,34 @@ class Selected:
     answer: Connection | RobustCover | None = None
     cost_bound: float = 0.0
     shares: Floats = field(default_factory=lambda: np.ones(1))
+    weighted: bool = False
 
     @property
     def claimed(self) -> Floats:
         """(P,) share of what is coverable that the views measure on the matrix, or at least do."""
-        several = len(self.targets) > 1
-        return self.targets if several else np.array([self.cover.covered_area / self.cover.coverable_area])
+        if self.weighted or len(self.targets) > 1:
+            return self.targets
+        return np.array([self.cover.covered_area / self.cover.coverable_area])
 
     def keeps(self, asked: Floats) -> bool:
         """Whether the views measure the shares asked for on the held-out samples."""
         return bool((self.shares >= asked).all())
 
-    def raised(self, asked: Floats, at_most: float = 1.0) -> Floats:
+    def raised(self, asked: Floats) -> Floats:
         """(P,) targets on the matrix at which views should measure the shares asked for on the held-out samples too."""
+        return np.minimum(self._wanted(asked), 1.0)
+
+    def nearly(self, asked: Floats) -> bool:
+        """Whether views keep the shares asked for, or should with targets raised by no more than `RAISED`.
+
+        Where more than all of the matrix' samples would be wanted, no target helps, however near it is.
+        """
+        return self.keeps(asked) or bool((self._wanted(asked) <= np.minimum(asked + RAISED, 1.0)).all())
+
+    def _wanted(self, asked: Floats) -> Floats:
+        """(P,) shares of the matrix' samples by which a gap like that of these views is made up for; may exceed 1."""
         gap = np.maximum(self.claimed - self.shares, 0.0)
-        return np.asarray(np.minimum(asked + gap + np.where(self.shares < asked, _STEP, 0.0), at_most))
+        return np.asarray(asked + gap + np.where(self.shares < asked, _STEP, 0.0))
 
     def bounded(self, easier: "Selected") -> "Selected":
         """With the bounds of one that was asked for less, where they are better."""
@@ -246,7 +260,8 @@ def _cover(
         return Selected(joined, targets, joined.sentence if how.connected else how.sentence, how)
     known = None if start is None or request.plan.solver != "auto" else start.cover.views
     chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, budget=work)
-    return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound)
+    weighted = wish.weights is not None
+    return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound, weighted=weighted)
 
 
 def check_named(plan: PlanSettings, reached: Reach) -> None:

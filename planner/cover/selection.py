@@ -55,9 +55,10 @@ def solve(
 
         def ask(single: Problem, share: float) -> Cover:
             left = None if time_limit_s is None else max(time_limit_s - (clock() - since), 0.0)
-            return solve(single, rng=rng, solver=solver, budget=int(share * budget), time_limit_s=left, clock=clock)
+            work = int(share * budget)
+            return solve(single, rng=rng, solver=solver, start=start, budget=work, time_limit_s=left, clock=clock)
 
-        return solve_parts(problem, ask)
+        return solve_parts(problem, ask, start)
     work = Budget(budget, time_limit_s, clock)
     found = canonical(problem)
     work.spend(CANONICAL_WORK * found.whole.n_entries)

@@ -36,16 +36,20 @@ _LOOK, _LAST = 0.1, 0.5  # of the work: for each look, and for the weights that 
 _SLACK = 1e-9  # relative, when a target counts as met
 
 
-def solve_parts(problem: Problem, ask: Ask) -> Cover:
+def solve_parts(problem: Problem, ask: Ask, start: Ints | None = None) -> Cover:
     """Answer a problem with targets for parts, or with weights.
 
     Args:
         problem: with `part_coverage` or `weights`.
         ask: answers one with one target.
+        start: (n,) columns of a choice that is taken where it meets every target and none that was found costs less.
 
     Raises:
-        PlannerError: if the parts do not fit the rows or their targets, or a weight is no finite number above 0.
+        PlannerError: if the parts do not fit the rows or their targets, a weight is no finite number above 0, or an
+            overlap or groups are asked for.
     """
+    if problem.overlap is not None or problem.group is not None:
+        raise PlannerError("overlap and groups go without targets for parts and without weights; ask for one of them")
     parts = _Parts(problem)
     if not len(parts.coverage):
         found = ask(replace(problem, areas=parts.worth, weights=None), 1.0)
@@ -73,6 +77,8 @@ def solve_parts(problem: Problem, ask: Ask) -> Cover:
         if parts.met(found.views):
             break
         found = ask(parts.surrogate(u, least + share * (1 - least)), _LOOK)
+    if start is not None and parts.answers(start) and parts.cost(start) < parts.cost(found.views):
+        found = parts.told(found, start)
     return _with_bounds(parts, found, bounds)
 
 
@@ -97,6 +103,7 @@ class _Parts:
             raise PlannerError("each of part_coverage is a share of what is coverable and must be from 0 to 1")
         usable = np.ones(self.columns.shape[1], dtype=bool) if problem.allowed is None else np.array(problem.allowed)
         usable[list(problem.banned)] = False
+        self._usable: Bools = usable
         available = self.columns @ usable.astype(np.int64)
         self.coverable: Bools = available > 0
         self.demand = np.minimum(available, problem.demand)
@@ -119,6 +126,15 @@ class _Parts:
         left = self.coverable & ~self.satisfied(views)
         strict = (self.slack == 0)[self.part]
         return bool((self.open(views) <= self.slack + _SLACK * whole).all() and not (left & strict).any())
+
+    def answers(self, views: Ints) -> bool:
+        """Whether a choice may be taken and meets every target."""
+        return bool(self._usable[views].all()) and set(self.problem.pinned) <= set(views.tolist()) and self.met(views)
+
+    def cost(self, views: Ints) -> float:
+        """What a choice costs; its number of views where no costs were given."""
+        costs = self.problem.costs
+        return len(views) if costs is None else float(np.asarray(costs, dtype=np.float64)[views].sum())
 
     def surrogate(self, u: Floats, most: float) -> Problem:
         """The problem with one target: sum_g u_g open_g / slack_g <= most, and nothing open where there is no slack."""
@@ -170,8 +186,7 @@ def _with_bounds(parts: _Parts, found: Cover, bounds: list[Cover]) -> Cover:
     least = min(max(each.lower_bound for each in bounds), len(views))
     price = None
     if found.price is not None:
-        costs = np.asarray(parts.problem.costs, dtype=np.float64)
-        paid = float(costs[views].sum())
+        paid = parts.cost(views)
         price = (paid, min(max(each.cost_bound for each in bounds), paid))
     proven = least == len(views) if price is None else price[1] >= price[0] * (1 - 1e-9)
     ended = [each.status for each in bounds if each.status in (CoverStatus.INTERRUPTED, CoverStatus.TIME_LIMITED)]

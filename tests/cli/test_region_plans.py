@@ -154,3 +154,24 @@ def test_equal_inputs_give_equal_bytes(regions: Path, run_cell: Run) -> None:
     for name in ("reference.ply", "measurability.npz", "plan.json", "report.json", "scene.resolved.json", "motion.npz"):
         assert (regions / "run" / name).read_bytes() == (regions / "again" / name).read_bytes(), name
     shutil.rmtree(regions / "again")
+
+
+def test_an_edit_is_held_to_what_its_regions_and_wishes_ask(regions: Path, run_cell: Run, tmp_path: Path) -> None:
+    """Not to the share of all the surface: unchanged views stay what they were, however often they are edited."""
+    scene = (
+        _REGIONS.partition("coverage")[0]
+        + """[[region]]
+        name = "side"
+        box_mm = [-31, -31, 0, 31, -29, 19]
+        weight = 40.0"""
+    )
+    shutil.copy(regions / "block.stl", tmp_path)
+    (tmp_path / "scene.toml").write_text(scene)
+    place = ("--scene", "scene.toml", "--place", "1000,300,200")
+    for name, wishes in (("weighted", ("--coverage", "0.9")), ("most", ("--max-views", "1"))):
+        done = run_cell("plan", *place, *wishes, "--out", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert report_of(tmp_path / name)["coverage"]["visible_of_coverable"] < 0.9
+        for before, after in ((name, f"{name}1"), (f"{name}1", f"{name}2")):
+            done = run_cell("edit", before, "--keep-order", "--out", after, cwd=tmp_path)
+            assert (done.returncode, "less than" in done.stderr) == (0, False), done.stderr

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner import cover
-from planner.cover import CoverStatus, Problem
+from planner.cover import CoverStatus, Overlap, Problem
 from planner.errors import PlannerError
 
 
@@ -105,3 +105,25 @@ def test_what_contradicts_itself_is_refused(wishes: dict, said: str) -> None:
     matrix, areas, _ = drawn(0)
     with pytest.raises(PlannerError, match=said):
         cover.solve(Problem(matrix, areas, **wishes), rng=np.random.default_rng(0))
+
+
+@given(st.integers(0, 10**6))
+def test_a_beginning_that_meets_all_targets_is_not_lost(seed: int) -> None:
+    """Without work to search, the answer has no more views than a choice that is known, and the bound stays true."""
+    matrix, areas, rng = drawn(seed, rows=60, columns=40)
+    problem = Problem(matrix & (rng.random(matrix.shape) < 0.4), areas, part=rng.integers(0, 3, 60),
+                      part_coverage=(0.9, 0.7, 0.8))  # fmt: skip
+    known = cover.solve(problem, rng=np.random.default_rng(0), budget=20_000_000)
+    again = cover.solve(problem, rng=np.random.default_rng(0), budget=1, start=known.views)
+    assert meets(problem, tuple(again.views.tolist()))
+    assert len(again.views) <= len(known.views)
+    assert again.lower_bound <= len(known.views)
+
+
+@pytest.mark.parametrize("wish", [{"overlap": Overlap(share=0.2)}, {"group": np.zeros(8, int), "group_costs": [1.0]}])
+@pytest.mark.parametrize("targets", [{"weights": np.ones(14)}, {"part": np.zeros(14, int), "part_coverage": (0.5,)}])
+def test_what_is_said_of_areas_or_groups_is_not_answered_by_weights(wish: dict, targets: dict) -> None:
+    """Weighted rows would be taken for the area that views share."""
+    matrix, areas, rng = drawn(0)
+    with pytest.raises(PlannerError, match="go without targets for parts"):
+        cover.solve(Problem(matrix, areas, **wish, **targets), rng=rng)

@@ -354,7 +354,7 @@ def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
 def test_an_arm_is_planned_with_proven_and_driven(
     tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """From the file to a scan; a plan keeps its robot, and a changed file is told before it is driven."""
+    """From the file to a scan and an exploration; a plan keeps its robot, a changed file is told before it drives."""
     written(tmp_path, urdf(LEVER))
     trimesh.creation.box((50, 50, 40)).export(tmp_path / "block.stl")
     scene = """[robot]
@@ -371,6 +371,9 @@ def test_an_arm_is_planned_with_proven_and_driven(
     assert done.returncode == 0, done.stderr
     assert "robot.xml" in json.loads((tmp_path / "run/manifest.json").read_text())["artefacts"]
     done = run_cell("scan", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
+    done = run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *wishes[:-2], *few, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     written(tmp_path, urdf())
     done = run_cell("scan", "run", cwd=tmp_path)
