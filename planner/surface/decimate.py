@@ -56,7 +56,8 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
         return TriangleMesh(best.vertices * diagonal + middle, best.faces)
     between = fine
     if len(fine.faces) > _BETWEEN * face_count:
-        between = _collapsed(fine, _BETWEEN * face_count, _AGGRESSIONS[0])
+        coarser = _collapsed(fine, _BETWEEN * face_count, _AGGRESSIONS[0])
+        between = fine if _flaws(coarser, _BETWEEN * face_count)[0] else coarser  # a copy that is stuck is crumpled
     best = _best(best, between, face_count, _AGGRESSIONS[1:])
     if len(best.faces) > face_count + _allowed_miss(face_count):
         area = float(fine.areas.sum())
