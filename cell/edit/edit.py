@@ -76,7 +76,7 @@ def edit(
             the way.
         FileError: if the run is damaged, or the new folder cannot be written.
     """
-    if wanted.repair and run.report.most_coverage is not None:
+    if wanted.repair and scene_of_run(run.record).plan.max_views is not None:
         raise UsageError(
             f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "
             "leave repair out, or plan with a coverage"

@@ -13,6 +13,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan.report import markdown
 from cell.plan.view_plan import ConnectedPlan
 from cell.robot import model as robot
+from cell.robot.mesh_paths import mesh_files
 from cell.run.described import degrees, fixture_file, limits_deg, mm, resolved_robot, standing_fixtures, sweep_of
 from cell.run.folder import RunFolder
 from cell.run.manifest_json import NamedFile
@@ -48,7 +49,8 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
             region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()
     content["part"] = {"sha256": part.sha256, "units": scene.part.units}
     if scene.robot.model != robot.KR16:
-        content["robot"]["model"] = hashlib.sha256(Path(scene.robot.model).read_bytes()).hexdigest()
+        shas = [hashlib.sha256(path.read_bytes()).hexdigest() for path in _robot_files(scene)]
+        content["robot"]["model"] = shas
     content["robot"]["packages"] = sorted(scene.robot.packages or ())
     for fixture in content["fixtures"]:
         if "path" in fixture:
@@ -58,9 +60,9 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
 
 
 def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
-    """The files that the user named: the scene, the part, meshes of fixtures."""
+    """The files that the user named: the scene, the part, the robot with its meshes, meshes of fixtures."""
     named = [("scene", scene_path), ("part", scene.part.path)]
-    named += [("robot", scene.robot.model if scene.robot.model != robot.KR16 else None)]
+    named += [("robot", path) for path in _robot_files(scene)]
     named += [
         (f"fixture:{fixture.name}", fixture.path) for fixture in scene.fixtures if isinstance(fixture, MeshFixture)
     ]
@@ -69,6 +71,14 @@ def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
         NamedFile(what=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
         for what, path in found
     )
+
+
+def _robot_files(scene: Scene) -> list[Path]:
+    """The robot's description and the meshes that it names; none of the robot that is built in."""
+    if scene.robot.model == robot.KR16:
+        return []
+    path, packages = Path(scene.robot.model), scene.robot.packages or {}
+    return [path, *mesh_files(path, {name: Path(folder) for name, folder in packages.items()})]
 
 
 def write_scene(folder: RunFolder, scene_path: Path | None) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
+from cell.robot.mesh_paths import mesh_file
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def _prepare(root: ElementTree.Element, path: Path, packages: Mapping[str, Path]
         for visual in link.findall("visual"):
             link.remove(visual)
     for mesh in root.iter("mesh"):
-        mesh.set("filename", str(_mesh_file(mesh.get("filename", ""), path, packages)))
+        mesh.set("filename", str(mesh_file(mesh.get("filename", ""), path, packages)))
     settings = root.find("mujoco")
     if settings is None:
         settings = ElementTree.SubElement(root, "mujoco")
@@ -180,28 +181,6 @@ def _number(element: ElementTree.Element, key: str, default: float) -> float:
         return float(element.get(key, default))
     except ValueError:
         return default
-
-
-def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
-    """Where a mesh of a URDF is.
-
-    Raises:
-        FileError: if it is nowhere that was looked.
-    """
-    plain = name.removeprefix("file://")
-    if name.startswith("package://"):
-        package, _, inside = name.removeprefix("package://").partition("/")
-        tried = [packages[package] / inside] if package in packages else []
-        # A description beside its package's folder, or within it.
-        tried += [folder / inside for folder in path.resolve().parents if folder.name == package]
-        tried += [folder / package / inside for folder in path.resolve().parents]
-        hint = f"; say where the package is: --package {package}=DIR"
-    else:
-        tried, hint = [path.resolve().parent / plain], ""
-    for file in tried:
-        if file.is_file():
-            return file
-    raise FileError(f"{path} names the mesh {name}, and there is no {tried[0]}{hint}")
 
 
 def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | None, said: _Urdf) -> RobotFile:

@@ -1,0 +1,52 @@
+"""The meshes of a robot's description are found, and a run names them, so that a changed one is told."""
+
+from pathlib import Path
+
+import pytest
+
+from cell.errors import FileError
+from cell.plan.files import named_files
+from cell.robot.mesh_paths import mesh_files
+from cell.scene.scene import load_scene
+
+URDF = """<robot name="r"><link name="a">
+  <visual><geometry><mesh filename="seen.stl"/></geometry></visual>
+  <collision><geometry><mesh filename="package://acme/meshes/a.stl"/></geometry></collision>
+  <collision><geometry><mesh filename="b.stl"/></geometry></collision>
+  <collision><geometry><mesh filename="b.stl"/></geometry></collision>
+</link></robot>"""
+MJCF = """<mujoco><compiler meshdir="parts"/><asset><mesh name="m" file="c.stl"/><mesh name="v" vertex="0 0 0"/>
+</asset></mujoco>"""
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    """A description of two collision meshes, one of them in a package elsewhere."""
+    for name in ("acme/meshes/a.stl", "here/b.stl", "here/parts/c.stl"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(name.encode())
+    path = tmp_path / "here" / "r.urdf"
+    path.write_text(URDF)
+    return path
+
+
+def test_what_links_collide_as_is_found_once_each(urdf: Path, tmp_path: Path) -> None:
+    """Not what is only seen; of an MJCF in its folder of meshes; a missing one is a sentence."""
+    assert mesh_files(urdf, {"acme": tmp_path / "acme"}) == [tmp_path / "acme/meshes/a.stl", tmp_path / "here/b.stl"]
+    mjcf = urdf.with_name("r.xml")
+    mjcf.write_text(MJCF)
+    assert mesh_files(mjcf, {}) == [tmp_path / "here/parts/c.stl"]
+    (tmp_path / "here/b.stl").unlink()
+    with pytest.raises(FileError, match="there is no"):
+        mesh_files(urdf, {})
+
+
+def test_a_run_names_the_robot_s_meshes_with_their_hashes(urdf: Path) -> None:
+    """One whose bytes change has another hash, which a scan compares; the built-in robot names none."""
+    scene = load_scene(None, {"robot": {"model": str(urdf)}})
+    before = named_files(scene, None)
+    assert [each.what for each in before] == ["robot"] * 3
+    urdf.with_name("b.stl").write_bytes(b"another")
+    after = named_files(scene, None)
+    assert [a.sha256 == b.sha256 for a, b in zip(before, after, strict=True)] == [True, True, False]
+    assert named_files(load_scene(None, {}), None) == ()
