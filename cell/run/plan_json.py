@@ -58,7 +58,9 @@ class SegmentClearance(JsonTable):
     """How near things come on the way between two stops."""
 
     minimum_mm: float = Field(description="smallest distance measured on the motion; farther than 300 mm is 300")
-    at_least_mm: float = Field(description="proven: nothing is nearer anywhere on the segment")
+    at_least_mm: float = Field(
+        description="proven: nothing is nearer anywhere on the segment; links built near each other count as farther"
+    )
     between: str = Field(description='what is that near, "housing with part"; "" where all is farther than 300 mm')
 
 
@@ -211,7 +213,9 @@ class PlanFile(JsonTable):
     coverage: Coverage
     solver: str = Field(description="that chose the views")
     status: str = Field(description="what is proven of the selection, in words")
-    lower_bound: int = Field(description="no plan of these candidates and samples needs fewer views")
+    lower_bound: int = Field(
+        description="no plan of these candidates needs fewer views for target_on_features of these samples"
+    )
     gap: float = Field(description="between the number of views and its bound, as a fraction of the former")
     verdicts: Verdicts
     dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")

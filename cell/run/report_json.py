@@ -171,7 +171,9 @@ class Report(JsonTable):
     regions: tuple[RegionResult, ...] | None = optional()
     solver: str = Field(description="that chose the views")
     status: str = Field(description="what is proven of the selection, in words")
-    lower_bound: int = Field(description="no plan of these candidates and samples needs fewer views")
+    lower_bound: int = Field(
+        description="no plan of these candidates needs fewer views for target_on_features of these samples"
+    )
     gap: float = Field(description="between the number of views and its bound, as a fraction of the former")
     verdicts: Verdicts
     blockers: dict[str, int] = Field(description="with what candidates collide, and how many with each")
