@@ -21,17 +21,14 @@ from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
 from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.problem import Problem
-from cell.plan.steps import Cell, Job, Measured, Run
+from cell.plan.steps import Job, Measured, Run
 from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
-from cell.robot.arm import kinematics_of
 from cell.run.explore_json import OpenReason
 from cell.scene.scene import Scene
-from cell.world.collision import MujocoCollisionChecker
-from cell.world.model import compile_world
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
 from planner.measurability.columns import spread_measurability
@@ -107,7 +104,7 @@ def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narra
 def _steps(run: Run, job: Job, asked: Asked) -> int:
     """Steps 2 to 9 and the report."""
     surface, scouts, candidates = _sample_surface(run, job, asked)
-    cell = _compile_cell(run, job, surface)
+    cell = steps.compile_cell(run, job, surface, believed=True)
     with run.step("reach and grow") as progress:
         reached = steps.reach_of(job, cell, candidates, progress)
         casters = steps.casters_of(surface, cell)
@@ -181,19 +178,6 @@ def _open(samples: SurfaceSamples, asked: Asked) -> SurfaceSamples:
         samples.points[kept], samples.normals[kept], scale * areas[kept], samples.face[kept],
         samples.planning_face[kept],
     )  # fmt: skip
-
-
-def _compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
-    """The cell; the believed part stands inside unseen space, which no scene of a person's may."""
-    with run.step("compile the cell"):
-        world = compile_world(
-            job.scene, surface.reference.vertices, part_faces=surface.reference.faces,
-            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
-        )  # fmt: skip
-        described = scanners.described(job.scene.scanner.type, job.scanner)
-        faces = len(surface.planning.faces)
-        plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
-        return Cell(world, MujocoCollisionChecker(world), kinematics_of(world.model))
 
 
 def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> str:

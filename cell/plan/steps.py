@@ -137,21 +137,20 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
         return PartSurface(reference, planning, features, caster), candidates
 
 
-def compile_cell(run: Run, job: Job, surface: PartSurface) -> Cell:
-    """The cell as MuJoCo checks it."""
+def compile_cell(run: Run, job: Job, surface: PartSurface, *, believed: bool = False) -> Cell:
+    """The cell as MuJoCo checks it; a part that is only `believed` stands inside unseen space, which no other may."""
     with run.step("compile the cell"):
         world = compile_world(
             job.scene, surface.reference.vertices, part_faces=surface.reference.faces,
             baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
         )  # fmt: skip
-        require_possible(world)
-        for sentence in doubtful(world):
-            run.narrator.note(sentence)
+        if not believed:
+            require_possible(world)
+            for sentence in (*doubtful(world), *doubts.of_scanner(job.scanner)):
+                run.narrator.note(sentence)
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
-        for sentence in doubts.of_scanner(job.scanner):
-            run.narrator.note(sentence)
         return Cell(world, MujocoCollisionChecker(world), kinematics_of(world.model))
 
 

@@ -29,7 +29,6 @@ import numpy as np
 from cell.robot.kinematics import require_rigid
 from planner.values import Floats
 
-BRANCHES = 8
 _BORDER = 1e-10  # m
 # Below this |sin t5| phi and t6 are rounding noise one by one; the convention t6 = 0 costs 1e-12 rad at most.
 _WRIST_SINGULAR = 1e-12
