@@ -1,9 +1,9 @@
 """The decorator of compiled kernels: numba's `njit`, cached on disk, typed as the function that it decorates.
 
 Kernels live in modules of their own that are imported only where they are used, because importing numba costs about
-0.3 s and compiling a kernel that is not in the cache costs seconds (`docs/dependencies.md`). Their arguments are int64
-and float64 arrays and numbers, so that one signature is compiled and the result is the same on every machine; never
-`fastmath`.
+0.3 s and compiling a kernel that is not in the cache costs seconds (`docs/internals/dependencies.md`). Their
+arguments are int64 and float64 arrays and numbers, so that one signature is compiled and the result is the same on
+every machine; never `fastmath`.
 
 A kernel calls only kernels of its own file. numba builds what is called into the stored code of the caller, and takes
 that code for current as long as the caller's file is unchanged: a kernel of another file could change unnoticed.

@@ -1,4 +1,4 @@
-"""The artefacts of a plan's run folder, one function each. docs/run_folder.md is their contract."""
+"""The artefacts of a plan's run folder, one function each. docs/internals/run_folder.md is their contract."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""The steps of `cell plan`, those of docs/architecture.md: each takes values, writes what it made, returns values.
+"""The steps of `cell plan` (docs/internals/architecture.md): each takes values, writes what it made, returns values.
 
 `cell.plan.pipeline` puts them on one screen.
 """

@@ -1,1 +1,1 @@
-"""The dynamic arm: MuJoCo's forward dynamics under a servo, a plant of the simulated controller (docs/plant.md)."""
+"""The dynamic arm: MuJoCo's forward dynamics under a servo, a plant of the controller (docs/internals/plant.md)."""

@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
 
 COARSEST_STEP = 1e-3
-"""Up to this time step [s] the error of a move is that of the servo; beyond, it is that of the step (docs/plant.md)."""
+"""Up to this time step [s] a move's error is that of the servo; beyond, that of the step (docs/internals/plant.md)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the simulation and the servo are set to; the chart of docs/plant.md shows how far from the edge.
+    """What the simulation and the servo are set to; the chart of docs/internals/plant.md shows how far from the edge.
 
     Attributes:
         time_step: of simulation and servo [s].

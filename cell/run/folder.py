@@ -2,7 +2,7 @@
 
 Every artefact is on disk as soon as its stage is done, so that a killed run keeps what it had finished; the manifest
 always tells the stage. Artefacts hold no clock value and no machine path: equal inputs and seed give equal bytes.
-Nothing is pickled. The layout is described in docs/run_folder.md and versioned by `SCHEMA`.
+Nothing is pickled. The layout is described in docs/internals/run_folder.md and versioned by `SCHEMA`.
 """
 
 import errno

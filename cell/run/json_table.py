@@ -1,7 +1,7 @@
 """The pieces of which the values of a run folder's JSON files are made.
 
 `plan_json`, `report_json` and `scene_json` define one file each: what a key is called, what it holds, in which unit.
-Who writes a file makes such a value, who reads one gets it, and docs/run_folder.md lists the keys from the definition.
+Who writes a file makes such a value, who reads one gets it, and docs/internals/run_folder.md lists its keys.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""A run folder read back into values: the counterpart of `cell.plan.files`. docs/run_folder.md is the contract of both.
+"""A run folder read back into values, as `cell.plan.files` wrote it; docs/internals/run_folder.md is the contract.
 
 Every reader takes one artefact of an opened run (`cell.run.record.open_run`) and raises FileError with one sentence
 where it is missing, changed or damaged. Lengths in metres, angles in radians.

@@ -1,7 +1,7 @@
 """One execution on disk: `executions/<number>/` of a run folder, written so that a killed execution can be read.
 
 The manifest stands from the first moment, every event is on disk when it happens, and every scan before the next move.
-The plan beside it is never touched. docs/run_folder.md is the contract.
+The plan beside it is never touched. docs/internals/run_folder.md is the contract.
 """
 
 import io

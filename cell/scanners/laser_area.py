@@ -9,7 +9,7 @@ the depth z, and the largest spacing of neighbouring points on the surface (`cel
 lies in the plane of the baseline (x, z) and is tilted towards the source; by default it meets the source's axis in the
 middle of the working range.
 
-`sigma` is the expected standard deviation of a point along its ray: docs/sigma_model.md.
+`sigma` is the expected standard deviation of a point along its ray: docs/internals/sigma_model.md.
 
 Every limit is inclusive. `TOLERANCE` (relative for lengths, absolute for tangents and cosines) covers the rounding of
 float64 transforms, so that a point placed exactly on a limit counts: 0.3 nm at 0.3 m, 1e-9 rad at 75 degrees; near 0
@@ -238,7 +238,7 @@ class LaserArea:
 
         sigma = sigma_angle d / sin(gamma) / (cos(theta) sqrt(cos(phi))) with the distance d from the sensor, the
         angle gamma between the legs and the incidence angles theta of the laser and phi of the line of sight:
-        docs/sigma_model.md derives it. On the source's axis before a wall it is sigma_angle (z^2 + b^2) / b.
+        docs/internals/sigma_model.md derives it. On the source's axis before a wall it is sigma_angle (z^2 + b^2) / b.
 
         Args:
             points: (N, 3) surface points [m], scanner frame.

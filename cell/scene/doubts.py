@@ -1,6 +1,6 @@
 """What a plan may ask for although it is beyond where the methods are good: a sentence each, none where all is well.
 
-The numbers are the borders of the maps of docs/stability.md, which read them from here.
+The numbers are the borders of the maps of docs/internals/stability.md, which read them from here.
 """
 
 import numpy as np

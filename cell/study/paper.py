@@ -1,7 +1,7 @@
 """The paper's Tables 1 to 5 as printed: 86 rows of parameter, viewpoints, views and coverage.
 
 Table 5 gives the robot's position with respect to the object; docs/frames.md says how that is read. The paper's own
-contradictions (docs/paper_tables.md) are kept as they stand.
+contradictions (docs/internals/paper_tables.md) are kept as they stand.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,9 @@
 """How good a measured point will be: a layer of expected standard deviations over the measurability matrix.
 
-The layer has one value for every entry of M, in the same sparse order; a limit turns it into a binary matrix again. The
-scanner knows the law (`SigmaScanner.sigma`); docs/sigma_model.md derives that of the built-in scanners. `Limited` is a
-scanner that keeps the limit itself, for predictions, which ask for conditions, not for a matrix. Object frame, metres.
+The layer has one value for every entry of M, in the same sparse order; a limit turns it into a binary matrix again.
+The scanner knows the law (`SigmaScanner.sigma`); docs/internals/sigma_model.md derives that of the built-in scanners.
+`Limited` is a scanner that keeps the limit itself, for predictions, which ask for conditions, not for a matrix.
+Object frame, metres.
 """
 
 from collections.abc import Callable, Sequence

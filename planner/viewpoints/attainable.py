@@ -2,7 +2,7 @@
 
 Each point is searched for by itself (`planner.viewpoints.pointwise`): a stretch of the lattice, then poses carried over
 from points that have one, then a longer stretch. A point that is not found is not proven out of reach: the share that
-is found is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/candidates.md).
+is found is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/internals/candidates.md).
 
 What is not found has one of two reasons: no pose that was tried sees the point past part and occluders, or poses do and
 the arm takes up none of them.

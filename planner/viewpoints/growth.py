@@ -22,7 +22,7 @@ from planner.viewpoints.lines_of_sight import Targets, free_pairs, in_view
 from planner.viewpoints.pointwise import Aimed, Frustum, carried, drawn, frustum, seeing
 
 SCOUTS = 20_000
-"""Points of the surface that candidates are grown for; docs/candidates.md has coverable area over their number."""
+"""Points of the surface that candidates are grown for; docs/internals/candidates.md charts coverable area over them."""
 
 DEPTH = 3
 """Grown candidates that measure a point which none did before, where there are so many."""

@@ -1,4 +1,4 @@
-"""`cell plan` and `cell scan` tell what is beyond where their methods are good (docs/stability.md), and go on."""
+"""`cell plan` and `cell scan` tell what is beyond where methods are good (docs/internals/stability.md), and go on."""
 
 import subprocess
 from collections.abc import Callable

@@ -90,7 +90,7 @@ def test_an_arrival_is_judged_by_the_arm_that_was_handed_down(bench: Callable[..
 
 
 def test_the_registers_of_its_capabilities_are_where_the_page_has_them(bench: Callable[..., Any]) -> None:
-    """One FC04 from register 100, taken apart by the numbers of docs/protocol.md: lower from 126, each 2 registers."""
+    """One FC04 from register 100, taken apart as docs/internals/protocol.md says: lower from 126, 2 registers each."""
     station = ModbusStation(bench("modbus", limits=LIMITS).endpoint)
     telegram = station.answer(struct.pack(">HHHBBHH", 7, 0, 6, 1, 4, 100, 64))
     registers = struct.unpack(">64H", telegram[9:])

@@ -1,7 +1,7 @@
 """A run folder in which one field was changed, hashes and digest made anew: refused, or a field that changes nothing.
 
 Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so a new
-one is looked at without a word here. Which fields may be changed is a list in docs/run_folder.md.
+one is looked at without a word here. Which fields may be changed is a list in docs/internals/run_folder.md.
 """
 
 import copy
@@ -24,7 +24,7 @@ from cell.proof.proof import prove
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Reseal = Callable[[Path], str]
 
-DOCS = Path(__file__).parents[2] / "docs" / "run_folder.md"
+DOCS = Path(__file__).parents[2] / "docs" / "internals" / "run_folder.md"
 JSON = ("plan.json", "scene.resolved.json", "manifest.json")
 _OPEN = ("artefacts", "inputs", "versions", "seconds", "options")  # maps of the manifest whose keys are data
 
@@ -340,7 +340,7 @@ def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
 
 
 def test_the_digest_is_that_of_sha256sum(planned: Path) -> None:
-    """The command that docs/run_folder.md gives."""
+    """The command that docs/internals/run_folder.md gives."""
     names = ["cell.xml", "motion.npz", "plan.json", "reference.ply", "scene.resolved.json", "viewpoints.npz"]
     lines = subprocess.run(["sha256sum", *names], cwd=planned, capture_output=True, check=True).stdout
     digest = subprocess.run(["sha256sum"], input=lines, capture_output=True, check=True).stdout.split()[0].decode()

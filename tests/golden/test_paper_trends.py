@@ -1,7 +1,7 @@
 """The paper's Tables 1 to 4 on the built-in parts, reduced to three tenths of the faces: trends, and both methods.
 
-The full tables are `cell study all`; docs/paper_tables.md has them. Table 5 has a test of its own, and one part of
-Table 2 is among the tests of `cell study`.
+The full tables are `cell study all`; docs/internals/paper_tables.md has them. Table 5 has a test of its own, and one
+part of Table 2 is among the tests of `cell study`.
 """
 
 from collections.abc import Sequence

@@ -32,7 +32,7 @@ def test_the_default_is_on_its_front(name: str) -> None:
 
 def test_the_page_has_the_same_table() -> None:
     """Knob, range, default, truth and error measure, in the order of the code."""
-    page = (ROOT / "docs" / "speed_accuracy.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "internals" / "speed_accuracy.md").read_text(encoding="utf-8")
     for name, knob in KNOBS.items():
         text = ", ".join(f"{value:g}" for value in knob.values)
         unit = f" {knob.unit}" if knob.unit else ""

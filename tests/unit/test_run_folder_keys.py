@@ -1,4 +1,4 @@
-"""docs/run_folder.md lists the keys of the JSON files as their definitions say them.
+"""docs/internals/run_folder.md lists the keys of the JSON files as their definitions say them.
 
 Written anew by `python tests/unit/test_run_folder_keys.py`.
 """
@@ -18,7 +18,7 @@ from cell.run.setups_json import SetupsFile
 from cell.run.why_json import WhyReport
 from cell.scene.plan_settings import PlanKeys
 
-PAGE = Path(__file__).parents[2] / "docs" / "run_folder.md"
+PAGE = Path(__file__).parents[2] / "docs" / "internals" / "run_folder.md"
 BEGIN, END = "<!-- keys: `python tests/unit/test_run_folder_keys.py` writes them -->\n", "<!-- end of keys -->\n"
 FILES = {
     "plan.json": PlanFile,

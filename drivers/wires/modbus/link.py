@@ -1,4 +1,4 @@
-"""`modbus://` and `modbus+rtu://`: the register map of docs/protocol.md over Modbus.
+"""`modbus://` and `modbus+rtu://`: the register map of docs/internals/protocol.md over Modbus.
 
 | option | default | meaning |
 |---|---|---|

@@ -1,4 +1,4 @@
-"""The Modbus map as data: which register means what. A test holds the tables of docs/protocol.md against it.
+"""The Modbus map as data: which register means what. A test holds the tables of docs/internals/protocol.md against it.
 
 Three blocks, the same on TCP and RTU; addresses are 0-based as they stand in a telegram.
 
@@ -261,6 +261,6 @@ def check_identity(registers: Sequence[int]) -> None:
         )
     if values["version"] != MAP_VERSION:
         raise ProtocolError(
-            f"the controller has map version {values['version']} and this driver {MAP_VERSION}, see docs/protocol.md; "
-            "bring both to one version"
+            f"the controller has map version {values['version']} and this driver {MAP_VERSION}, see "
+            "docs/internals/protocol.md; bring both to one version"
         )

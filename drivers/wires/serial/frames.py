@@ -1,4 +1,4 @@
-r"""ASCII frames of the serial line: bytes to values and back, and nothing else. docs/protocol.md describes each byte.
+r"""ASCII frames of the serial line: bytes to values and back. docs/internals/protocol.md describes each byte.
 
     > 00042,0004,STOP * 59A379F2 CR LF        (without the blanks)
     | |     |    |      `-- CRC-32 of everything before the asterisk, 8 capital hexadecimal digits

@@ -1,4 +1,4 @@
-"""`serial://`: the ASCII frames of docs/protocol.md over a serial line.
+"""`serial://`: the ASCII frames of docs/internals/protocol.md over a serial line.
 
 | option | default | meaning |
 |---|---|---|
@@ -156,7 +156,8 @@ class SerialLink(ReopeningLink):
             )
         if unread:
             raise ProtocolError(
-                f"{self._port.name} brought an answer to {kind} whose arguments cannot be; see docs/protocol.md"
+                f"{self._port.name} brought an answer to {kind} whose arguments cannot be; "
+                "see docs/internals/protocol.md"
             )
         others = f"; {n_frames} other frames came" * (n_frames > 0)
         raise AnswerTimeoutError(f"{self._port.name} brought no answer to {kind} {waited}{others}")

@@ -1,4 +1,4 @@
-"""What the serial line's frames say: bodies to values and back. docs/protocol.md has the table of kinds.
+"""What the serial line's frames say: bodies to values and back. docs/internals/protocol.md has the table of kinds.
 
 Integers are decimal without leading zeros or plus sign, CRCs 8 capital hexadecimal digits, texts the rest of the body.
 As with the frames there is one way to write each value, and what is no such value decodes to None.
@@ -181,7 +181,7 @@ def hello_of(frame: Frame) -> Capabilities | None:
         if version != VERSION:
             raise ProtocolError(
                 f"the controller speaks version {version} of the protocol and this driver {VERSION}, see "
-                "docs/protocol.md; bring both to one version"
+                "docs/internals/protocol.md; bring both to one version"
             )
         axes, scale = _integer(words, AXES, MOST_AXES), _integer(words, 0, 2**32 - 1)
         speed, max_via = _integer(words, 0, SPEEDS), _integer(words, 0)
