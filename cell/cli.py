@@ -10,6 +10,8 @@ import gc
 import os
 import sys
 from contextlib import suppress
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 
@@ -43,9 +45,24 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
-    help="Plan, check and time the views that measure a part with a laser scanner on a six-axis robot.",
     epilog="Start with: [bold]cell plan --place 1200,500,0[/bold]",
 )
+
+
+def _say_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"scan-cell {version('scan-cell')}")
+        raise typer.Exit
+
+
+@app.callback()
+def cell(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Plan, check and time the views that measure a part with a laser scanner on a six-axis robot."""
+
 
 app.command(epilog=plan.EPILOG)(plan.plan)
 app.command(epilog=setups.EPILOG)(setups.setups)

@@ -83,3 +83,16 @@ def _module_or_member(name: str) -> bool:
         else:
             return word in (path / "__init__.py").read_text(encoding="utf-8")
     return True
+
+
+def test_the_version_is_that_of_the_citation(capsys: pytest.CaptureFixture[str]) -> None:
+    """`cell --version`, pyproject.toml and CITATION.cff name one version."""
+    stated = re.search(r'^version = "(.+)"', (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
+    cited = re.search(r"^version: (.+)", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    assert stated is not None
+    assert cited is not None
+    assert stated[1] == cited[1]
+    from cell.cli import app
+
+    app(args=["--version"], standalone_mode=False)
+    assert capsys.readouterr().out.startswith("scan-cell ")
