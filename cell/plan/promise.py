@@ -2,7 +2,7 @@
 
 What a plan promises was learned from an ensemble and from the matrix' samples. Whether it holds is asked of fresh
 errors and of samples that the plan has not seen: each of `EXECUTIONS` executions draws an error of its own for every
-view and measures anew. docs/coverage_requests.md says what the figures mean.
+view and measures anew. docs/internals/coverage_requests.md says what the figures mean.
 """
 
 from collections.abc import Sequence

@@ -11,10 +11,23 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("mode
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
-    """Every relative link and picture of a page exists."""
-    targets = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
-    missing = [target for target in targets if not (page.parent / target).exists()]
+    """Every relative link and picture of a page exists, and so does the heading that it names."""
+    targets = re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", page.read_text(encoding="utf-8"))
+    missing = [
+        f"{target}#{heading}"
+        for target, heading in targets
+        if not (page.parent / target).exists()
+        or (heading and heading not in headings(page.parent / target if target else page))
+    ]
     assert missing == []
+
+
+def headings(page: Path) -> set[str]:
+    """What a link to a heading of a page is called, as GitHub makes it."""
+    found = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {
+        re.sub(r"[^\w\- ]", "", re.sub(r"\]\([^)]*\)", "", line)).strip().lower().replace(" ", "-") for line in found
+    }
 
 
 def test_every_picture_is_shown() -> None:
