@@ -36,6 +36,13 @@ def test_every_picture_is_shown() -> None:
     assert [path.name for path in (ROOT / "docs" / "images").glob("*.png") if path.name not in text] == []
 
 
+def test_every_picture_is_drawn_by_a_command() -> None:
+    """`python -m benchmarks pictures` knows how each picture of docs/images is made."""
+    from benchmarks.methods.pictures import IMAGES, MADE
+
+    assert {path.name for path in IMAGES.iterdir()} == set(MADE)
+
+
 def test_the_readme_has_the_one_test_command_that_ci_runs() -> None:
     """CI takes its test command out of the README: there must be exactly one."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

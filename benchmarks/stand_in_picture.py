@@ -1,4 +1,4 @@
-"""Draw docs/images/stand_ins.png: the six built-in parts, ray traced. Run: python docs/images/draw_stand_ins.py."""
+"""The picture of the six built-in parts, ray traced."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def shade(name: str) -> Floats:
     return picture.reshape(PIXELS, 2, PIXELS, 2, 3).mean(axis=(1, 3)).clip(0, 1)
 
 
-def main() -> None:
+def draw(path: Path) -> None:
     """Write the panel of two rows and three columns."""
     figure = Figure(figsize=(10.2, 7.2), dpi=110)
     for i, name in enumerate(STAND_INS):
@@ -62,8 +62,4 @@ def main() -> None:
         x, y, z = STAND_INS[name].size_mm
         axes.set_title(f"{name}: {x:g} x {y:g} x {z:g} mm, {STAND_INS[name].faces:,} faces", fontsize=9, y=-0.06)
         axes.set_axis_off()
-    figure.savefig(Path(__file__).with_name("stand_ins.png"), metadata={"Software": None})
-
-
-if __name__ == "__main__":
-    main()
+    figure.savefig(path, metadata={"Software": None})

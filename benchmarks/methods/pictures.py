@@ -1,0 +1,146 @@
+"""`python -m benchmarks pictures`: the pictures of docs/images drawn anew, each by what makes it and with its commit.
+
+Without names those are drawn that take seconds: of the default plan, of the tightest moment, of the built-in parts. The
+others are charts of benchmarks and studies, minutes to an hour each; they are drawn where they are named.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import typer
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from benchmarks import stand_in_picture
+from benchmarks.fidelity import deep_bucket
+from benchmarks.methods.stability import MAPS
+from cell.errors import CellError, UsageError
+
+ROOT = Path(__file__).parents[2]
+IMAGES = ROOT / "docs" / "images"
+
+Maker = Callable[[Path], None]
+"""Leaves its pictures, called as in docs/images, in a folder."""
+
+
+def _python(folder: Path, *words: object) -> None:
+    """A command of this clone, in a folder."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", *map(str, words)]
+    done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
+    if done.returncode:
+        raise CellError(f"{' '.join(map(str, words))} ended with code {done.returncode}")
+
+
+def _default_plan(folder: Path) -> None:
+    _python(folder, "cell", "plan", "--place", "1200,500,0", "--out", "run")
+    _python(folder, "cell", "why", "run")
+    for source in ("run/cell.png", "run/views.png", "run/why/why.png"):
+        shutil.copy(folder / source, folder)
+    if browser := shutil.which("chromium"):
+        _page(folder, browser)
+
+
+def _page(folder: Path, browser: str) -> None:
+    """The page of the plan as a browser shows it, the third view chosen."""
+    page = (folder / "run" / "view.html").read_text(encoding="utf-8")
+    (folder / "run" / "page.html").write_text(
+        page + '<script>onload = () => document.querySelectorAll("#numbers button")[2].click()</script>',
+        encoding="utf-8",
+    )
+    flags = "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --window-size=1280,800"
+    subprocess.run(
+        [browser, *flags.split(), f"--user-data-dir={folder / 'browser'}", "--virtual-time-budget=20000",
+         f"--screenshot={folder / 'page.png'}", (folder / "run" / "page.html").as_uri()],
+        check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def _tightest(folder: Path) -> None:
+    deep_bucket().export(folder / "bucket.stl")
+    words = "--units mm --sensor paper --standoff 100 --place 1200,0,-200 --faces 100 --max-views 3 --out bucket"
+    _python(folder, "cell", "plan", "bucket.stl", *words.split())
+    _python(folder, "cell", "replay", "bucket", "--tightest", "--picture", "tightest.png")
+
+
+def _benchmark(name: str) -> Maker:
+    return lambda folder: _python(folder, "benchmarks", name, "--charts", ".")
+
+
+def _study(words: str, made: str, picture: str) -> Maker:
+    """A study with its folder; `made` is what it calls the picture."""
+
+    def make(folder: Path) -> None:
+        _python(folder, *words.split(), "--out", "study")
+        shutil.copy(folder / "study" / made, folder / picture)
+
+    return make
+
+
+QUICK: Mapping[tuple[str, ...], Maker] = {
+    ("cell.png", "views.png", "why.png", "page.png"): _default_plan,
+    ("tightest.png",): _tightest,
+    ("stand_ins.png",): lambda folder: stand_in_picture.draw(folder / "stand_ins.png"),
+}
+_TABLES = [f"table{n}" for n in range(1, 6)]
+LONG: Mapping[tuple[str, ...], Maker] = {
+    ("candidates.png",): _benchmark("candidates"),
+    ("collision_fidelity.png",): _benchmark("fidelity"),
+    ("coverage_requests.png",): _benchmark("coverage_requests"),
+    ("edge_resolution.png",): _benchmark("edge_resolution"),
+    ("fill_speed_accuracy.png",): _benchmark("fill"),
+    ("mug_resolution.png",): _benchmark("mug"),
+    ("ordering_budget.png",): _benchmark("gtsp"),
+    ("plant_stability.png",): _benchmark("plant"),
+    ("reconstruction.png",): _benchmark("reconstruction"),
+    ("sigma_model.png",): _benchmark("sigma"),
+    ("singularities.png",): _benchmark("singularities"),
+    ("cover_rivals.png",): _study("benchmarks cover chart", "chart.png", "cover_rivals.png"),
+    ("speed_fronts.png",): _study("benchmarks speed", "speed_fronts.png", "speed_fronts.png"),
+    **{(f"paper_{name}.png",): _study(f"cell study {name}", f"{name}.png", f"paper_{name}.png") for name in _TABLES},
+    **{(each := f"stability_{name}.png",): _study(f"benchmarks stability {name}", each, each) for name in MAPS},
+}  # fmt: skip
+MADE = {picture: names for names in (*QUICK, *LONG) for picture in names}
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def pictures(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[FILE.png ...]", help=", ".join(MADE))] = None,
+    into: Annotated[Path, typer.Option(metavar="DIR", help="Where they go.")] = IMAGES,
+) -> None:
+    """Draw pictures of the documentation anew; without names those that take seconds."""
+    if unknown := sorted(set(names or []) - set(MADE)):
+        raise UsageError(f"no picture is called {', '.join(unknown)}; there are {', '.join(MADE)}")
+    chosen = dict.fromkeys(MADE[name] for name in names) if names else QUICK
+    for made in chosen:
+        with TemporaryDirectory() as folder:
+            {**QUICK, **LONG}[made](Path(folder))
+            for picture in _wanted(made, names):
+                if (Path(folder) / picture).is_file():
+                    _keep(Path(folder) / picture, into)
+                else:
+                    typer.echo(f"{picture} was not drawn: there is no chromium")
+
+
+def _wanted(made: Sequence[str], names: Sequence[str] | None) -> list[str]:
+    return [picture for picture in made if not names or picture in names]
+
+
+def _keep(picture: Path, folder: Path) -> None:
+    """Write a picture with the commit that drew it as its comment."""
+    words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    commit = subprocess.run(words, capture_output=True, text=True).stdout.strip() or "unknown"
+    info = PngInfo()
+    info.add_text("Comment", f"scan-cell {commit}")
+    folder.mkdir(parents=True, exist_ok=True)
+    with Image.open(picture) as image:
+        image.convert("RGB").quantize(256).save(folder / picture.name, pnginfo=info, optimize=True)
+    typer.echo(f"{folder / picture.name}: {commit}")
