@@ -2,9 +2,10 @@
 
 An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalised`). Which pairs of its links are
 guarded, its triangles say: two that touch at every one of `POSES` seeded poses are joined by something that the chain
-does not show (a closed bearing, a parallelogram) and are excused; every other pair is guarded, but for neighbours. Two
-that the arm's build keeps near each other are guarded by less than the cell's clearance (`Relations`). A home that no
-file gives is looked for: the flange down before the arm at half its reach, nothing near anything.
+does not show (a closed bearing, a parallelogram) and are excused; two that come near each other and are proven never to
+touch (`cell.world.apart`) need no guard; every other pair is guarded, but for neighbours, and by less than the cell's
+clearance where the arm's build never lets it have that (`Relations`). A home that no file gives is looked for: the
+flange down before the arm at half its reach, nothing near anything.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.normalised import normalised
+from cell.world.apart import LOOKS, MOST_AXES, keeps_apart
 from cell.world.gap import Shapes, is_convex, meshes_of
 from planner.values import Floats
 
@@ -43,7 +45,8 @@ JOINED = "joined_"
 
 _TOOL = "tool of a home"
 _OWN = 0.02  # m; that a home found here keeps between links at least, as far as they can be
-_NEAR = 0.02  # m; two links that come no nearer, or get farther apart, keep the cell's clearance
+_LEAST = 1e-5  # m; a smaller distance is none
+_NEAR = 0.02  # m; of two links that come no nearer, or get farther apart, nothing more is asked
 _TILTS = (0.0, 0.6, 1.2)  # of the way ahead for one down, where looking straight down is not free
 _HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
 
@@ -114,15 +117,19 @@ def from_file(
     except ValueError as error:
         raise FileError(f"{path} has shapes that MuJoCo does not take: {error}") from error
     own = OwnPairs(model)
-    found, names = own.relations(), robot.bodies(model)
+    found = own.relations()
     for one, other in found.joined:
         del own.pairs[one, other]
         spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
-    for one, other, keep, touch in found.keeps:
-        spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep, float(touch)], size=2)
+    for one, other, least in found.apart:
+        del own.pairs[one, other]
+        spec.add_exclude(name=f"{robot.APART}{one}_{other}", bodyname1=one, bodyname2=other)
+        spec.add_numeric(name=robot.apart(model, one, other), data=[least], size=1)
+    for one, other, keep in found.keeps:
+        spec.add_numeric(name=robot.keeps(model, one, other), data=[keep], size=1)
     home = file.home
     if home is None:
-        keeps = {(one, other): keep for one, other, keep, _ in found.keeps}
+        keeps = {(one, other): keep for one, other, keep in found.keeps}
         looks = np.array((0.0, 0.0, -1.0) if down is None else down)
         home = next((q for each in (_with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
     if home is not None:
@@ -144,13 +151,15 @@ class Relations:
 
     Attributes:
         joined: pairs that touch at every seeded pose.
-        keeps: pairs and the distance [m] that is guarded between them where it is less than the cell's clearance: half
-            of the smallest that was seen of two that never touch, half of the largest of two that are never apart; and
-            whether they touch anywhere.
+        apart: pairs that come nearer than `_NEAR` and never touch, and how far apart [m] they are proven to be at all
+            angles of the axes between them: half of the smallest distance seen.
+        keeps: other pairs that are never farther apart than `_NEAR`, and what is guarded between them: half of the
+            largest distance seen [m].
     """
 
     joined: list[tuple[str, str]]
-    keeps: list[tuple[str, str, float, bool]]
+    apart: list[tuple[str, str, float]]
+    keeps: list[tuple[str, str, float]]
 
 
 class OwnPairs:
@@ -206,18 +215,28 @@ class OwnPairs:
                 if pair not in joined and (lowest[pair] > 0 or widest[pair] < _NEAR):
                     distance = self.gap(pair, _NEAR)
                     lowest[pair], widest[pair] = min(lowest[pair], distance), max(widest[pair], distance)
-        keeps = {pair: lowest[pair] / 2 if lowest[pair] > 0 else widest[pair] / 2 for pair in self.pairs}
+        apart = {
+            pair: least / 2
+            for pair, least in lowest.items()
+            if 2 * _LEAST < least < _NEAR and self._proven_apart(pair, least / 2)
+        }
         found = Relations(
             joined=joined,
+            apart=[(*pair, least) for pair, least in apart.items()],
             keeps=[
-                (*pair, keep, lowest[pair] <= 0)
-                for pair, keep in keeps.items()
-                if pair not in joined and keep < _NEAR / 2
+                (*pair, most / 2)
+                for pair, most in widest.items()
+                if pair not in joined and pair not in apart and most < _NEAR
             ],
         )
         with contextlib.suppress(OSError), caches.whole(known) as place:
             place.write_text(json.dumps(asdict(found)), encoding="utf-8")
         return found
+
+    def _proven_apart(self, pair: tuple[str, str], least: float) -> bool:
+        """Whether two links are at least so far apart [m] at all angles of the axes between them."""
+        one, other = (self.model.body(name).id for name in pair)
+        return keeps_apart(self.model, self.shapes, one, other, least)
 
     def _digest(self) -> str:
         """sha256 of all that says which links touch."""
@@ -225,7 +244,8 @@ class OwnPairs:
         shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
         chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
         arrays = (*shapes, *chain, model.geom_bodyid)
-        text = repr((robot.bodies(model), POSES, _NEAR, Relations.__annotations__)).encode()
+        rule = POSES, _NEAR, LOOKS, MOST_AXES, Relations.__annotations__
+        text = repr((robot.bodies(model), rule)).encode()
         return hashlib.sha256(text + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
 
     def elbow(self, q: Floats, up: Floats) -> float:
