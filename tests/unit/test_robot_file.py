@@ -4,6 +4,7 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import mujoco
@@ -13,6 +14,7 @@ import trimesh
 
 from cell.checks.robot import report
 from cell.errors import CellError
+from cell.replay.marks import touches
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
@@ -206,7 +208,10 @@ def test_no_way_between_two_links_is_longer_than_what_a_proof_takes_for_it(tmp_p
 
 
 def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) -> None:
-    """Two that are never 20 mm apart and touch: half of the largest distance guards them, also between two looks."""
+    """Two that are never 20 mm apart and touch: half of the largest distance guards them, between two looks too.
+
+    So replay marks them where they are nearer than that, and not where they are nearer than the clearance.
+    """
     world = compile_world(Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.032))}}), CUBE)
     pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
     keep = world.clearance - world.nearer[pair]
@@ -216,6 +221,16 @@ def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) ->
     mujoco.mj_kinematics(world.model, data)
     assert world.shapes.distance(data, *pair, 0.3) == pytest.approx(0.007, abs=1e-6)
     assert world.distance(data, *pair, 0.3) == pytest.approx(0.007 + world.clearance - keep, abs=1e-6)
+    theatre = SimpleNamespace(
+        model=world.model,
+        entities=world.entities,
+        clearance=world.clearance,
+        near=robot.kept_near(world.model),
+        shapes=world.shapes,
+    )
+    assert not [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
+    theatre.near = {}
+    assert [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
     checker, q_to = MujocoCollisionChecker(world), Q + np.array([0, 0, 0, 0, 0, 2.0])
     looks = subdivide(Q, q_to, checker)
     moved = TravelBound(world.model)(looks[:-1], looks[1:]) / 2  # to the nearest look, either of the two
@@ -399,6 +414,34 @@ CAPSULES = """<mujoco model="small"><worldbody><body name="foot"><geom type="box
     <geom type="ellipsoid" size="0.01 0.02 0.02"/><site name="flange" pos="0.03 0 0" euler="0 90 0"/>
   </body></body></body></body></body></body></body></worldbody>
   <keyframe><key name="home" qpos="0 0 0.5 0 1 0"/></keyframe></mujoco>"""
+
+
+def test_a_hinge_without_a_range_is_listed_as_missing(tmp_path: Path) -> None:
+    """It may turn once to either side, and the report of the arm says so."""
+    path = tmp_path / "arm.xml"
+    path.write_text(CAPSULES.replace('axis="1 0 0" range="-170 170"', 'axis="1 0 0"'), encoding="utf-8")
+    told, _ = report(path)
+    assert told.limits_deg[3] == (-360.0, 360.0)
+    assert "no range of q4, q6" in " ".join(told.missing)
+    path.write_text(CAPSULES, encoding="utf-8")
+    assert "no range" not in " ".join(report(path)[0].missing)
+
+
+def test_what_stands_beside_the_base_is_a_fixed_shape_of_the_arm(tmp_path: Path) -> None:
+    """A column on the link that carries base_link stands where the file puts it; the floor of an MJCF is left out."""
+    column = """<link name="table"><collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 1"/></geometry>
+        </collision></link><joint name="stands" type="fixed"><parent link="table"/><child link="base_link"/>
+        <origin xyz="0.4 0 0.7" rpy="0 0 1"/></joint>"""
+    model = robot_spec.from_file(written(tmp_path, urdf(column)), base_link="base_link").compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    assert model.body("base").geomnum[0] == 2
+    turn = np.array([[np.cos(1), np.sin(1), 0], [-np.sin(1), np.cos(1), 0], [0, 0, 1]])
+    stands = [data.geom_xpos[geom] for geom in range(model.ngeom) if model.geom_size[geom][2] == 0.5]
+    np.testing.assert_allclose(stands, [turn @ (-0.4, 0, 0.5 - 0.7)], atol=1e-12)
+    path = tmp_path / "arm.xml"
+    path.write_text(CAPSULES.replace("<worldbody>", '<worldbody><geom type="plane" size="1 1 1"/>'), encoding="utf-8")
+    assert robot_spec.from_file(path, velocity_deg_s=(90.0,) * 6).compile().body("base").geomnum[0] == 1
 
 
 def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
