@@ -17,7 +17,7 @@ from cell.robot.fit import fit
 from cell.robot.model import AXES
 from cell.robot.normalised import ACCELERATION_TIME, JERK_TIME
 from cell.world.gap import meshes_of
-from cell.world.robot_spec import JOINED, POSES, OwnPairs, from_file, in_our_form
+from cell.world.robot_spec import JOINED, POSES, OwnPairs, from_file, in_our_form, stamp
 from cell.world.triangles import is_closed
 from planner.errors import PlannerError
 
@@ -140,7 +140,8 @@ def report(
         path, base=base, flange=flange, packages={name: Path(each) for name, each in folders.items()}
     )
     without = None if np.isfinite(file.velocity).all() else _GUESSED_DEG_S
-    model = from_file(path, base, flange, tuple(sorted(folders.items())), without).compile()
+    named = tuple(sorted(folders.items()))
+    model = from_file(path, base, flange, named, without, changed=stamp(path, named)).compile()
     try:
         fitted = fit(chain_of(model))
     except PlannerError as error:

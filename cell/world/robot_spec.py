@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from cell.errors import FileError
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
+from cell.robot.mesh_paths import mesh_files
 from cell.robot.normalised import normalised
 from cell.world.apart import LOOKS, MOST_AXES, keeps_apart
 from cell.world.gap import Shapes, is_convex, meshes_of
@@ -64,8 +66,8 @@ def spec_of(of: Robot) -> mujoco.MjSpec:
         packages = tuple(sorted((of.packages or {}).items()))
         down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
         path = Path(of.model)
-        stamp = path.stat().st_mtime_ns if path.is_file() else 0
-        spec = from_file(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, stamp).copy()
+        changed = stamp(path, packages)
+        spec = from_file(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, changed).copy()
     if of.base is not None:
         place(spec, of.base.T)
     return spec
@@ -89,7 +91,7 @@ def from_file(
     packages: tuple[tuple[str, str], ...] = (),
     velocity_deg_s: tuple[float, ...] | None = None,
     down: tuple[float, float, float] | None = None,
-    stamp: int = 0,
+    changed: tuple[int, ...] = (),
 ) -> mujoco.MjSpec:
     """The arm of a file, in the form of `models/kr16.xml`; never changed by who asks for it.
 
@@ -100,7 +102,7 @@ def from_file(
         packages: name and folder of ROS packages.
         velocity_deg_s: (6,) speeds for axes of which the file says none [deg/s].
         down: (3,) where the flange looks at home, base frame; None: down.
-        stamp: another number where the file may have changed since it was read.
+        changed: other numbers where the file or one of its meshes may have changed since it was read (`stamp`).
     """
     import mujoco
 
@@ -135,6 +137,14 @@ def from_file(
     if home is not None:
         spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
     return spec
+
+
+def stamp(path: Path, packages: tuple[tuple[str, str], ...] = ()) -> tuple[int, ...]:
+    """When a robot's file and its meshes were last written [ns]; what cannot be read is left to who reads it."""
+    files = [path]
+    with contextlib.suppress(OSError, UnicodeDecodeError, ElementTree.ParseError, FileError):
+        files += mesh_files(path, {name: Path(folder) for name, folder in packages})
+    return tuple(file.stat().st_mtime_ns for file in files if file.is_file())
 
 
 def in_our_form(path: Path) -> bool:

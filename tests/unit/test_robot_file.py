@@ -174,6 +174,17 @@ def test_what_is_built_near_is_proven_apart(tmp_path: Path) -> None:
     assert (world.finer, world.nearer) == (1.0, {})
 
 
+def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
+    """The description is the same, its mesh is another: so is the arm."""
+    of = Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.09))}}).robot
+    widths = []
+    for plates in (0.09, 0.11):
+        fork(plates).export(tmp_path / "fork.stl")
+        model = robot_spec.spec_of(of).compile()
+        widths.append(np.ptp(mesh_of(model, model.geom("link_4_0").id).vertices[:, 1]))
+    np.testing.assert_allclose(widths, (0.19, 0.23), atol=1e-6)
+
+
 def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
     """Plates that the square's corners touch, looked at where it lies flat, so that no contact is seen: guarded."""
     path = forked(tmp_path, 0.0325)
@@ -274,7 +285,7 @@ def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
     assert sum(name.startswith("joined_") for name in excluded) == 1
     # What the cache knows stands by names: with another one it is another arm.
     renamed = written(tmp_path, urdf((block + joint).replace('"block"', '"stop"'), l2=long))
-    assert "joined_link_2_stop" in {each.name for each in robot_spec.from_file(renamed, stamp=1).excludes}
+    assert "joined_link_2_stop" in {each.name for each in robot_spec.from_file(renamed, changed=(1,)).excludes}
 
 
 def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
