@@ -17,6 +17,7 @@ class StepFile:
     lines: list[str] = field(default_factory=list)
     solids: list[str] = field(default_factory=list)
     others: list[tuple[str, str, str]] = field(default_factory=list)
+    colours: list[tuple[str, tuple[float, float, float]]] = field(default_factory=list)
 
     def add(self, entity: str) -> str:
         """The reference of a new entity."""
@@ -135,6 +136,8 @@ class StepFile:
             f"GLOBAL_UNIT_ASSIGNED_CONTEXT(({length},{angle},{solid_angle}))REPRESENTATION_CONTEXT('',''))"
         )
         self._product("part", "ADVANCED_BREP_SHAPE_REPRESENTATION", self.solids, context)
+        for item, colour in self.colours:
+            self._colour(item, colour, context)
         for kind, item, name in self.others:
             self._product(name, kind, [item], context)
         body = "\n".join(f"#{k + 1}={line};" for k, line in enumerate(self.lines))
@@ -144,6 +147,18 @@ class StepFile:
             "FILE_SCHEMA(('AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }'));\nENDSEC;\nDATA;\n"
             f"{body}\nENDSEC;\nEND-ISO-10303-21;\n"
         )
+
+    def _colour(self, item: str, colour: tuple[float, float, float], context: str) -> None:
+        """Red, green and blue, 0 to 1, of a face or a solid."""
+        rgb = self.add(f"COLOUR_RGB('',{_numbers(colour)})")
+        area = self.add(f"FILL_AREA_STYLE_COLOUR('',{rgb})")
+        fill = self.add(f"FILL_AREA_STYLE('',({area}))")
+        filled = self.add(f"SURFACE_STYLE_FILL_AREA({fill})")
+        side = self.add(f"SURFACE_SIDE_STYLE('',({filled}))")
+        used = self.add(f"SURFACE_STYLE_USAGE(.BOTH.,{side})")
+        style = self.add(f"PRESENTATION_STYLE_ASSIGNMENT(({used}))")
+        styled = self.add(f"STYLED_ITEM('color',({style}),{item})")
+        self.add(f"MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',({styled}),{context})")
 
     def _product(self, name: str, kind: str, items: list[str], context: str) -> None:
         application = self.add("APPLICATION_CONTEXT('automotive_design')")

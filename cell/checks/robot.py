@@ -17,7 +17,7 @@ from cell.robot.fit import fit
 from cell.robot.model import AXES
 from cell.robot.normalised import ACCELERATION_TIME, JERK_TIME
 from cell.world.gap import meshes_of
-from cell.world.robot_spec import JOINED, POSES, OwnPairs, from_file, in_our_form
+from cell.world.robot_spec import JOINED, POSES, OwnPairs, from_file, in_our_form, stamp
 from cell.world.triangles import is_closed
 from planner.errors import PlannerError
 
@@ -50,6 +50,8 @@ class RobotReport:
         shapes: number of collision shapes of each body.
         not_closed: meshes that are not closed.
         excused: pairs of links that touch at every seeded pose, and are not guarded.
+        apart: pairs that come near each other and are not guarded: how far apart they are proven to be at all angles
+            [mm].
         near: pairs that are guarded by less than a cell's clearance, and by how much [mm].
         home_deg: where motions begin and end; None: none was found.
         home_is: whether it is the file's.
@@ -73,6 +75,7 @@ class RobotReport:
     shapes: dict[str, int]
     not_closed: tuple[str, ...]
     excused: tuple[str, ...]
+    apart: dict[str, float]
     near: dict[str, float]
     home_deg: tuple[float, ...] | None
     home_is: str
@@ -90,7 +93,9 @@ class RobotReport:
             f"{axis} {low:g}..{high:g}, {'no speed' if speed is None else f'{speed:g}/s'}"
             for axis, (low, high), speed in zip(AXES, self.limits_deg, self.velocity_deg_s, strict=True)
         ]
-        near = ", ".join(f"{pair} ({keep:.2g} mm)" for pair, keep in self.near.items())
+        apart, near = (
+            ", ".join(f"{pair} ({mm:.2g} mm)" for pair, mm in each.items()) for each in (self.apart, self.near)
+        )
         home = "none found; give robot.home_deg" if self.home_deg is None else f"{_list(self.home_deg)} deg"
         return [
             ("arm", f"{self.base} to {self.flange}: {', '.join(self.joints)}"),
@@ -102,7 +107,8 @@ class RobotReport:
             ("shapes", ", ".join(f"{body} {count}" for body, count in self.shapes.items())),
             ("not closed", ", ".join(self.not_closed) or "none: every mesh has an inside"),
             ("not guarded", f"{', '.join(self.excused) or 'none'} (touch at each of {POSES} poses), and neighbours"),
-            ("built near", near or "none"),
+            ("proven apart", apart or "none that come near each other"),
+            ("guarded by less", near or "none"),
             ("home", f"{home} ({self.home_is})"),
             ("contacts at home", ", ".join(self.contacts_at_home) or "none"),
             *[("missing", sentence) for sentence in self.missing],
@@ -134,7 +140,8 @@ def report(
         path, base=base, flange=flange, packages={name: Path(each) for name, each in folders.items()}
     )
     without = None if np.isfinite(file.velocity).all() else _GUESSED_DEG_S
-    model = from_file(path, base, flange, tuple(sorted(folders.items())), without).compile()
+    named = tuple(sorted(folders.items()))
+    model = from_file(path, base, flange, named, without, changed=stamp(path, named)).compile()
     try:
         fitted = fit(chain_of(model))
     except PlannerError as error:
@@ -162,13 +169,8 @@ def report(
         shapes={name: int(model.body(name).geomnum[0]) for name in robot.bodies(model)},
         not_closed=tuple(name for name, mesh in meshes_of(model).items() if not is_closed(mesh)),
         excused=tuple(_excused(model)),
-        near={
-            f"{model.body(model.geom_bodyid[a]).name} with {model.body(model.geom_bodyid[b]).name}": round(
-                1000 * keep, 3
-            )
-            for (a, b), (keep, _) in robot.kept_apart(model).items()
-            if a < b
-        },
+        apart=_told(model, robot.APART),
+        near=_told(model, robot.KEEPS),
         home_deg=None if home is None else tuple(np.degrees(home).round(4).tolist()),
         home_is="the file's" if file.home is not None else "found: the flange down at half the reach",
         contacts_at_home=()
@@ -176,6 +178,15 @@ def report(
         else tuple(f"{one} with {other}" for one, other in own.pairs if own.gap((one, other), 1e-6) <= 0),
         missing=tuple(_missing(file)),
     ), model
+
+
+def _told(model: mujoco.MjModel, kind: str) -> dict[str, float]:
+    """Pairs of which the numerics of a kind speak, and their distance [mm]."""
+    numbers = [number for number in range(model.nnumeric) if model.numeric(number).name.startswith(kind)]
+    return {
+        " with ".join(robot.pair_of(model, each)): round(1000 * float(model.numeric(each).data[0]), 3)
+        for each in numbers
+    }
 
 
 def _excused(model: mujoco.MjModel) -> list[str]:
@@ -191,7 +202,12 @@ def _excused(model: mujoco.MjModel) -> list[str]:
 def _missing(file: RobotFile) -> list[str]:
     """What the file does not say, and what stands for it."""
     slow = [name for name, speed in zip(file.joints, file.velocity, strict=True) if not np.isfinite(speed)]
+    endless = ", ".join(file.endless)
     return [
+        *(
+            [f"no range of {endless}: -360 to 360 deg is taken; give less where a cable or a stop allows less"]
+            * bool(endless)
+        ),
         *([f"no speed of {', '.join(slow)}: give robot.velocity_deg_s"] if slow else []),
         f"no accelerations and jerks: a speed is reached in {ACCELERATION_TIME:g} s, an acceleration in "
         f"{JERK_TIME:g} s, unless robot.acceleration_deg_s2 and robot.jerk_deg_s3 say otherwise",

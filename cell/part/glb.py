@@ -40,6 +40,7 @@ class Primitive:
         T: (4, 4) of its node.
         vertices: (V, 3) placed, in the file's own numbers.
         faces: (F, 3).
+        colour: red, green and blue of its material, linear, 0 to 1; None where it has none.
         extensions: what writers add to it beyond glTF's own.
         numbers: (N,) whole numbers of the accessor that an extension names.
     """
@@ -47,6 +48,7 @@ class Primitive:
     T: Floats
     vertices: Floats
     faces: Ints
+    colour: tuple[float, float, float] | None
     extensions: Mapping[str, Any]
     numbers: Callable[[Any], Ints]
 
@@ -100,9 +102,23 @@ def primitives(content: bytes) -> Iterator[Primitive]:
                 T,
                 found[0] @ T[:3, :3].T + T[:3, 3],
                 found[1][:, :: -1 if mirrored else 1],
+                _colour(described, primitive.get("material")),
                 extensions if isinstance(extensions, dict) else {},
                 numbers,
             )
+
+
+def _colour(described: Mapping[str, Any], material: Any) -> tuple[float, float, float] | None:
+    """Base colour of a material (3.9.2); None where nothing says one."""
+    materials = _list(described, "materials")
+    rough = (
+        materials[_index(material, materials, "material")].get("pbrMetallicRoughness") if material is not None else None
+    )
+    base = rough.get("baseColorFactor") if isinstance(rough, Mapping) else None
+    if base is None:
+        return None
+    red, green, blue, _ = _numbers(base, 4)
+    return float(red), float(green), float(blue)
 
 
 def _chunks(content: bytes) -> tuple[Mapping[str, Any], bytes]:

@@ -1,4 +1,4 @@
-"""Meshes with colours: which colour each triangle has. PLY, OBJ, OFF and GLB as trimesh reads them."""
+"""Coloured meshes: which colour each triangle has. STEP by its faces; PLY, OBJ, OFF and GLB as trimesh reads them."""
 
 import io
 import warnings
@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.errors import FileError
+from cell.part import step
 from cell.part.formats import STEP
 from cell.part.mesh_files import read_bytes
 from planner.surface.mesh import TriangleMesh
-from planner.values import Bools
+from planner.values import Bools, Floats
 
 TOLERANCE = 32
 """Steps of 255 by which each of red, green and blue may be off: paint is blended at its borders, and rounded."""
 
 
-def read(path: Path, metres: float) -> tuple[TriangleMesh, NDArray[np.uint8]]:
+def read(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
     """A coloured mesh.
 
     Args:
@@ -26,16 +26,20 @@ def read(path: Path, metres: float) -> tuple[TriangleMesh, NDArray[np.uint8]]:
         metres: in one of its units.
 
     Returns:
-        The mesh [m], and (F, 3) red, green and blue of its triangles: of colours at its vertices the mean of three.
+        The mesh [m], and (F, 3) red, green and blue of its triangles, 0 to 255: of colours at its vertices the mean of
+        three; NaN where a CAD face has none.
 
     Raises:
         FileError: if it cannot be read, or has no colours.
     """
-    import trimesh  # half a second of start-up that only a painted mesh needs
-
     content, suffix = read_bytes(path), path.suffix.lower()
     if suffix in STEP:
-        raise FileError(f"{path} is a STEP file, whose colours are not read; select by faces, or paint a mesh of it")
+        vertices, faces, of_face = step.coloured(str(path), content)
+        if np.isnan(of_face).all():
+            raise FileError(f"{path} has no colours; colour its faces, or select them by their numbers")
+        return TriangleMesh(vertices * metres, faces.astype(np.int32)), of_face
+    import trimesh  # half a second of start-up that only a painted mesh needs
+
     try:
         with warnings.catch_warnings(action="ignore"):
             loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
@@ -44,7 +48,7 @@ def read(path: Path, metres: float) -> tuple[TriangleMesh, NDArray[np.uint8]]:
             visual = loaded.visual
             visual = visual.to_color() if visual.kind == "texture" else visual
             known = visual.kind in ("vertex", "face")
-            colours = np.array(visual.face_colors)[:, :3].astype(np.uint8) if known else None
+            colours = np.array(visual.face_colors, np.float64)[:, :3] if known else None
         mesh = TriangleMesh(np.array(loaded.vertices) * metres, np.array(loaded.faces, np.int32))
     except Exception as error:  # a parser meets broken bytes with any exception there is; each is the same to the user
         raise FileError(f"{path} cannot be read as a coloured mesh; export it again") from error
@@ -53,7 +57,7 @@ def read(path: Path, metres: float) -> tuple[TriangleMesh, NDArray[np.uint8]]:
     return mesh, colours
 
 
-def close(colours: NDArray[np.uint8], colour: str) -> Bools:
+def close(colours: Floats, colour: str) -> Bools:
     """(F,) which of (F, 3) colours are `#rrggbb`, to `TOLERANCE`."""
     wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
-    return np.asarray((np.abs(colours.astype(np.int64) - wanted) <= TOLERANCE).all(axis=1))
+    return np.asarray((np.abs(colours - wanted) <= TOLERANCE).all(axis=1))

@@ -58,6 +58,46 @@ def read(source: str, content: bytes) -> Solids:
     Raises:
         FileError: if `cascadio` is not installed, or the file is broken or holds no surface.
     """
+    made = _as_glb(source, content)
+    try:
+        return _solids(list(_bodies(made)))
+    except (glb.BrokenGlbError, KeyError, TypeError, ValueError) as error:
+        raise _broken(source) from error
+
+
+def coloured(source: str, content: bytes) -> tuple[Floats, Ints, Floats]:
+    """The surfaces of a STEP file with the colours that its CAD program gave them: of a face, or of its body.
+
+    Args:
+        source: what the sentences call it.
+        content: of the file.
+
+    Returns:
+        Vertices (V, 3) [m], triangles (F, 3), and red, green and blue (F, 3), 0 to 255; NaN where a face has no colour.
+
+    Raises:
+        FileError: if `cascadio` is not installed, or the file is broken or holds no surface.
+    """
+    try:
+        # A primitive for each face: merged ones have the colour of their body alone.
+        surfaces = list(glb.primitives(_as_glb(source, content, by_face=True)))
+    except glb.BrokenGlbError as error:
+        raise _broken(source) from error
+    begins = np.cumsum([0, *(len(each.vertices) for each in surfaces)])
+    linear = np.array([each.colour or (np.nan,) * 3 for each in surfaces]).reshape(-1, 3)
+    # IEC 61966-2-1: what a STEP file and a screen count in.
+    counted = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return (
+        np.concatenate([np.zeros((0, 3)), *(each.vertices for each in surfaces)]),
+        np.concatenate(
+            [np.zeros((0, 3), np.int64), *(e.faces + at for e, at in zip(surfaces, begins[:-1], strict=True))]
+        ),
+        np.repeat(counted, [len(each.faces) for each in surfaces], axis=0),
+    )
+
+
+def _as_glb(source: str, content: bytes, *, by_face: bool = False) -> bytes:
+    """What Open CASCADE makes of a file: a primitive for each body with its faces described, or one for each face."""
     try:
         import cascadio  # an optional dependency of 104 MB
     except ImportError as error:
@@ -67,14 +107,17 @@ def read(source: str, content: bytes) -> Solids:
     if b"ISO-10303-21" not in content[:2000]:
         raise FileError(f"{source} is no STEP file (ISO 10303-21); export it again")
     with _in_silence():
-        made = cascadio.load(
+        made: bytes = cascadio.load(
             content, file_type="step", tol_linear=DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False,
-            include_brep=True,
+            include_brep=not by_face, merge_primitives=not by_face,
         )  # fmt: skip
-    try:
-        return _solids(list(_bodies(made))) if made else _nothing(source)
-    except (glb.BrokenGlbError, KeyError, TypeError, ValueError) as error:
-        raise FileError(f"{source} cannot be read as STEP; it is broken or cut short, export it again") from error
+    if not made:
+        raise FileError(f"{source} holds no surface that Open CASCADE can read; export its solids again")
+    return made
+
+
+def _broken(source: str) -> FileError:
+    return FileError(f"{source} cannot be read as STEP; it is broken or cut short, export it again")
 
 
 @contextmanager
@@ -91,10 +134,6 @@ def _in_silence() -> Iterator[None]:
             os.dup2(own, stream)
             os.close(own)
         os.close(nowhere)
-
-
-def _nothing(source: str) -> Solids:
-    raise FileError(f"{source} holds no surface that Open CASCADE can read; export its solids again")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -141,7 +141,7 @@ def add_touches(scene: mujoco.MjvScene, found: Sequence[Touch]) -> None:
 
 
 def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
-    """What is nearer than the clearance at the pose of `data`, nearest first; looks with the checked shapes.
+    """What is nearer than it is guarded by at the pose of `data`, nearest first; looks with the checked shapes.
 
     Of what was checked as its triangles, the hull in the model only finds the shapes to look at.
     """
@@ -157,7 +157,8 @@ def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
             points = np.zeros((2, 3))
             distance = theatre.shapes.distance(data, a, b, theatre.clearance, points=points)
             position = points.mean(axis=0)
-        if distance < theatre.clearance and (names not in found or distance < found[names].distance):
+        least = min(theatre.clearance, theatre.near.get((a, b), np.inf))
+        if distance < least and (names not in found or distance < found[names].distance):
             x, y, z = (float(value) for value in position)
             found[names] = Touch(names, distance, (x, y, z))
     return tuple(sorted(found.values(), key=lambda touch: touch.distance))

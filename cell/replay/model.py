@@ -8,7 +8,7 @@ shows it). World frame = base frame, metres.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -53,6 +53,7 @@ class Theatre:
         cloud_mesh: number of the mesh of each scan's points, object frame, by scan; -1 for a scan without points.
         entities: for each geom, the name a reader knows ("link_4", "housing", "part").
         clearance: distance that a free configuration keeps [m].
+        near: what pairs of geoms keep that are guarded by less [m].
         shapes: who measures distances, by true triangles where these were checked.
     """
 
@@ -68,6 +69,7 @@ class Theatre:
     cloud_mesh: tuple[int, ...]
     entities: tuple[str, ...]
     clearance: float
+    near: Mapping[tuple[int, int], float]
     shapes: Shapes
 
     def __post_init__(self) -> None:
@@ -139,6 +141,7 @@ def dress(
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
+        near=robot.kept_near(model),
         shapes=Shapes(model, {**links, **checked}, hollow),
     )
 

@@ -153,10 +153,13 @@ def _add_shapes(
     model, kinds = file.model, mujoco.mjtGeom
     counts: dict[str, int] = {}
     for geom in range(model.ngeom):
-        carrier = _moving(model, int(model.geom_bodyid[geom]), bodies)
-        if carrier < 0 or not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+        if not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
             continue
-        link, at = bodies[carrier]
+        carrier = _moving(model, int(model.geom_bodyid[geom]), bodies)
+        if carrier < 0 and model.geom_type[geom] == kinds.mjGEOM_PLANE:
+            continue  # the file's floor; a cell has its own
+        # Nothing but the six and what follows them moves: what stands beside or under the base stands with it.
+        link, at = bodies[carrier if carrier >= 0 else model.body(file.base).id]
         name = f"{link}_{counts.get(link, 0)}"
         counts[link] = counts.get(link, 0) + 1
         turn, middle = R.T @ data.geom_xmat[geom].reshape(3, 3), R.T @ (data.geom_xpos[geom] - at)

@@ -64,6 +64,7 @@ class RobotFile(Value):
         upper: (6,) largest joint angles [rad].
         velocity: (6,) axis speeds [rad/s]; inf where the file says none.
         home: (6,) angles of a key named home [rad]; None: the file has none, or one outside the limits.
+        endless: those of the six joints that have no range, and are given a turn to either side.
     """
 
     path: Path
@@ -77,6 +78,7 @@ class RobotFile(Value):
     upper: Annotated[Floats, "6"]
     velocity: Annotated[Floats, "6"]
     home: Annotated[Floats, "6"] | None
+    endless: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,10 +215,8 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
         raise SceneError(
             f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_listed(names)}); an arm has six, all revolute"
         )
-    for joint in chain:
-        if not model.jnt_limited[joint]:
-            # A continuous joint turns without end: a turn to either side is what a plan may use of it.
-            model.jnt_range[joint] = (-2.0 * np.pi, 2.0 * np.pi)
+    endless = [joint for joint in chain if not model.jnt_limited[joint]]
+    model.jnt_range[endless] = (-2.0 * np.pi, 2.0 * np.pi)  # what a plan may use of a joint that turns without end
     lower, upper = model.jnt_range[chain].T
     for name, low, high in zip(names, lower, upper, strict=True):
         _require_range(path, name, low, high)
@@ -237,7 +237,7 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
         home = None
     return RobotFile(
         path, model, root, end, end in bodies, tuple(names), _followers(path, model, names, said), lower, upper,
-        velocity, home,
+        velocity, home, tuple(model.joint(joint).name for joint in endless),
     )  # fmt: skip
 
 

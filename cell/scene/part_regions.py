@@ -135,7 +135,7 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
             f"the region '{region.name}' selects by colour, and {scene.part.name} is no file that has any; give "
             "region.painted, a coloured mesh of it"
         )
-    units = scene.part.units if region.painted is None else region.painted_units or units_of(source)
+    units = (scene.part.units if region.painted is None else region.painted_units) or units_of(source)
     assert units is not None, "the scene asks for it"
     canvas, colours = painted.read(Path(source), UNITS[units])
     return painted.close(colours, colour)[closest_face(mesh.centres, mesh.normals, canvas)]

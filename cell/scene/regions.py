@@ -59,6 +59,15 @@ class Region(RegionWishes):
         """Whether it selects by anything; otherwise it is the rest."""
         return any(getattr(self, key) is not None for key in _SELECTORS)
 
+    @field_validator("name")
+    @classmethod
+    def _one_line(cls, name: str) -> str:
+        if not name.isprintable() or "|" in name or name != name.strip():
+            raise ValueError(
+                f"is {name!r}; it stands in tables: one line without '|', and no blank at its beginning or end"
+            )
+        return name
+
     @field_validator("box_mm")
     @classmethod
     def _low_and_high(cls, box: tuple[float, ...] | None) -> tuple[float, ...] | None:

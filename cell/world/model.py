@@ -57,8 +57,8 @@ class World(Value):
         shapes: who measures distances: by the true triangles of the robot's meshes, and of the part and the mesh
             fixtures where the scene's collision is "exact".
         nearer: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
-        finer: by how many times a motion has to be looked at closer, so that none of these pairs that can touch does
-            so between two looks.
+        finer: by how many times a motion has to be looked at closer, so that none of these pairs touches between two
+            looks.
         followers: joints that the axes drive along.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
         entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
@@ -180,26 +180,72 @@ def compile_world(
         SceneError: if the part or a fixture has no solid, or the baseline is not known.
     """
     vertices = np.asarray(part_vertices, dtype=np.float64)
-    given_mm = scene.scanner.baseline_mm
-    scene = devices.settled(scene, scene.part.name, 1000 * float(np.ptp(vertices, axis=0).max()))
-    baseline = next((each for each in (given_mm, baseline_mm, scene.scanner.baseline_mm) if each is not None), None)
-    if baseline is None:
-        raise SceneError("the scanner's baseline is not known here; set scanner.baseline_mm")
+    scene, baseline_mm = _with_device(scene, vertices, baseline_mm)
     hull = solid_hull(vertices)
-    collision = scene.plan.collision if part_faces is not None else "hull"
     part = {} if part_faces is None else {"part": TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))}
     T_object_centre = np.eye(4)
     T_object_centre[:3, 3] = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     scene = scene.model_copy(update={"placement": scene.placement.by_centre(T_object_centre)})
     T_flange_scanner = scene.mount.T
-    T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline)
+    T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline_mm)
 
     spec = spec_of(scene.robot)
     cell_shapes.prepare_robot(spec, on_pedestal=scene.robot.base is None)
     scene = _at_home(scene, spec)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
-    wrist.exclude_what_the_wrist_keeps_apart(spec, _compiled(spec), scene.clearance_mm / 1000.0)
+    clearance, arm = scene.clearance_mm / 1000.0, _compiled(spec)
+    wrist.settle_pairs(spec, arm, _shapes(arm, entities, {}), clearance, by_hand=scene.robot.model == robot.KR16)
+    fixture_meshes = _add_what_stands(spec, scene, hull)
+    for geom in spec.geoms:
+        geom.margin = clearance / 2  # MuJoCo 4 adds the two margins of a pair
+
+    model = _compiled(spec)
+    near = {pair: keep for pair, keep in robot.kept_near(model).items() if keep < clearance}
+    return World(
+        scene=scene,
+        model=model,
+        grown=_compiled(_grown(spec, clearance / 2)),
+        spec=spec,
+        T_base_object=scene.placement.T @ np.linalg.inv(T_object_centre),
+        T_object_centre=T_object_centre,
+        T_flange_scanner=T_flange_scanner,
+        T_flange_housing=T_flange_housing,
+        baseline=baseline_mm / 1000.0,
+        home=np.deg2rad(scene.robot.settled_home_deg),
+        limits=joint_limits.given(
+            robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
+        ),
+        clearance=clearance,
+        part_hull=hull,
+        part_mesh=part.get("part", hull),
+        collision=scene.plan.collision if part else "hull",
+        shapes=_shapes(model, entities, {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}),
+        nearer={pair: clearance - keep for pair, keep in near.items()},
+        finer=_finer(model, clearance, near),
+        followers=robot.Followers.of(model),
+        fixture_meshes=fixture_meshes,
+        entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
+        pairs=_guarded_pairs(model),
+    )
+
+
+def _with_device(scene: Scene, vertices: Floats, baseline_mm: float | None) -> tuple[Scene, float]:
+    """The scene with its scanner settled, and the baseline [mm]: what the scene says goes before all others."""
+    given_mm = scene.scanner.baseline_mm
+    scene = devices.settled(scene, scene.part.name, 1000 * float(np.ptp(vertices, axis=0).max()))
+    baseline = next((each for each in (given_mm, baseline_mm, scene.scanner.baseline_mm) if each is not None), None)
+    if baseline is None:
+        raise SceneError("the scanner's baseline is not known here; set scanner.baseline_mm")
+    return scene, baseline
+
+
+def _add_what_stands(spec: mujoco.MjSpec, scene: Scene, hull: TriangleMesh) -> dict[str, TriangleMesh]:
+    """Ground, part, post and fixtures; returns the true triangles of the mesh fixtures by name.
+
+    Raises:
+        SceneError: if a fixture is called as a shape of the cell's own.
+    """
     cell_shapes.add_ground(spec, scene)
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
     post_body = spec.worldbody.add_body(name="post", mocap=True)
@@ -212,41 +258,7 @@ def compile_world(
     for i, fixture in enumerate(scene.fixtures):
         if fixture.name in taken:
             raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
-    fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
-    for geom in spec.geoms:
-        geom.margin = scene.clearance_mm / 2000.0  # MuJoCo 4 adds the two margins of a pair
-
-    model = _compiled(spec)
-    clearance = scene.clearance_mm / 1000.0
-    exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
-    shapes = _shapes(model, entities, exact)
-    kept = _kept(scene, model, shapes)
-    return World(
-        scene=scene,
-        model=model,
-        grown=_compiled(_grown(spec, scene.clearance_mm / 2000.0)),
-        spec=spec,
-        T_base_object=scene.placement.T @ np.linalg.inv(T_object_centre),
-        T_object_centre=T_object_centre,
-        T_flange_scanner=T_flange_scanner,
-        T_flange_housing=T_flange_housing,
-        baseline=baseline / 1000.0,
-        home=np.deg2rad(scene.robot.settled_home_deg),
-        limits=joint_limits.given(
-            robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
-        ),
-        clearance=clearance,
-        part_hull=hull,
-        part_mesh=part.get("part", hull),
-        collision=collision,
-        shapes=shapes,
-        nearer={pair: clearance - keep for pair, (keep, _) in kept.items()},
-        finer=_finer(model, clearance, kept),
-        followers=robot.Followers.of(model),
-        fixture_meshes=fixture_meshes,
-        entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
-        pairs=_guarded_pairs(model),
-    )
+    return cell_shapes.add_fixtures(spec, scene, placed_body)
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -274,24 +286,16 @@ def _shapes(model: mujoco.MjModel, of_robot: Collection[str], exact: Mapping[str
     return Shapes(model, {**links, **exact}, [*exact, *(name for name, mesh in links.items() if not is_convex(mesh))])
 
 
-def _kept(scene: Scene, model: mujoco.MjModel, shapes: Shapes) -> dict[tuple[int, int], tuple[float, bool]]:
-    """Pairs that the robot's build keeps nearer than the clearance: what guards them [m], and if they ever touch."""
-    clearance, kept = scene.clearance_mm / 1000.0, robot.kept_apart(model)
-    if scene.robot.model != robot.KR16:  # what is built in has its pairs chosen by hand
-        kept |= wrist.kept_by_the_wrist(model, shapes, clearance)
-    return {pair: (keep, touch) for pair, (keep, touch) in kept.items() if keep < clearance}
-
-
-def _finer(model: mujoco.MjModel, clearance: float, kept: Mapping[tuple[int, int], tuple[float, bool]]) -> float:
+def _finer(model: mujoco.MjModel, clearance: float, near: Mapping[tuple[int, int], float]) -> float:
     """How many times closer than by the clearance [m] a motion is looked at (`planner.path.certified_edge`).
 
     There a pair of which one stands may come nearer by less than half the clearance between two looks, one of which
     both move by less than the whole: neither may be more than the pair keeps.
     """
     finer = 1.0
-    for pair, (keep, touch) in kept.items():
+    for pair, keep in near.items():
         both = (model.body_weldid[model.geom_bodyid[list(pair)]] > 0).all()
-        if touch and keep > 0:  # two that are never apart are never free
+        if keep > 0:  # two that are never apart are never free
             finer = max(finer, clearance * (1.0 if both else 0.5) / keep)
     return finer
 

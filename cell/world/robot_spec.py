@@ -2,9 +2,10 @@
 
 An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalised`). Which pairs of its links are
 guarded, its triangles say: two that touch at every one of `POSES` seeded poses are joined by something that the chain
-does not show (a closed bearing, a parallelogram) and are excused; every other pair is guarded, but for neighbours. Two
-that the arm's build keeps near each other are guarded by less than the cell's clearance (`Relations`). A home that no
-file gives is looked for: the flange down before the arm at half its reach, nothing near anything.
+does not show (a closed bearing, a parallelogram) and are excused; two that come near each other and are proven never to
+touch (`cell.world.apart`) need no guard; every other pair is guarded, but for neighbours, and by less than the cell's
+clearance where the arm's build never lets it have that (`Relations`). A home that no file gives is looked for: the
+flange down before the arm at half its reach, nothing near anything.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -26,7 +28,9 @@ from cell.errors import FileError
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
+from cell.robot.mesh_paths import mesh_files
 from cell.robot.normalised import normalised
+from cell.world.apart import LOOKS, MOST_AXES, keeps_apart
 from cell.world.gap import Shapes, is_convex, meshes_of
 from planner.values import Floats
 
@@ -43,7 +47,8 @@ JOINED = "joined_"
 
 _TOOL = "tool of a home"
 _OWN = 0.02  # m; that a home found here keeps between links at least, as far as they can be
-_NEAR = 0.02  # m; two links that come no nearer, or get farther apart, keep the cell's clearance
+_LEAST = 1e-5  # m; a smaller distance is none
+_NEAR = 0.02  # m; of two links that come no nearer, or get farther apart, nothing more is asked
 _TILTS = (0.0, 0.6, 1.2)  # of the way ahead for one down, where looking straight down is not free
 _HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
 
@@ -61,8 +66,8 @@ def spec_of(of: Robot) -> mujoco.MjSpec:
         packages = tuple(sorted((of.packages or {}).items()))
         down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
         path = Path(of.model)
-        stamp = path.stat().st_mtime_ns if path.is_file() else 0
-        spec = from_file(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, stamp).copy()
+        changed = stamp(path, packages)
+        spec = from_file(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, changed).copy()
     if of.base is not None:
         place(spec, of.base.T)
     return spec
@@ -86,7 +91,7 @@ def from_file(
     packages: tuple[tuple[str, str], ...] = (),
     velocity_deg_s: tuple[float, ...] | None = None,
     down: tuple[float, float, float] | None = None,
-    stamp: int = 0,
+    changed: tuple[int, ...] = (),
 ) -> mujoco.MjSpec:
     """The arm of a file, in the form of `models/kr16.xml`; never changed by who asks for it.
 
@@ -97,7 +102,7 @@ def from_file(
         packages: name and folder of ROS packages.
         velocity_deg_s: (6,) speeds for axes of which the file says none [deg/s].
         down: (3,) where the flange looks at home, base frame; None: down.
-        stamp: another number where the file may have changed since it was read.
+        changed: other numbers where the file or one of its meshes may have changed since it was read (`stamp`).
     """
     import mujoco
 
@@ -114,20 +119,32 @@ def from_file(
     except ValueError as error:
         raise FileError(f"{path} has shapes that MuJoCo does not take: {error}") from error
     own = OwnPairs(model)
-    found, names = own.relations(), robot.bodies(model)
+    found = own.relations()
     for one, other in found.joined:
         del own.pairs[one, other]
         spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
-    for one, other, keep, touch in found.keeps:
-        spec.add_numeric(name=f"keeps_{names.index(one)}_{names.index(other)}", data=[keep, float(touch)], size=2)
+    for one, other, least in found.apart:
+        del own.pairs[one, other]
+        spec.add_exclude(name=f"{robot.APART}{one}_{other}", bodyname1=one, bodyname2=other)
+        spec.add_numeric(name=robot.apart(model, one, other), data=[least], size=1)
+    for one, other, keep in found.keeps:
+        spec.add_numeric(name=robot.keeps(model, one, other), data=[keep], size=1)
     home = file.home
     if home is None:
-        keeps = {(one, other): keep for one, other, keep, _ in found.keeps}
+        keeps = {(one, other): keep for one, other, keep in found.keeps}
         looks = np.array((0.0, 0.0, -1.0) if down is None else down)
         home = next((q for each in (_with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
     if home is not None:
         spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
     return spec
+
+
+def stamp(path: Path, packages: tuple[tuple[str, str], ...] = ()) -> tuple[int, ...]:
+    """When a robot's file and its meshes were last written [ns]; what cannot be read is left to who reads it."""
+    files = [path]
+    with contextlib.suppress(OSError, UnicodeDecodeError, ElementTree.ParseError, FileError):
+        files += mesh_files(path, {name: Path(folder) for name, folder in packages})
+    return tuple(file.stat().st_mtime_ns for file in files if file.is_file())
 
 
 def in_our_form(path: Path) -> bool:
@@ -144,13 +161,15 @@ class Relations:
 
     Attributes:
         joined: pairs that touch at every seeded pose.
-        keeps: pairs and the distance [m] that is guarded between them where it is less than the cell's clearance: half
-            of the smallest that was seen of two that never touch, half of the largest of two that are never apart; and
-            whether they touch anywhere.
+        apart: pairs that come nearer than `_NEAR` and never touch, and how far apart [m] they are proven to be at all
+            angles of the axes between them: half of the smallest distance seen.
+        keeps: other pairs that are never farther apart than `_NEAR`, and what is guarded between them: half of the
+            largest distance seen [m].
     """
 
     joined: list[tuple[str, str]]
-    keeps: list[tuple[str, str, float, bool]]
+    apart: list[tuple[str, str, float]]
+    keeps: list[tuple[str, str, float]]
 
 
 class OwnPairs:
@@ -206,18 +225,28 @@ class OwnPairs:
                 if pair not in joined and (lowest[pair] > 0 or widest[pair] < _NEAR):
                     distance = self.gap(pair, _NEAR)
                     lowest[pair], widest[pair] = min(lowest[pair], distance), max(widest[pair], distance)
-        keeps = {pair: lowest[pair] / 2 if lowest[pair] > 0 else widest[pair] / 2 for pair in self.pairs}
+        apart = {
+            pair: least / 2
+            for pair, least in lowest.items()
+            if 2 * _LEAST < least < _NEAR and self._proven_apart(pair, least / 2)
+        }
         found = Relations(
             joined=joined,
+            apart=[(*pair, least) for pair, least in apart.items()],
             keeps=[
-                (*pair, keep, lowest[pair] <= 0)
-                for pair, keep in keeps.items()
-                if pair not in joined and keep < _NEAR / 2
+                (*pair, most / 2)
+                for pair, most in widest.items()
+                if pair not in joined and pair not in apart and most < _NEAR
             ],
         )
         with contextlib.suppress(OSError), caches.whole(known) as place:
             place.write_text(json.dumps(asdict(found)), encoding="utf-8")
         return found
+
+    def _proven_apart(self, pair: tuple[str, str], least: float) -> bool:
+        """Whether two links are at least so far apart [m] at all angles of the axes between them."""
+        one, other = (self.model.body(name).id for name in pair)
+        return keeps_apart(self.model, self.shapes, one, other, least)
 
     def _digest(self) -> str:
         """sha256 of all that says which links touch."""
@@ -225,7 +254,8 @@ class OwnPairs:
         shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
         chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
         arrays = (*shapes, *chain, model.geom_bodyid)
-        text = repr((robot.bodies(model), POSES, _NEAR, Relations.__annotations__)).encode()
+        rule = POSES, _NEAR, LOOKS, MOST_AXES, Relations.__annotations__
+        text = repr((robot.bodies(model), rule)).encode()
         return hashlib.sha256(text + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
 
     def elbow(self, q: Floats, up: Floats) -> float:

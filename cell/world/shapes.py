@@ -7,11 +7,11 @@ Which pairs are guarded, and why the others are not:
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
 | link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 of a base in the origin, upright, is above both |
 | base with anything that stands still | no: neither moves; `cell.checks.possible` looks once |
-| links among themselves | as the robot's model says: neighbours share a bearing |
+| links among themselves | as the robot's model says: neighbours share a bearing (`cell.world.robot_spec`) |
 | bracket, housing with base, link_1..link_3 | yes |
-| bracket, housing with link_4 | yes, unless they keep apart whatever A5 and A6 are |
-| housing with link_5 | yes, unless they keep apart whatever A6 is |
-| bracket with link_5 | no: bolted to link_6, it only turns about its own end against link_5 |
+| bracket, housing with link_4, housing with link_5 | yes, unless proven apart at all wrist angles (`wrist.py`) |
+| bracket with link_5 of the KR 16 | no: bolted to link_6, it only turns about its own end against link_5 |
+| bracket with link_5 of another arm | likewise where it touches at all wrist angles; else as the housing |
 | bracket, housing, link_6 among themselves | no: one rigid piece |
 
 Every pair is guarded with the same margin, the scene's clearance; MuJoCo 4 *adds* the margins of two shapes, so each
@@ -108,7 +108,6 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
         body = last.add_body(name="bracket", pos=flange.pos, quat=flange.quat)
         bracket = add_cylinder(body, "bracket", radius, length, T)
         bracket.contype, bracket.conaffinity = _TOOL, _CELL | _GROUND
-        spec.add_exclude(name="bolted_bracket_link_5", bodyname1="bracket", bodyname2="link_5")
 
 
 def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:

@@ -62,7 +62,7 @@ class TravelBound:
             link = _link_of(model, body, bodies)
             if link is None and model.body_jntadr[model.body_weldid[body]] < 0:
                 continue
-            points, radius = _corners(model, data, geom)
+            points, radius = enclosing_points(model, data, geom)
             turns: list[tuple[int, float]] = []
             while body not in bodies and body > 0:  # a follower, or what is rigidly on one
                 joint = int(model.body_jntadr[body])
@@ -160,7 +160,7 @@ def _link_of(model: mujoco.MjModel, body: int, bodies: list[int]) -> int | None:
     return None
 
 
-def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, float]:
+def enclosing_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, float]:
     """Points (P, 3) and a radius whose swept hull contains a geom, base frame at A1..A6 = 0 [m]."""
     import mujoco
 

@@ -1,4 +1,4 @@
-"""What the wrist's build says of bracket and housing beside link_4 and link_5: apart at all angles, or always near."""
+"""Which pairs of bracket and housing with link_4 and link_5 are guarded, and by how much, by the wrist's build."""
 
 from __future__ import annotations
 
@@ -7,95 +7,73 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cell.robot import model as robot
+from cell.world.apart import keeps_apart
+
 if TYPE_CHECKING:
     import mujoco
 
     from cell.world.gap import Shapes
 
-_WRIST_STEP = np.deg2rad(3.0)
+_STEP = np.deg2rad(6.0)
 _APART = 0.01  # m
+_LOOKS = 20_000  # for a proof, which is made anew for each cell: half a second
+_LEAST = 1e-5  # m; a smaller distance is none
 
 
-def exclude_what_the_wrist_keeps_apart(spec: mujoco.MjSpec, model: mujoco.MjModel, clearance: float) -> None:
-    """Switch off the pairs of bracket or housing with link_4 or link_5 that keep apart at all wrist angles.
+def settle_pairs(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, shapes: Shapes, clearance: float, *, by_hand: bool
+) -> None:
+    """Enter in a specification which of these pairs are not guarded, and which by less than the clearance.
 
-    Apart means by the clearance [m] or, where that is larger, by `_APART`: what the mount fixes is no collision, and a
-    large clearance to the cell must not make every configuration one.
+    Not guarded is a pair that is proven to keep apart at all wrist angles, by the clearance [m] or, where that is
+    larger, by `_APART`: what the mount fixes is no collision, and a large clearance to the cell must not make every
+    configuration one. Of an arm whose pairs are not chosen by hand neither is one that is proven to keep half of the
+    smallest distance seen on a grid of wrist angles, nor the bracket with link_5 where they touch at each: its end on
+    the flange. Two that are nearer than the clearance at all of them are guarded by half of the largest distance.
+
+    Args:
+        spec: arm and tool.
+        model: compiled from it.
+        shapes: who measures.
+        clearance: of the cell [m].
+        by_hand: the arm's file says that the bracket, which turns about its own end, is not guarded against link_5.
     """
-    pieces = [name for name in ("housing", "bracket") if spec.geom(name) is not None]
-    apart = [
-        (piece, link)
-        for piece in pieces
-        for link, axes in (("link_5", ("A6",)), ("link_4", ("A5", "A6")))
-        if (piece, link) != ("bracket", "link_5")
-        and _wrist_keeps_apart(model, piece, link, axes, min(clearance, _APART))
-    ]
-    for piece, link in apart:
-        spec.add_exclude(name=f"apart_{piece}_{link}", bodyname1=piece, bodyname2=link)
+    bodies = [body.name for body in spec.bodies]
+    pieces = [name for name in ("housing", "bracket") if name in bodies]
+    if by_hand and "bracket" in pieces:
+        _exclude(spec, "bolted", "bracket", "link_5")
+    for piece, link in itertools.product(pieces, ("link_5", "link_4")):
+        pair, bolted = (model.body(piece).id, model.body(link).id), (piece, link) == ("bracket", "link_5")
+        if not model.body(link).geomnum[0] or (by_hand and bolted):
+            continue
+        if keeps_apart(model, shapes, *pair, min(clearance, _APART), _LOOKS):
+            _exclude(spec, "apart", piece, link)
+        elif not by_hand:
+            lowest, widest = _seen(model, shapes, pair, 2 * clearance)
+            if bolted and widest <= 0:
+                _exclude(spec, "bolted", piece, link)
+            elif lowest > 2 * _LEAST and keeps_apart(model, shapes, *pair, lowest / 2, _LOOKS):
+                _exclude(spec, "apart", piece, link)
+            elif widest < 2 * clearance:
+                spec.add_numeric(name=robot.keeps(model, piece, link), data=[max(widest, 0.0) / 2], size=1)
 
 
-def _wrist_keeps_apart(model: mujoco.MjModel, piece: str, link: str, axes: tuple[str, ...], clearance: float) -> bool:
-    """Whether a piece of the tool keeps the clearance from a link at every angle of the axes between the two.
+def _exclude(spec: mujoco.MjSpec, why: str, piece: str, link: str) -> None:
+    spec.add_exclude(name=f"{why}_{piece}_{link}", bodyname1=piece, bodyname2=link)
 
-    Looked at on a grid of angles. From a node of the grid to any angle half a step away no point of the piece moves
-    farther than half a step times its distance from the axis, per axis; no axis is farther than the sum of what is
-    between the two anchors and from the last to the point.
-    """
+
+def _seen(model: mujoco.MjModel, shapes: Shapes, pair: tuple[int, int], reach: float) -> tuple[float, float]:
+    """Smallest and largest distance of two bodies on a grid of wrist angles [m], at most `reach`."""
     import mujoco
 
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    geom = model.geom(piece).id
-    shapes = np.flatnonzero(model.geom_bodyid == model.body(link).id)
-    joints = [model.joint(axis) for axis in axes]
-    first, nearest = data.xanchor[joints[0].id], data.xanchor[joints[-1].id]
-    farthest = float(np.linalg.norm(data.geom_xpos[geom] - nearest) + model.geom_rbound[geom])
-    farthest += float(np.linalg.norm(first - nearest))  # 0 where the wrist is spherical
-    grids, slack = [], 0.0
-    for joint in joints:
-        low, high = joint.range if joint.name == "A5" else (0.0, 2 * np.pi)
-        angles, step = np.linspace(low, high, int(np.ceil((high - low) / _WRIST_STEP)) + 1, retstep=True)
-        grids.append(angles)
-        slack += farthest * step / 2
-    reach = clearance + slack
-    addresses = [int(joint.qposadr[0]) for joint in joints]
-    for angles in itertools.product(*grids):
-        data.qpos[addresses] = angles
-        mujoco.mj_kinematics(model, data)
-        if any(mujoco.mj_geomDistance(model, data, geom, shape, reach, None) < reach for shape in shapes):
-            return False
-    return True
-
-
-def kept_by_the_wrist(
-    model: mujoco.MjModel, shapes: Shapes, clearance: float
-) -> dict[tuple[int, int], tuple[float, bool]]:
-    """What bracket and housing keep of link_4 and link_5 where the mount holds them nearer than the clearance.
-
-    Looked at on a grid of wrist angles, as `cell.world.robot_spec` looks at two links of an arm from a file: half of
-    the smallest distance [m] of two that never touch, half of the largest of two that do; and whether they touch.
-    """
-    import mujoco
-
-    data, kept = mujoco.MjData(model), {}
+    data, lowest, widest = mujoco.MjData(model), reach, -np.inf
     joints = [model.joint(axis) for axis in ("A5", "A6")]
-    grids = [np.arange(max(low, -np.pi), min(high, np.pi), 2 * _WRIST_STEP) for low, high in (j.range for j in joints)]
-    names = [name for name in ("housing", "bracket") if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) >= 0]
-    pairs = {
-        (model.geom(name).id, int(geom)): [np.inf, 0.0]
-        for name in names
-        for link in ("link_4", "link_5")
-        if (name, link) != ("bracket", "link_5")
-        for geom in np.flatnonzero(model.geom_bodyid == model.body(link).id)
-    }
+    grids = [np.arange(max(low, -np.pi), min(high, np.pi), _STEP) for low, high in (j.range for j in joints)]
+    geoms = [np.flatnonzero(model.geom_bodyid == body).tolist() for body in pair]
     for angles in itertools.product(*grids):
         data.qpos[[int(joint.qposadr[0]) for joint in joints]] = angles
         mujoco.mj_kinematics(model, data)
-        for pair, found in pairs.items():
-            apart = shapes.distance(data, *pair, 2 * clearance)
-            found[:] = min(found[0], apart), max(found[1], apart)
-    for (a, b), (lowest, widest) in pairs.items():
-        keep = (lowest if lowest > 0 else widest) / 2
-        if keep < clearance:
-            kept[a, b] = kept[b, a] = keep, lowest <= 0
-    return kept
+        apart = min(shapes.distance(data, a, b, reach) for a in geoms[0] for b in geoms[1])
+        lowest, widest = min(lowest, apart), max(widest, apart)
+    return lowest, widest

@@ -104,7 +104,7 @@ def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict
     data.qpos[:] = q
     mujoco.mj_kinematics(world.model, data)
     theatre = SimpleNamespace(
-        model=world.model, entities=world.entities, clearance=world.clearance, shapes=world.shapes
+        model=world.model, entities=world.entities, clearance=world.clearance, shapes=world.shapes, near={}
     )
     assert touches(theatre, data) == ()
     theatre.shapes = Shapes(world.model, {}, ())

@@ -1,6 +1,7 @@
 """Regions of a part: which triangles they select, what they ask, and what is refused in one sentence."""
 
 import importlib.util
+import json
 import math
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from planner.ports import Rejection
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import sample
-from tests.step_files import bored_block
+from tests.step_files import StepFile, bored_block
 
 NO = {"name": "no", "care": "no"}
 needs_cascadio = pytest.mark.skipif(
@@ -147,6 +148,24 @@ def test_a_part_without_regions_is_itself(box: Path) -> None:
     assert sample(part.reference, part.reference, 10, np.random.default_rng(0)).region is None
 
 
+@needs_cascadio
+def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
+    """The bore is red, the block it is in blue; a file whose faces have no colour is told so."""
+    made, path = StepFile(), tmp_path / "block.stp"
+    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    bore = next(k for k, line in enumerate(made.lines, 1) if line.startswith("ADVANCED_FACE") and line.endswith(".F.)"))
+    red, blue = {"name": "bore", "colour": "#cc2010"}, {"name": "block", "colour": "#3050a0"}
+    path.write_text(bored_block())
+    with pytest.raises(FileError, match="has no colours"):
+        tagged(path, [red, NO])
+    made.colours = [(made.solids[0], (0x30 / 255, 0x50 / 255, 0xA0 / 255)), (f"#{bore}", (0.8, 0.125, 0.0625))]
+    path.write_text(made.text())
+    part = tagged(path, [red, blue, NO])
+    assert area(part, 0) == pytest.approx(2 * math.pi * 8 * 30, rel=2e-3)
+    assert area(part, 1) == pytest.approx(2 * (60 * 40 - math.pi * 64) + 2 * 30 * (60 + 40), rel=2e-3)
+    assert not (part.reference.region < 0).any()
+
+
 @pytest.mark.parametrize(
     ("regions", "said"),
     [
@@ -183,13 +202,16 @@ def test_what_the_part_has_not_is_a_sentence(box: Path, regions: list[dict], sai
         ([{"name": "a", "coverage": 0.5}], {"overlap_share": 0.2}, "another question"),
         ([{"name": "a"}], {"fill": "rays"}, "aimed"),
         ([{"name": "the rest", "faces": [1]}], {}, "choose another"),
+        ([{"name": "a|b", "faces": [1]}], {}, "one line without"),
+        ([{"name": "a\nb", "faces": [1]}], {}, "one line without"),
+        ([{"name": " ", "faces": [1]}], {}, "one line without"),
     ],
 )
 def test_a_scene_that_contradicts_itself_is_refused(tmp_path: Path, regions: list[dict], plan: dict, said: str) -> None:
     """Each in one line with the key."""
     lines = ["[plan]", *(f"{key} = {value!r}" for key, value in plan.items())]
     for region in regions:
-        lines += ["[[region]]", *(f"{key} = {value!r}" for key, value in region.items())]
+        lines += ["[[region]]", *(f"{key} = {json.dumps(value)}" for key, value in region.items())]
     (tmp_path / "scene.toml").write_text("\n".join(lines))
     with pytest.raises(SceneError, match=said):
         load_scene(tmp_path / "scene.toml")

@@ -4,6 +4,7 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import mujoco
@@ -11,13 +12,18 @@ import numpy as np
 import pytest
 import trimesh
 
+from cell.checks.robot import report
 from cell.errors import CellError
+from cell.replay.marks import touches
 from cell.robot import model as robot
+from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
+from cell.robot.normalised import normalised
 from cell.scene.scene import Scene
-from cell.world import robot_spec
+from cell.world import apart, robot_spec
+from cell.world.apart import keeps_apart
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.gap import is_convex, mesh_of
+from cell.world.gap import Shapes, is_convex, mesh_of
 from cell.world.model import compile_world
 from cell.world.travel import TravelBound
 from planner.path.certified_edge import subdivide
@@ -32,6 +38,7 @@ CHAIN = (
     ((0.25, 0, 0), (0, 1, 0), (0.01, 0, 0), (0.05, 0.05, 0.05)),
     ((0.05, 0, 0), (-1, 0, 0), (0.02, 0, 0), (0.02, 0.04, 0.04)),
 )
+Q = np.array([0.0, 0.3, 0.3, 0.0, 0.0, 0.0])
 CUBE = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z in (-0.03, 0.03)])
 
 
@@ -145,40 +152,125 @@ def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
     assert not own.relations().joined
 
 
-def test_what_is_built_near_is_guarded_by_less_than_the_clearance(tmp_path: Path) -> None:
-    """A square of 40 mm turns between plates 60 mm apart: never in contact, and free at a clearance of 10 mm."""
-    fork(0.035).export(tmp_path / "fork.stl")
-    path = written(tmp_path, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
+def forked(folder: Path, apart: float) -> Path:
+    """An arm whose last link, a square of 40 mm, turns between the plates of a fork, their middles `apart` off [m]."""
+    fork(apart).export(folder / "fork.stl")
+    return written(folder, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
+
+
+def test_what_is_built_near_is_proven_apart(tmp_path: Path) -> None:
+    """Between plates 60 mm apart the square never comes nearer than 30 mm less half its diagonal: the proof says so."""
+    path = forked(tmp_path, 0.035)
     model = robot_spec.from_file(path).compile()
-    (keep,) = {
-        keep for pair, (keep, _) in robot.kept_apart(model).items() if "link_4_0" in {model.geom(g).name for g in pair}
-    }
-    assert 0.5 * (0.03 - 0.02 * np.sqrt(2)) <= keep <= 0.002
+    assert "apart_link_4_link_6" in {model.exclude(i).name for i in range(model.nexclude)}
+    ((pair, told),) = report(path)[0].apart.items()
+    nearest = 0.03 - 0.02 * np.sqrt(2)
+    assert pair == "link_4 with link_6"
+    assert 0.5 * nearest <= told / 1000 <= 0.002
+    own, bodies = robot_spec.OwnPairs(model), [model.body(name).id for name in ("link_4", "link_6")]
+    assert not keeps_apart(model, own.shapes, *bodies, 1.05 * nearest)
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
-    checker = MujocoCollisionChecker(world)
-    q = np.array([0.0, 0.3, 0.3, 0.0, 0.0, 0.0])
-    assert not [pair for pair in checker.contacts(q) if "link_6 with link_4" in pair]
+    assert not [pair for pair in MujocoCollisionChecker(world).contacts(Q) if "link_6 with link_4" in pair]
+    assert (world.finer, world.nearer) == (1.0, {})
+
+
+def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
+    """The description is the same, its mesh is another: so is the arm."""
+    of = Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.09))}}).robot
+    widths = []
+    for plates in (0.09, 0.11):
+        fork(plates).export(tmp_path / "fork.stl")
+        model = robot_spec.spec_of(of).compile()
+        widths.append(np.ptp(mesh_of(model, model.geom("link_4_0").id).vertices[:, 1]))
+    np.testing.assert_allclose(widths, (0.19, 0.23), atol=1e-6)
+
+
+def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
+    """Plates that the square's corners touch, looked at where it lies flat, so that no contact is seen: guarded."""
+    path = forked(tmp_path, 0.0325)
+    own = robot_spec.OwnPairs(normalised(robot_file.read(path)).compile())
+    own.q = 0.01 * own.q
+    found = own.relations()
+    assert (found.joined, found.apart) == ([], [])
+    assert [pair[:2] for pair in found.keeps] == [("link_4", "link_6")]
+
+
+@pytest.mark.parametrize("levers", ["", LEVER])
+def test_no_way_between_two_links_is_longer_than_what_a_proof_takes_for_it(tmp_path: Path, levers: str) -> None:
+    """Seeded steps of the axes between two bodies change their distance by no more than the sum of what each moves."""
+    model = robot_spec.from_file(written(tmp_path, urdf(levers))).compile()
+    shapes, data, followers = Shapes(model, {}, []), mujoco.MjData(model), robot.Followers.of(model)
+    pairs = [("link_4", "link_6"), ("link_2", "link_4"), ("base", "link_2")] + [("link_3", "lever")] * bool(levers)
+    rng = np.random.default_rng(3)
+    for names in pairs:
+        one, other = (model.body(name).id for name in names)
+        axes, moved = apart.ways(model, one, other)
+        shape = int(model.body_geomadr[one]), int(model.body_geomadr[other])
+        for _ in range(200):
+            q = rng.uniform(-2.8, 2.8, (1, 6)).repeat(2, axis=0)
+            step = rng.uniform(-0.4, 0.4, len(axes))
+            q[1, axes] += step
+            distances = []
+            for angles in followers.qpos(q):
+                data.qpos[:] = angles
+                mujoco.mj_kinematics(model, data)
+                distances.append(max(shapes.distance(data, *shape, 5.0), 0.0))
+            assert abs(distances[0] - distances[1]) <= (moved @ np.abs(step)).min() + 1e-9
+
+
+def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) -> None:
+    """Two that are never 20 mm apart and touch: half of the largest distance guards them, between two looks too.
+
+    So replay marks them where they are nearer than that, and not where they are nearer than the clearance.
+    """
+    world = compile_world(Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.032))}}), CUBE)
+    pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
+    keep = world.clearance - world.nearer[pair]
+    assert keep == pytest.approx(0.0035, abs=2e-4)  # lying flat the square is 27 - 20 mm from a plate
     data = world.data()
-    data.qpos[:] = q
+    data.qpos[:] = Q
     mujoco.mj_kinematics(world.model, data)
-    a, b = (world.model.geom(f"link_{number}_0").id for number in (4, 6))
-    assert world.shapes.distance(data, a, b, 0.3) == pytest.approx(0.01, abs=1e-6)
-    assert world.distance(data, a, b, 0.3) == pytest.approx(0.01 + world.clearance - keep, abs=1e-6)
-
-
-@pytest.mark.parametrize(("apart", "finer"), [(0.035, False), (0.032, True)])
-def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path, apart: float, finer: bool) -> None:
-    """Between two looks of a certified segment two links that touch somewhere come nearer by less than guards them."""
-    fork(apart).export(tmp_path / "fork.stl")
-    path = written(tmp_path, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
-    world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
-    assert (world.finer > 1) is finer
-    checker, q_to = MujocoCollisionChecker(world), np.array([0.0, 0.3, 0.3, 0.0, 0.0, 2.0])
-    looks = subdivide(q_to * (1, 1, 1, 1, 1, 0), q_to, checker)
+    assert world.shapes.distance(data, *pair, 0.3) == pytest.approx(0.007, abs=1e-6)
+    assert world.distance(data, *pair, 0.3) == pytest.approx(0.007 + world.clearance - keep, abs=1e-6)
+    theatre = SimpleNamespace(
+        model=world.model,
+        entities=world.entities,
+        clearance=world.clearance,
+        near=robot.kept_near(world.model),
+        shapes=world.shapes,
+    )
+    assert not [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
+    theatre.near = {}
+    assert [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
+    checker, q_to = MujocoCollisionChecker(world), Q + np.array([0, 0, 0, 0, 0, 2.0])
+    looks = subdivide(Q, q_to, checker)
     moved = TravelBound(world.model)(looks[:-1], looks[1:]) / 2  # to the nearest look, either of the two
-    if finer:
-        pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
-        assert 2 * moved.max() < world.clearance - world.nearer[pair]
+    assert 2 * moved.max() < keep
+
+
+BEYOND = """<geometry><box size="0.05 0.05 0.05"/></geometry></collision><collision><origin xyz="{x} {y} 0"/>
+    <geometry><box size="0.06 0.02 0.02"/></geometry>"""
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "excluded"),
+    [
+        (0.1, 0.0, "bolted_bracket_link_5"),  # a finger of the hand that sticks in the bracket's end
+        (0.13, 0.05, None),  # one that a bracket which leads to the side meets at some angles alone
+        (0.0, 0.045, "apart_bracket_link_5"),
+    ],
+)
+def test_the_bracket_is_excused_from_link_5_only_where_that_is_true(
+    tmp_path: Path, x: float, y: float, excluded: str | None
+) -> None:
+    """Where the two touch at all wrist angles, or are proven to do so at none; else the pair is guarded."""
+    path = written(tmp_path, urdf(l5=BEYOND.format(x=x, y=y)))
+    mount = {"position_mm": (100.0, 0.0, 120.0)}
+    world = compile_world(Scene.model_validate({"robot": {"model": str(path)}, "mount": mount}), CUBE)
+    names = {world.model.exclude(i).name for i in range(world.model.nexclude)}
+    assert {name for name in names if name.endswith("bracket_link_5")} == ({excluded} if excluded else set())
+    guarded = {frozenset((world.entities[a], world.entities[b])) for a, b in world.pairs}
+    assert (frozenset(("bracket", "link_5")) in guarded) is (excluded is None)
 
 
 def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
@@ -193,7 +285,7 @@ def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
     assert sum(name.startswith("joined_") for name in excluded) == 1
     # What the cache knows stands by names: with another one it is another arm.
     renamed = written(tmp_path, urdf((block + joint).replace('"block"', '"stop"'), l2=long))
-    assert "joined_link_2_stop" in {each.name for each in robot_spec.from_file(renamed, stamp=1).excludes}
+    assert "joined_link_2_stop" in {each.name for each in robot_spec.from_file(renamed, changed=(1,)).excludes}
 
 
 def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
@@ -271,7 +363,7 @@ def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatc
 
     own.stand, own.touch = stand, lambda _: stands[-1] <= 0  # type: ignore[method-assign]
     own.gap = lambda _, reach: stands[-1] - 0.01 * (len(stands) == 3)  # type: ignore[method-assign]
-    assert own.relations().keeps == [(*pair, 0.0075, True)]
+    assert own.relations().keeps == [(*pair, 0.0075)]
 
 
 def no_mesh(text: str) -> str:
@@ -333,6 +425,34 @@ CAPSULES = """<mujoco model="small"><worldbody><body name="foot"><geom type="box
     <geom type="ellipsoid" size="0.01 0.02 0.02"/><site name="flange" pos="0.03 0 0" euler="0 90 0"/>
   </body></body></body></body></body></body></body></worldbody>
   <keyframe><key name="home" qpos="0 0 0.5 0 1 0"/></keyframe></mujoco>"""
+
+
+def test_a_hinge_without_a_range_is_listed_as_missing(tmp_path: Path) -> None:
+    """It may turn once to either side, and the report of the arm says so."""
+    path = tmp_path / "arm.xml"
+    path.write_text(CAPSULES.replace('axis="1 0 0" range="-170 170"', 'axis="1 0 0"'), encoding="utf-8")
+    told, _ = report(path)
+    assert told.limits_deg[3] == (-360.0, 360.0)
+    assert "no range of q4, q6" in " ".join(told.missing)
+    path.write_text(CAPSULES, encoding="utf-8")
+    assert "no range" not in " ".join(report(path)[0].missing)
+
+
+def test_what_stands_beside_the_base_is_a_fixed_shape_of_the_arm(tmp_path: Path) -> None:
+    """A column on the link that carries base_link stands where the file puts it; the floor of an MJCF is left out."""
+    column = """<link name="table"><collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 1"/></geometry>
+        </collision></link><joint name="stands" type="fixed"><parent link="table"/><child link="base_link"/>
+        <origin xyz="0.4 0 0.7" rpy="0 0 1"/></joint>"""
+    model = robot_spec.from_file(written(tmp_path, urdf(column)), base_link="base_link").compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    assert model.body("base").geomnum[0] == 2
+    turn = np.array([[np.cos(1), np.sin(1), 0], [-np.sin(1), np.cos(1), 0], [0, 0, 1]])
+    stands = [data.geom_xpos[geom] for geom in range(model.ngeom) if model.geom_size[geom][2] == 0.5]
+    np.testing.assert_allclose(stands, [turn @ (-0.4, 0, 0.5 - 0.7)], atol=1e-12)
+    path = tmp_path / "arm.xml"
+    path.write_text(CAPSULES.replace("<worldbody>", '<worldbody><geom type="plane" size="1 1 1"/>'), encoding="utf-8")
+    assert robot_spec.from_file(path, velocity_deg_s=(90.0,) * 6).compile().body("base").geomnum[0] == 1
 
 
 def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
