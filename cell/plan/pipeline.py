@@ -125,7 +125,7 @@ def finish(
         told: fields of the report that are known otherwise.
     """
     draw_views(run.drawing, run.folder, job.part, problem, chosen, job.scene.picture)
-    chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
+    clearance, motion = steps.prove_and_time(run, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     further = _further(run, problem, chosen)
     with run.step("report"):
