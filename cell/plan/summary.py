@@ -57,17 +57,7 @@ def plan_report(
     motion: Motion,
     further: Further,
 ) -> Report:
-    """Everything that the report says.
-
-    Args:
-        job: what was planned.
-        planning: the part's decimated copy.
-        problem: candidates, matrix and held-out samples.
-        chosen: views in visiting order.
-        clearance: of the motion.
-        motion: timed.
-        further: what was worked out beyond the plan.
-    """
+    """Everything that the report says."""
     cover, plan = chosen.cover, job.scene.plan
     return Report(
         part=_part(job.part, planning),
