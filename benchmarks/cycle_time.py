@@ -66,7 +66,7 @@ def _row(number: int) -> dict[str, Any]:
     home_pose = kinematics.forward(world.home[None])[0] @ world.T_flange_scanner
 
     def motion(
-        groups: list[Any], views: Any, ordering: str, budget: MotionBudget = DEFAULT_BUDGET
+        groups: list[Any], views: Any, ordering: order.Ordering, budget: MotionBudget = DEFAULT_BUDGET
     ) -> tuple[Tour, float]:
         begin = perf_counter()
         configurations = [np.concatenate([reached.q_of(int(v)) for v in group]) for group in groups]
@@ -76,8 +76,7 @@ def _row(number: int) -> dict[str, Any]:
         return tour, perf_counter() - begin
 
     alone = [chosen.views[k : k + 1] for k in range(len(chosen.views))]
-    order.ORDERINGS |= {"task-space": task_space}
-    robotsp, _ = motion(alone, chosen.views, "task-space", _SIMPLE)
+    robotsp, _ = motion(alone, chosen.views, task_space, _SIMPLE)
     search = order.sequence(
         Moves.straight([reached.q_of(int(view)) for view in chosen.views], world.home, world.limits),
         world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
@@ -90,9 +89,9 @@ def _row(number: int) -> dict[str, Any]:
         matrix, chosen.views, reached.q_of, world.home, world.limits, np.random.default_rng(number)
     )
     exchange_s = perf_counter() - begin
-    now, now_s = motion(list(found.groups), found.views, "joint-space")
+    now, now_s = motion(list(found.groups), found.views, order.sequence)
     if now.duration > found.duration_before:
-        own, own_s = motion(alone, chosen.views, "joint-space")
+        own, own_s = motion(alone, chosen.views, order.sequence)
         now, now_s = min(now, own, key=lambda tour: (len(tour.dropped), tour.duration)), now_s + own_s
     views_before, before = BEFORE_S[number] if number < len(BEFORE_S) else ("", 0.0)
     return {

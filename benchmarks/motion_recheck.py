@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks.seeded_scenes import SeededCell, usable
 from benchmarks.triangle_cell import TriangleCell
+from cell.world.clearance import of_motion
 from planner.order.tour import plan_motion
 from planner.order.visits import Visits
 from planner.timing.motion import Motion, jerk_free_duration, retime
@@ -71,12 +72,13 @@ def judged(number: int) -> dict[str, Any]:
     visits = Visits([cell.reach.q_of(int(view)) for view in views], cell.world.home, poses)
     tour = plan_motion(visits, cell.checker, cell.world.limits, rng)
     motion = retime(tour.via, tour.segment, tour.view, cell.world.limits)
+    said = of_motion(cell.checker, tour.via, tour.segment, len(tour.detour))
     planned = perf_counter()
     return _judge(cell, motion) | {
         "views": len(tour.order),
         "dropped": len(tour.dropped),
         "detours": int(tour.detour.sum()),
-        "said mm": 1000 * float(tour.clearance.min(initial=np.inf)),
+        "said mm": 1000 * float(said.distance.min(initial=np.inf)),
         "plan s": planned - begin,
         "judge s": perf_counter() - planned,
     }

@@ -74,10 +74,10 @@ def searched(number: int, case: str) -> dict[str, Any]:
     cell = usable(number, least=4)
     q_from, q_to = _blocked_pair(cell, case)
     begin = perf_counter()
-    result, found = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number), measure=False), "default"
+    result, found = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number)), "default"
     if result.status is PathStatus.NO_PATH_FOUND:
         found = "long"
-        result = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number), _LONG, measure=False)
+        result = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number), _LONG)
     spent = perf_counter() - begin
     if result.via is None:
         found = "no"
@@ -119,7 +119,7 @@ def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
     while few <= 2 * len(order):  # more of them where all moves between the nearest are free
         for _ in range(_PAIRS):
             i, j = order[rng.integers(0, min(few, len(order)), 2)]
-            if view[i] != view[j] and not certify(q[i], q[j], cell.checker, ends_free=True)[0]:
+            if view[i] != view[j] and not certify(q[i], q[j], cell.checker)[0]:
                 return q[i], q[j]
         few *= 2
     raise RuntimeError(f"scene {cell.number} has no blocked move among {_PAIRS}")

@@ -200,10 +200,7 @@ def path(line: str, beyond_mm: float, seeds: int) -> MapPoint:
     inside, outside = _place(wide, _FLANGE, 0.0), _place(wide, _FLANGE + _ASIDE, np.radians(60))
     if certify(outside, inside, checker)[0]:
         raise ValueError("the straight move into the gap is free; the map needs one that is not")
-    found = [
-        connect(outside, inside, checker, world.limits, np.random.default_rng(seed), measure=False)
-        for seed in range(seeds)
-    ]
+    found = [connect(outside, inside, checker, world.limits, np.random.default_rng(seed)) for seed in range(seeds)]
     failed = [result for result in found if result.via is None]
     times = [result.duration for result in found if result.via is not None]
     right = 1.0 if beyond_mm < 0 and len(failed) == seeds else len(times) / seeds

@@ -164,9 +164,6 @@ class Compiled:
 def compiled(scene: Scene) -> Compiled:
     """Load the part and compile the scene.
 
-    Args:
-        scene: a scene that `load_scene` accepted.
-
     Raises:
         FileError: if the part or a fixture cannot be read.
         SceneError: if there is nothing to compile.

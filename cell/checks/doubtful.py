@@ -26,11 +26,7 @@ _FINE = 512  # ... where a length is told
 
 
 def doubtful(world: World) -> list[str]:
-    """What is hardly meant in a compiled scene, one sentence each.
-
-    Args:
-        world: the compiled scene, at its own placement.
-    """
+    """What is hardly meant in a compiled scene, one sentence each."""
     fixtures = world.scene.fixtures
     if not fixtures and world.scene.post.enabled:
         return []

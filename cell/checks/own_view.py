@@ -16,11 +16,7 @@ _STEPS, _HALVINGS = 24, 12
 
 
 def own_view(world: World) -> list[str]:
-    """What hides a part of the scanner's own field of view, one sentence each.
-
-    Args:
-        world: the compiled scene.
-    """
+    """What hides a part of the scanner's own field of view, one sentence each."""
     problems = []
     if share := hidden_share(world):
         problems.append(

@@ -17,11 +17,7 @@ OWN = ("post", "pedestal", "floor")
 
 
 def standing(world: World) -> dict[str, Solid]:
-    """Part, fixtures, post, pedestal, base, links, bracket and housing by name; the floor, which is endless, is not.
-
-    Args:
-        world: the compiled scene, at its own placement.
-    """
+    """Part, fixtures, post, pedestal, base, links, bracket and housing by name; the floor, which is endless, is not."""
     data, T = world.data(), world.T_base_object
     attached = {fixture.name: fixture.attached_to == "object" for fixture in world.scene.fixtures}
     of_robot = arm(world)

@@ -33,11 +33,7 @@ class Terminal:
     """The narrator of the command line: progress and notes on stderr (a bar only on a terminal), results on stdout."""
 
     def __init__(self, *, quiet_stdout: bool = False) -> None:
-        """Open the consoles.
-
-        Args:
-            quiet_stdout: leave stdout to a JSON object.
-        """
+        """Open the consoles."""
         self._errors = Console(stderr=True, highlight=False)
         self._results = self._errors if quiet_stdout else Console(highlight=False)
         compiling = logging.Handler()

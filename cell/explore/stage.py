@@ -208,7 +208,7 @@ def _explained(
 
 def _finish(run: Run, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:
     """Prove and time the motion, and write what is known of the plan."""
-    chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
+    clearance, motion = steps.prove_and_time(run, problem, chosen)
     with run.step("report"):
         further = Further(steps.what_is_lost(run, problem, chosen))
         report = plan_report(job, surface.planning, problem, chosen, clearance, motion, further)

@@ -30,15 +30,6 @@ def appended(
 ) -> tuple[Viewpoints, Measurability, Scanner]:  # fmt: skip
     """Candidates and their matrix with further ones behind them, so that every candidate keeps its number.
 
-    Args:
-        run: the open run.
-        job: what is planned.
-        surface: the part with the matrix' rows.
-        casters: the part's and the occluders'.
-        known: candidates and matrix.
-        views: the further viewpoints, one pose each.
-        progress: told about the poses.
-
     Returns:
         Both, and the scanner that keeps the limit on sigma.
     """

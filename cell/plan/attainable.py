@@ -19,13 +19,7 @@ TOLD_BELOW = 0.8
 
 
 def of_plan(problem: Problem, visible: Coverage, rng: np.random.Generator) -> Attainable:
-    """What this robot can measure here.
-
-    Args:
-        problem: the held-out samples and what reachable candidates measure of them.
-        visible: what the plan measures of them.
-        rng: draws the samples that are asked about.
-    """
+    """What this robot can measure here."""
     prediction = problem.prediction
     arm = arm_of(problem.world, problem.kinematics, problem.checker, prediction.scanner, prediction.casters)
     samples = prediction.samples
@@ -50,13 +44,7 @@ def of_plan(problem: Problem, visible: Coverage, rng: np.random.Generator) -> At
 
 
 def sentence(visible: float, coverable: float, found: Attainable) -> str:
-    """What is lost, in one line, the largest loss named where little is measured.
-
-    Args:
-        visible: share of the surface that the plan measures.
-        coverable: share that reachable candidates measure.
-        found: what any pose measures that the robot takes up.
-    """
+    """What is lost, in one line, the largest loss named where little is measured."""
     told = (
         f"{100 * visible:.2f} % measured of {100 * found.share:.2f} % that this robot can measure here (standard error "
         f"{100 * found.standard_error:.2f})"

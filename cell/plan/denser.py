@@ -112,13 +112,7 @@ def _adds(problem: Problem) -> bool:
 
 
 def _needed(problem: Problem, selected: Selected, pool: SurfaceSamples) -> Bools:
-    """(S,) fresh samples that become rows; none where they show nothing that a candidate measures and the views leave.
-
-    Args:
-        problem: what was asked.
-        selected: the views that fall short.
-        pool: S fresh samples.
-    """
+    """(S,) which of the pool become rows; none where they show nothing that candidates measure and the views leave."""
     known, T = problem.prediction, problem.candidates.T_object_scanner
     left = pick_samples(pool, ~measured(T[selected.cover.views], pool, known.scanner, known.casters))
     left = pick_samples(left, measured(T[problem.usable(())], left, known.scanner, known.casters))

@@ -27,16 +27,7 @@ def draw_views(
     chosen: ConnectedPlan,
     picture: Picture,
 ) -> None:
-    """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict.
-
-    Args:
-        drawing: where the pictures are drawn.
-        folder: where they go.
-        part: the part.
-        problem: the candidates.
-        chosen: the views.
-        picture: how the cell is shown.
-    """
+    """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict."""
     cover, world = chosen.cover, problem.world
     drawing.send(
         "part_and_views",

@@ -34,7 +34,6 @@ from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.model import World
 from planner.measurability.matrix import Measurability
-from planner.order.tour import Tour
 from planner.reach.reach import Reach
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
@@ -185,7 +184,7 @@ def write_measurability(folder: RunFolder, M: Measurability) -> None:
     )
 
 
-def write_motion(folder: RunFolder, motion: Motion, tour: Tour, measured: MotionClearance) -> None:
+def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -> None:
     """`motion.npz`: via points, samples, the limits used and the clearance of each segment."""
     folder.write_arrays(
         "motion.npz",
@@ -205,9 +204,9 @@ def write_motion(folder: RunFolder, motion: Motion, tour: Tour, measured: Motion
         limit_velocity=motion.limits.velocity,
         limit_acceleration=motion.limits.acceleration,
         limit_jerk=motion.limits.jerk,
-        minimum_clearance=tour.clearance,
+        minimum_clearance=measured.distance,
         clearance_at_least=measured.at_least,
-        between=np.array(tour.between, dtype=np.str_),
+        between=np.array(measured.between, dtype=np.str_),
     )
 
 

@@ -114,18 +114,9 @@ def finish(
     chosen: ConnectedPlan,
     told: Mapping[str, object] = MappingProxyType({}),
 ) -> Report:
-    """Prove and time the motion of a connected plan, draw it, and write what is known of it.
-
-    Args:
-        run: the open run.
-        job: what is planned.
-        planning: the part's decimated copy.
-        problem: candidates and cell.
-        chosen: the plan.
-        told: fields of the report that are known otherwise.
-    """
+    """Prove and time the motion of a connected plan, draw it, and write what is known of it."""
     draw_views(run.drawing, run.folder, job.part, problem, chosen, job.scene.picture)
-    chosen, clearance, motion = steps.prove_and_time(run, job, problem, chosen)
+    clearance, motion = steps.prove_and_time(run, problem, chosen)
     draw_motion(run.drawing, run.folder, motion)
     further = _further(run, problem, chosen)
     with run.step("report"):

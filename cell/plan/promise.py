@@ -48,18 +48,7 @@ def layer(
     rng: np.random.Generator,
     progress: Progress,
 ) -> ProbabilityLayer:
-    """Probabilities of the matrix' entries under the scene's pose error.
-
-    Args:
-        plan: the scene's table.
-        M: the matrix, occluders applied.
-        candidates: its columns.
-        reached: which of them are asked about.
-        scanner: the sensor's law.
-        casters: the part's and the occluders'.
-        rng: draws the ensemble.
-        progress: told about the members.
-    """
+    """Probabilities of the matrix' entries under the scene's pose error."""
     errors = pose_error(plan).draw(plan.ensemble, rng)
     return probability_layer(M, candidates, scanner, casters, errors, columns=reached.reachable, progress=progress)
 

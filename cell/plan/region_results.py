@@ -20,14 +20,7 @@ _ASKED = 300  # samples of a region whose reasons are looked for
 def results_of(
     regions: tuple[RegionWishes, ...], reference: TriangleMesh, problem: Problem, chosen: ConnectedPlan
 ) -> tuple[RegionResult, ...]:
-    """A row for each region that somebody cares for and that is there.
-
-    Args:
-        regions: by their numbers.
-        reference: the part, with the region of each face.
-        problem: held-out samples and candidates.
-        chosen: the plan.
-    """
+    """A row for each region that somebody cares for and that is there."""
     samples, plan = problem.prediction.samples, problem.request.plan
     assert samples.region is not None
     assert reference.region is not None

@@ -5,7 +5,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -275,20 +275,17 @@ def connect(
         return problem, chosen
 
 
-def prove_and_time(
-    run: Run, job: Job, problem: Problem, chosen: ConnectedPlan
-) -> tuple[ConnectedPlan, MotionClearance, Motion]:
-    """Step 9: the motion's clearance along every segment, and its timing; the plan knows its clearance then."""
+def prove_and_time(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:
+    """Step 9: the motion's clearance along every segment, and its timing."""
     with run.step("measure the clearance") as progress:
         tour = chosen.tour
-        measured = clearance.of_motion(problem.checker, tour.via, tour.segment, len(tour.between), progress)
+        measured = clearance.of_motion(problem.checker, tour.via, tour.segment, len(tour.detour), progress)
         require_no_contact(measured)
-        tour = replace(tour, clearance=measured.distance, between=measured.between)
         motion = timing.retime(
             tour.via, tour.segment, chosen.via_candidate, problem.limits, pose=tour.pose, lines=chosen.lines
         )
-        plan_files.write_motion(run.folder, motion, tour, measured)
-        return replace(chosen, tour=tour), measured, motion
+        plan_files.write_motion(run.folder, motion, measured)
+        return measured, motion
 
 
 def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainable:

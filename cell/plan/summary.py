@@ -57,17 +57,7 @@ def plan_report(
     motion: Motion,
     further: Further,
 ) -> Report:
-    """Everything that the report says.
-
-    Args:
-        job: what was planned.
-        planning: the part's decimated copy.
-        problem: candidates, matrix and held-out samples.
-        chosen: views in visiting order.
-        clearance: of the motion.
-        motion: timed.
-        further: what was worked out beyond the plan.
-    """
+    """Everything that the report says."""
     cover, plan = chosen.cover, job.scene.plan
     return Report(
         part=_part(job.part, planning),
@@ -86,8 +76,8 @@ def plan_report(
         verdicts=Verdicts(**{verdict.name.lower(): count for verdict, count in problem.reached.counts().items()}),
         blockers=problem.reached.blockers(),
         dropped=[Dropped(id=lost.candidate, reason=lost.reason) for lost in chosen.dropped],
-        views=_views(problem, chosen),
-        motion=_motion(chosen, motion, job.scene.robot.speed_scaling),
+        views=_views(problem, chosen, clearance),
+        motion=_motion(chosen, clearance, motion, job.scene.robot.speed_scaling),
         most_coverage=answers.most_coverage_of(chosen.selected, cover.total_area),
         overlap=answers.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
         promise=further.promise,
@@ -147,7 +137,7 @@ def _coverage(problem: Problem, chosen: ConnectedPlan) -> Coverage:
     )
 
 
-def _views(problem: Problem, chosen: ConnectedPlan) -> list[ReportView]:
+def _views(problem: Problem, chosen: ConnectedPlan, clearance: MotionClearance) -> list[ReportView]:
     tour, adds = chosen.tour, coverage.added(chosen.seen)
     return [
         ReportView(
@@ -156,15 +146,14 @@ def _views(problem: Problem, chosen: ConnectedPlan) -> list[ReportView]:
             source_in_base_mm=(chosen.T_base_scanner[stop, :3, 3] * 1000).round(3).tolist(),
             q_deg=degrees(tour.q[stop]),
             roll_deg=np.degrees(problem.candidates.roll[candidate]).round(9),
-            clearance_on_the_way_mm=_mm_or_none(tour.clearance[stop]),
+            clearance_on_the_way_mm=_mm(clearance.distance[stop]),
         )
         for stop, candidate in enumerate(chosen.candidate.tolist())
     ]
 
 
-def _motion(chosen: ConnectedPlan, motion: Motion, speed: float) -> ReportMotion:
-    tour = chosen.tour
-    leg = int(np.nanargmin(tour.clearance)) if len(tour.clearance) and np.isfinite(tour.clearance).any() else None
+def _motion(chosen: ConnectedPlan, clearance: MotionClearance, motion: Motion, speed: float) -> ReportMotion:
+    tour, leg = chosen.tour, int(np.argmin(clearance.distance))
     return ReportMotion(
         duration_s=motion.duration,
         jerk_free_bound_s=jerk_free_duration(motion),
@@ -173,8 +162,8 @@ def _motion(chosen: ConnectedPlan, motion: Motion, speed: float) -> ReportMotion
         via_points=len(motion.via_q),
         detours=tour.detour.sum(),
         speed_fraction=speed,
-        minimum_clearance_mm=None if leg is None else _mm_or_none(tour.clearance[leg]),
-        between="" if leg is None else tour.between[leg],
+        minimum_clearance_mm=_mm(clearance.distance[leg]),
+        between=clearance.between[leg],
     )
 
 
@@ -217,5 +206,5 @@ def _at_target(chosen: ConnectedPlan, asked: float) -> str:
     )
 
 
-def _mm_or_none(metres: float) -> float | None:
-    return round(float(metres) * 1000, 6) if np.isfinite(metres) else None
+def _mm(metres: float) -> float:
+    return round(float(metres) * 1000, 6)

@@ -24,11 +24,7 @@ from planner.path.sweeps.timing import DrivenSweep
 
 
 class SweepingViews:
-    """Candidates of several poses, each driven as a line; see `cell.plan.views.Views`.
-
-    Args:
-        problem: the candidates.
-    """
+    """Candidates of several poses, each driven as a line; see `cell.plan.views.Views`."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem

@@ -25,7 +25,7 @@ from planner.measurability.matrix import Measurability
 from planner.order import tour
 from planner.order.given_order import in_order
 from planner.order.order_overlap import overlapping
-from planner.order.orderings import Ordering
+from planner.order.orderings import Ordering, sequence
 from planner.order.seconds_of_views import home_share
 from planner.order.tour import Tour, TourStatus
 from planner.order.visits import Visits
@@ -252,10 +252,7 @@ def _motion(
     if problem.request.known is not None and (known := problem.request.known(groups.views, groups.configurations)):
         return known
     ordering = _ordering(problem.request, selected)
-    # The pipeline proves the clearance of the motion that is kept.
-    return tour.plan_motion(
-        visits, problem.checker, problem.limits, rng, progress=progress, ordering=ordering, measure=False
-    )
+    return tour.plan_motion(visits, problem.checker, problem.limits, rng, progress=progress, ordering=ordering)
 
 
 def _plan(
@@ -326,10 +323,10 @@ def _not_pinned(lost: Mapping[int, str], request: Request) -> Mapping[int, str]:
 _TOLD = 3  # candidates whose reasons are given when none is left
 
 
-def _ordering(request: Request, selected: Selected) -> str | Ordering:
+def _ordering(request: Request, selected: Selected) -> Ordering:
     """How the views are ordered: as they are told, by time alone, or so that each overlaps an earlier one as well."""
     if request.order is not None:
         return in_order([int(np.flatnonzero(selected.cover.views == candidate)[0]) for candidate in request.order])
     if request.plan.overlap_in_order and isinstance(selected.answer, Connection):
         return overlapping(selected.answer.joined)
-    return "joint-space"
+    return sequence

@@ -24,11 +24,7 @@ _AFTER = {Look.CLEAR: Next.DONE, Look.OTHER_SOLUTIONS: Next.CONNECT, Look.LESS_M
 
 
 class ViewsAtRest:
-    """Candidates of one pose, with what their own arm leaves of them; see `cell.plan.views.Views`.
-
-    Args:
-        problem: the candidates.
-    """
+    """Candidates of one pose, with what their own arm leaves of them; see `cell.plan.views.Views`."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem

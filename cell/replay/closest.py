@@ -58,12 +58,7 @@ class Closest:
 
 
 def of_plan(plan: PlanFile, timeline: Timeline) -> Closest | None:
-    """The tightest moment of a plan.
-
-    Args:
-        plan: its views and clearances.
-        timeline: the plan's show, with its rests.
-    """
+    """The tightest moment of a plan."""
     tightest = None if plan.clearance is None else plan.clearance.tightest
     if tightest is None:
         return None

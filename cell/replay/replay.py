@@ -36,13 +36,6 @@ def replay(
 ) -> str:
     """Show a run.
 
-    Args:
-        folder: the run folder.
-        options: what is wanted.
-        narrator: is told what is missing.
-        clock: seconds, rising; drives the viewer.
-        wait: lets seconds pass.
-
     Returns:
         One sentence about what was made; "" after the viewer.
 

@@ -34,9 +34,6 @@ def driving(artefacts: Iterable[str]) -> list[str]:
 def of_plan(artefacts: Mapping[str, str]) -> str:
     """The digest of a plan.
 
-    Args:
-        artefacts: sha256 by name; others than those that drive are passed over.
-
     Raises:
         KeyError: if one that drives is missing.
     """

@@ -70,11 +70,7 @@ class OpenTable(JsonTable):
 
 
 def optional(description: str = "") -> Any:
-    """A field that is left out of the file where it is None.
-
-    Args:
-        description: what it holds, with its unit; a table describes itself.
-    """
+    """A field that is left out of the file where it is None."""
     return Field(default=None, exclude_if=lambda value: value is None, description=description or None)
 
 

@@ -35,47 +35,27 @@ if TYPE_CHECKING:
 
 
 def plan(run: RunRecord) -> PlanFile:
-    """The views of the plan, and what is known about them.
-
-    Raises:
-        FileError: if plan.json is missing, changed or damaged.
-    """
+    """The views of the plan, and what is known about them."""
     return parsed(PlanFile, artefact(run, "plan.json"), run.folder / "plan.json")
 
 
 def report(run: RunRecord) -> Report:
-    """What the plan's page and `cell plan --json` say.
-
-    Raises:
-        FileError: if report.json is missing, changed or damaged.
-    """
+    """What the plan's page and `cell plan --json` say."""
     return parsed(Report, artefact(run, "report.json"), run.folder / "report.json")
 
 
 def scene(run: RunRecord) -> ResolvedScene:
-    """All that the plan used, and all that stood in the cell.
-
-    Raises:
-        FileError: if scene.resolved.json is missing, changed or damaged.
-    """
+    """All that the plan used, and all that stood in the cell."""
     return parsed(ResolvedScene, artefact(run, "scene.resolved.json"), run.folder / "scene.resolved.json")
 
 
 def motion(run: RunRecord) -> Motion:
-    """The timed motion of the plan.
-
-    Raises:
-        FileError: if motion.npz is missing, changed or damaged.
-    """
+    """The timed motion of the plan."""
     return motion_of(arrays(run, "motion.npz"), run.folder / "motion.npz")
 
 
 def nearest(run: RunRecord) -> tuple[float, str]:
-    """Smallest clearance that was measured along the motion [m], and between what; (NaN, "") where none was.
-
-    Raises:
-        FileError: if motion.npz is missing, changed or damaged.
-    """
+    """Smallest clearance that was measured along the motion [m], and between what; (NaN, "") where none was."""
     stored = arrays(run, "motion.npz")
     with understood(run.folder / "motion.npz"):
         clearance = np.asarray(stored["minimum_clearance"], dtype=np.float64)
@@ -105,33 +85,21 @@ def motion_of(stored: Mapping[str, NDArray[Any]], path: Path) -> Motion:
 
 
 def candidates(run: RunRecord) -> Viewpoints:
-    """The candidate viewpoints.
-
-    Raises:
-        FileError: if viewpoints.npz is missing, changed or damaged.
-    """
+    """The candidate viewpoints."""
     stored = arrays(run, "viewpoints.npz")
     with understood(run.folder / "viewpoints.npz"):
         return Viewpoints(*(stored[name] for name in ("T_object_scanner", "face", "standoff", "roll")))
 
 
 def reached(run: RunRecord) -> Reach:
-    """Verdicts and joint solutions of the candidates.
-
-    Raises:
-        FileError: if reach.npz is missing, changed or damaged.
-    """
+    """Verdicts and joint solutions of the candidates."""
     stored = arrays(run, "reach.npz")
     with understood(run.folder / "reach.npz"):
         return Reach(stored["verdict"], stored["q"], stored["offsets"], tuple(stored["blocker"].tolist()))
 
 
 def measurability(run: RunRecord) -> Measurability:
-    """The measurability matrix with occluders applied, and its features.
-
-    Raises:
-        FileError: if measurability.npz is missing, changed or damaged.
-    """
+    """The measurability matrix with occluders applied, and its features."""
     stored = arrays(run, "measurability.npz")
     with understood(run.folder / "measurability.npz"):
         named: tuple[str, ...] = ("points", "normals", "areas", "face", "planning_face")
@@ -144,11 +112,7 @@ def measurability(run: RunRecord) -> Measurability:
 
 
 def cell_spec(run: RunRecord) -> mujoco.MjSpec:
-    """`cell.xml`, the model that was checked, to be changed before it is compiled.
-
-    Raises:
-        FileError: if it is missing, changed or damaged.
-    """
+    """`cell.xml`, the model that was checked, to be changed before it is compiled."""
     import mujoco
 
     text = artefact(run, "cell.xml").decode("utf-8", errors="replace")
@@ -157,11 +121,7 @@ def cell_spec(run: RunRecord) -> mujoco.MjSpec:
 
 
 def cell_model(run: RunRecord) -> mujoco.MjModel:
-    """`cell.xml` compiled.
-
-    Raises:
-        FileError: if it is missing, changed or damaged.
-    """
+    """`cell.xml` compiled."""
     with compiles(run):
         return cell_spec(run).compile()
 
@@ -184,9 +144,6 @@ def mesh(run: RunRecord, name: str) -> TriangleMesh:
 
     Read without any merging: vertices and faces have the numbers that they had in the plan. The file holds
     millimetres, so a coordinate may differ from the one used by the last bit of a double.
-
-    Raises:
-        FileError: if it is missing, changed or damaged.
     """
     with understood(run.folder / name):
         return ply.mesh(artefact(run, name))

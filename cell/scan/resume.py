@@ -16,8 +16,8 @@ from cell.scan.legs import Leg, Legs
 from drivers.contract import RobotState
 from drivers.setpoints import text
 from planner.path import path
-from planner.path.path import PathResult
 from planner.ports import CollisionChecker, JointLimits
+from planner.values import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,12 +26,12 @@ class Rest:
 
     Attributes:
         legs: from where the arm stands, home at the end.
-        way: the newly planned way to the first of them; None where the arm stands where the plan goes on.
+        way: (m, 6) the newly planned way to the first of them [rad]; None where the arm stands where the plan goes on.
         stops: numbers of the views that are still to be scanned.
     """
 
     legs: Legs
-    way: PathResult | None
+    way: Floats | None
     stops: tuple[int, ...]
 
 
@@ -62,20 +62,19 @@ def rest_of(
     if not left:
         return Rest(Legs(state.q, (), 0.0), None, ())
     before = legs.legs[first - 1].via[-1] if first else legs.start
-    way: PathResult | None = None
+    way: Floats | None = None
     if not stands_at(before, state):
         leg = left[0]
         if stands_at(leg.via[-1], state):  # it arrived, and the scan was not kept
             left = (replace(leg, via=leg.via[-1:]), *left[1:])
         else:
             way = _way(leg, state, checker, limits, seed)
-            assert way.via is not None
-            left = (replace(leg, via=way.via[1:]), *left[1:])
+            left = (replace(leg, via=way[1:]), *left[1:])
     return Rest(Legs(state.q, left, legs.planned_seconds), way, stops)
 
 
-def _way(leg: Leg, state: RobotState, checker: CollisionChecker, limits: JointLimits, seed: int) -> PathResult:
-    """A certified way from where the arm stands to the end of a leg."""
+def _way(leg: Leg, state: RobotState, checker: CollisionChecker, limits: JointLimits, seed: int) -> Floats:
+    """A certified way from where the arm stands to the end of a leg, (m, 6) [rad]."""
     here = np.clip(state.q, limits.lower, limits.upper)  # a count beyond a limit is a rounded limit
     if not stands_at(here, state):
         raise DriverFailureError(
@@ -85,9 +84,10 @@ def _way(leg: Leg, state: RobotState, checker: CollisionChecker, limits: JointLi
     goal = f"view {leg.stop}" if leg.stop else "home"
     found = path.connect(here, leg.via[-1], checker, limits, np.random.default_rng([seed, leg.stop]))
     if found.via is None:
-        between = f" ({found.between})" if found.between else ""
+        blocker = next(iter((*checker.contacts(here), *checker.contacts(leg.via[-1]))), "")
+        near = f" ({blocker})" if blocker else ""
         raise DriverFailureError(
-            f"no way from where the arm stands, {text(state.axes)}, to {goal}: {found.status.sentence}{between}; "
+            f"no way from where the arm stands, {text(state.axes)}, to {goal}: {found.status.sentence}{near}; "
             "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
         )
-    return found
+    return found.via

@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from cell import signals
 from cell.acquisition import SIMULATED
 from cell.errors import FileError, UsageError
@@ -31,6 +33,8 @@ from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
 from cell.scan.way import Released, of_legs, of_plan
 from cell.scan.work import ScanOutcome, Work
+from cell.world import clearance
+from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import Driver
 from drivers.setpoints import from_rad, to_deg
 from planner.surface.mesh import TriangleMesh
@@ -195,7 +199,7 @@ def _resumed(
             state = safety.ready(driver, reset=settled.reset, stop_first=True, time_scale=settled.accept_time_scale)
             rest = rest_of(legs, done, state, proven.checker, motion.limits, seed)
             released = planned if rest.way is None else of_legs(proven, rest.legs, _ANEW)
-            for sentence in _told(rest, len(done)):
+            for sentence in _told(rest, len(done), proven.checker):
                 narrator.note(sentence)
             # whoever agrees has read which way the arm goes
             speed = _allowed_speed(driver, settled, cell, released, ask)
@@ -229,19 +233,20 @@ def _kept(rest: Rest, released: Released) -> dict[str, object]:
     """What an execution keeps of a way that was planned to go on."""
     if rest.way is None:
         return {}
-    assert rest.way.via is not None
-    return {"way": released.digest, "way_deg": tuple(tuple(row) for row in to_deg(from_rad(rest.way.via)).tolist())}
+    return {"way": released.digest, "way_deg": tuple(tuple(row) for row in to_deg(from_rad(rest.way)).tolist())}
 
 
-def _told(rest: Rest, done: int) -> Iterator[str]:
+def _told(rest: Rest, done: int, checker: MujocoCollisionChecker) -> Iterator[str]:
     """What a resumed execution is going to do."""
     left = ", ".join(str(stop) for stop in rest.stops[:_NAMED]) + (", ..." if len(rest.stops) > _NAMED else "")
     yield f"{done} views are scanned already; {len(rest.stops)} are left" + (f" ({left})" if left else "")
     if rest.way is not None:
         goal = f"view {rest.stops[0]}" if rest.stops else "home"
+        moves = len(rest.way) - 1
+        found = clearance.of_motion(checker, rest.way, np.zeros(moves + 1, dtype=np.int64), 1)
         yield (
-            f"the arm does not stand where the plan goes on; a new way to {goal} was planned: {len(rest.way.via) - 1} "  # type: ignore[arg-type]
-            f"moves, nearest {1000 * rest.way.clearance:.1f} mm ({rest.way.between})"
+            f"the arm does not stand where the plan goes on; a new way to {goal} was planned: {moves} moves, nearest "
+            f"{1000 * found.distance[0]:.1f} mm ({found.between[0] or 'nothing near'})"
         )
 
 

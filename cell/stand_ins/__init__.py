@@ -68,9 +68,6 @@ NAMES = tuple(STAND_INS)
 def build(name: str) -> TriangleMesh:
     """A built-in part, metres; it stands on z = 0 with x and y about the origin.
 
-    Args:
-        name: one of `NAMES`.
-
     Raises:
         UsageError: if there is no such part.
     """

@@ -9,11 +9,7 @@ from cell.scene.scene import Scene
 
 
 def options(asked: Mapping[str, Mapping[str, object]]) -> str:
-    """Words of `cell plan` for keys of a scene; what only a scene file can say stands behind them as a comment.
-
-    Args:
-        asked: tables of the scene, as `cell.scene.options.tables` gives them.
-    """
+    """Words of `cell plan` for keys of a scene; what only a scene file can say stands behind them as a comment."""
     words: list[str] = []
     only_in_a_file: list[str] = []
     known = {key: offer for offer in offers(Scene).values() for key in offer.fields}

@@ -61,12 +61,7 @@ class Advice:
 
 
 def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
-    """What the plan measures of the surface, and what to try: second set-ups, then the best of other places.
-
-    Args:
-        run: a finished plan.
-        narrator: is told what goes on.
-    """
+    """What the plan measures of the surface, and what to try: second set-ups, then the best of other places."""
     with narrator.stage("read the run"):
         cell, plan = read_cell(run), run_reader.plan(run)
         world = world_of(run, cell.reference)

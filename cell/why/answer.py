@@ -4,31 +4,30 @@ Object frame, metres.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.view.surface import Canvas, Surface
-from cell.why.search import Named
 from planner.surface.sample import SurfaceSamples
-from planner.values import Ints
+from planner.values import Bools, Ints
 from planner.why.reasons import Reason
 from planner.why.what_if import WhatIf
-from planner.why.why import Diagnosis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Named:
+    """A change, and the (S,) samples that it measures of those it was verified on."""
+
+    change: WhatIf
+    gained: Bools
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """Connected samples of one group.
-
-    Attributes:
-        rows: its samples.
-        named: the change for it, or None; only the largest patches are asked.
-    """
+    """Connected samples of one group, and the change for them; None where none helps: only the largest are asked."""
 
     rows: Ints
-    named: Named | None
+    named: Named | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,18 +37,18 @@ class Group:
     Attributes:
         reason: at which the closest candidate fails.
         what: in the way, or in collision with what; "" where the reason has none.
-        detail: what there is to add about the closest candidates ("76 to 84 deg from the normal, limit 75").
         rows: samples.
-        patches: largest first.
+        patches: the same, connected over planning faces, the largest first.
+        detail: what there is to add about the closest candidates ("76 to 84 deg from the normal, limit 75").
         named: changes that would measure it, the one to prefer first; verified on all rows.
     """
 
     reason: Reason
     what: str
-    detail: str
     rows: Ints
     patches: tuple[Patch, ...]
-    named: tuple[Named, ...]
+    detail: str
+    named: tuple[Named, ...] = ()
 
     @property
     def title(self) -> str:
@@ -67,7 +66,6 @@ class Answer:
     Attributes:
         canvas: the reference, ready to be coloured.
         surface: its held-out samples, and what the plan measures of them.
-        diagnosis: of the open samples.
         open_rows: (n,) the open samples.
         groups: largest area first.
         rest: the open samples that no reachable candidate measures.
@@ -78,7 +76,6 @@ class Answer:
 
     canvas: Canvas
     surface: Surface
-    diagnosis: Diagnosis
     open_rows: Ints
     groups: tuple[Group, ...]
     rest: Ints
@@ -92,10 +89,10 @@ class Answer:
         return self.surface.samples
 
     @property
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> Bools:
         """(S,) what the plan measures."""
         return np.asarray(self.surface.seen.any(axis=1))
 
-    def share(self, rows: NDArray[Any]) -> float:
+    def share(self, rows: Ints) -> float:
         """Area of some samples over the area of all."""
         return float(self.samples.areas[rows].sum() / self.samples.areas.sum())

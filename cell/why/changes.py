@@ -24,7 +24,7 @@ from planner.ports import RayCaster
 from planner.reach import reach
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 from planner.why import what_if
 from planner.why.what_if import Kind, WhatIf
 
@@ -90,7 +90,11 @@ class Changes:
         view = self.candidates
         rolls_deg = _distinct(np.degrees(view.roll) % 360)
         few = len(rolls_deg) <= 4
-        base = _pick(view, np.flatnonzero(np.isclose(np.degrees(view.roll) % 360, rolls_deg[0]))) if few else view
+        base = (
+            pick_viewpoints(view, np.flatnonzero(np.isclose(np.degrees(view.roll) % 360, rolls_deg[0])))
+            if few
+            else view
+        )
         apart = {roll: min(abs((roll - have + 180) % 360 - 180) for have in rolls_deg) for roll in _ROLLS_DEG}
         listed = ",".join(f"{roll:g}" for roll in rolls_deg)
         yield [
@@ -104,7 +108,7 @@ class Changes:
         standoffs = _distinct(view.standoff * 1000)
         few = len(standoffs) <= 4
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
-        base = _pick(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
+        base = pick_viewpoints(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
         listed = ",".join(f"{standoff:g}" for standoff in standoffs)
         near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [
@@ -193,10 +197,6 @@ def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None)
     kinematics = kinematics_of(world.model)
     checker = MujocoCollisionChecker(world, T)
     return np.flatnonzero(reach.solve(views, T, world.T_flange_scanner, kinematics, checker).reachable)
-
-
-def _pick(views: Viewpoints, which: Ints) -> Viewpoints:
-    return Viewpoints(views.T_object_scanner[which], views.face[which], views.standoff[which], views.roll[which])
 
 
 def _distinct(values: Floats) -> Floats:

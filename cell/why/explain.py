@@ -25,9 +25,9 @@ from cell.run.why_json import WhyReport
 from cell.view.contents import of_views
 from cell.view.surface import canvas_of
 from cell.why import files as why_files
-from cell.why.answer import Answer, Group, Patch
+from cell.why.answer import Answer
 from cell.why.changes import Changes
-from cell.why.groups import detail, grouped, in_regions
+from cell.why.groups import grouped
 from cell.why.search import search
 from planner.measurability import coverage
 from planner.viewpoints.lines_of_sight import Targets
@@ -101,27 +101,9 @@ def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
             world, lambda name: world_of(run, cell.reference, without=(name,)), cell, candidates,
             np.flatnonzero(fails == Reason.NOT_SELECTED),
         )  # fmt: skip
-        open_groups = grouped(samples, rows, diagnosis, what, cell.planning)
-        found = search(changes, targets, samples, open_groups, progress)
-    groups = tuple(
-        Group(
-            group.reason, group.what,
-            _and(
-                detail(group.reason, diagnosis, np.isin(rows, group.rows), cell.scanner_keys),
-                in_regions(samples, group.rows, cell.scene.regions or ()),
-            ), group.rows,
-            tuple(Patch(piece, named) for piece, named in zip(group.patches, of_patch, strict=True)), of_group,
-        )
-        for group, of_group, of_patch in zip(open_groups, found.of_group, found.of_patch, strict=True)
-    )  # fmt: skip
-    return Answer(
-        canvas_of(cell.reference, samples), surface, diagnosis, rows, groups, found.rest, found.overall, found.tried,
-        cell.scene.part.name,
-    )  # fmt: skip
-
-
-def _and(first: str, second: str) -> str:
-    return "; ".join(text for text in (first, second) if text)
+        groups = grouped(samples, rows, diagnosis, what, cell.planning, cell.scanner_keys, cell.scene.regions or ())
+        found = search(changes, targets, samples, groups, progress)
+    return Answer(canvas_of(cell.reference, samples), surface, rows, *found, cell.scene.part.name)
 
 
 def _as_executed(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoints:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.run.folder import SCHEMA, json_text
@@ -16,8 +15,8 @@ from cell.run.record import RunRecord
 from cell.run.why_json import NamedChange, OpenPatch, OpenSamples, TriedChange, WhyReport
 from cell.view import contents
 from cell.why import picture
-from cell.why.answer import Answer, Group, Patch
-from cell.why.search import Named
+from cell.why.answer import Answer, Group, Named, Patch
+from planner.values import Ints
 
 FOLDER = "why"
 NOTHING = "nothing that was tried helps"
@@ -140,7 +139,7 @@ def _patch(answer: Answer, patch: Patch) -> OpenPatch:
     )
 
 
-def _named(answer: Answer, named: Named, rows: NDArray[np.int64]) -> NamedChange:
+def _named(answer: Answer, named: Named, rows: Ints) -> NamedChange:
     """A change with the share of some rows that it measures, all of them asked."""
     areas = answer.samples.areas[rows]
     return NamedChange(
@@ -152,5 +151,5 @@ def _named(answer: Answer, named: Named, rows: NDArray[np.int64]) -> NamedChange
     )
 
 
-def _area_mm2(answer: Answer, rows: NDArray[np.int64]) -> float:
+def _area_mm2(answer: Answer, rows: Ints) -> float:
     return round(float(answer.samples.areas[rows].sum()) * 1e6, 3)

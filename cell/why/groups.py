@@ -1,50 +1,45 @@
 """Groups and patches of open samples: what stays open for one reason, and the connected pieces of it. Object frame."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.run.scene_json import ScannerKeys
 from cell.scene.regions import RegionWishes
+from cell.why.answer import Group, Patch
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.values import Floats, Ints
+from planner.values import Bools, Floats, Ints
 from planner.why.reasons import Reason
 from planner.why.why import Diagnosis
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OpenGroup:
-    """Samples that stay open for one reason.
-
-    Attributes:
-        reason: at which the closest candidate fails.
-        what: in the way, or in collision with what; "" where the reason has none.
-        rows: samples.
-        patches: the same, connected over planning faces, the largest first.
-    """
-
-    reason: Reason
-    what: str
-    rows: Ints
-    patches: tuple[Ints, ...]
-
-
 def grouped(
-    samples: SurfaceSamples, rows: Ints, diagnosis: Diagnosis, what: Sequence[str], planning: TriangleMesh
-) -> list[OpenGroup]:
-    """The groups, the largest first."""
-    keys: dict[tuple[int, str], list[int]] = {}
+    samples: SurfaceSamples, rows: Ints, diagnosis: Diagnosis, what: Sequence[str], planning: TriangleMesh,
+    keys: ScannerKeys, regions: Sequence[RegionWishes],
+) -> list[Group]:  # fmt: skip
+    """The open samples by what they stay open for, the largest group first.
+
+    Args:
+        samples: held-out samples.
+        rows: (n,) the open ones.
+        diagnosis: of these.
+        what: n things in the way, or "".
+        planning: over its faces patches are connected.
+        keys: the scanner's, for its limits.
+        regions: of the part, by their numbers.
+    """
+    members: dict[tuple[int, str], list[int]] = {}
     for i, key in enumerate(zip(diagnosis.reason.tolist(), what, strict=True)):
-        keys.setdefault(key, []).append(i)
+        members.setdefault(key, []).append(i)
     adjacency = _adjacent_faces(planning)
     found = []
-    for (reason, thing), members in keys.items():
-        inside = rows[np.array(members)]
+    for (reason, thing), own in members.items():
+        inside = rows[np.array(own)]
         pieces = _patches(inside, samples, adjacency, len(planning.faces))
-        found.append(OpenGroup(Reason(reason), thing, inside, tuple(pieces)))
+        told = _detail(Reason(reason), diagnosis, np.isin(rows, inside), keys), _in_regions(samples, inside, regions)
+        detail = "; ".join(text for text in told if text)
+        found.append(Group(Reason(reason), thing, inside, tuple(Patch(piece) for piece in pieces), detail))
     return sorted(found, key=lambda group: (-float(samples.areas[group.rows].sum()), group.reason, group.what))
 
 
@@ -72,14 +67,8 @@ def _patches(rows: Ints, samples: SurfaceSamples, adjacent: Ints, faces: int) ->
     return sorted(pieces, key=lambda piece: (-float(samples.areas[piece].sum()), int(piece[0])))
 
 
-def in_regions(samples: SurfaceSamples, rows: Ints, regions: Sequence[RegionWishes]) -> str:
-    """In which regions open samples lie, the one with the largest share first; "" where the part has none.
-
-    Args:
-        samples: held-out samples.
-        rows: of the open ones.
-        regions: of the part, by their numbers.
-    """
+def _in_regions(samples: SurfaceSamples, rows: Ints, regions: Sequence[RegionWishes]) -> str:
+    """In which regions open samples lie, the one with the largest share first; "" where the part has none."""
     if samples.region is None:
         return ""
     share = np.bincount(samples.region[rows], samples.areas[rows], len(regions)) / samples.areas[rows].sum()
@@ -95,7 +84,7 @@ _OF_ANGLE: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {
 }
 
 
-def detail(reason: Reason, diagnosis: Diagnosis, inside: NDArray[np.bool_], keys: ScannerKeys) -> str:
+def _detail(reason: Reason, diagnosis: Diagnosis, inside: Bools, keys: ScannerKeys) -> str:
     """What there is to add about the closest candidates of some open samples."""
     if reason is Reason.NOT_SELECTED:
         return "the plan's target did not need it"

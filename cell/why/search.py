@@ -5,13 +5,14 @@ asked about every sample that it is named for, so that no printed share is an es
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.why.answer import Group, Named
 from cell.why.changes import Changes, ladder_masks
-from cell.why.groups import OpenGroup
 from planner.ports import Progress
 from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints
@@ -28,33 +29,17 @@ _PATCHES = 24  # patches that get a change of their own
 _NAMED = 3  # changes that are named for a group
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Named:
-    """A change, and what it measures.
-
-    Attributes:
-        change: the change.
-        gained: (S,) bool samples that it measures of those it was verified on.
-    """
-
-    change: WhatIf
-    gained: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Findings:
+class Findings(NamedTuple):
     """What was found.
 
     Attributes:
-        of_group: changes for each group, the one to prefer first.
-        of_patch: for each group the change for each of its patches, None where none helps or none was asked for.
+        groups: the open ones with the changes that are named for them and for their patches.
         rest: samples that no reachable candidate measures.
         overall: changes that gain most of `rest`.
         tried: (change, share of the area of `rest` that it gains, from representatives) of all that was tried.
     """
 
-    of_group: tuple[tuple[Named, ...], ...]
-    of_patch: tuple[tuple[Named | None, ...], ...]
+    groups: tuple[Group, ...]
     rest: Ints
     overall: tuple[Named, ...]
     tried: tuple[tuple[WhatIf, float], ...]
@@ -86,52 +71,45 @@ def search(
     changes: Changes,
     targets: Targets,
     samples: SurfaceSamples,
-    groups: Sequence[OpenGroup],
+    groups: Sequence[Group],
     progress: Progress,
 ) -> Findings:
-    """Try every change and name the best.
-
-    Args:
-        changes: what to try.
-        targets: the samples as targets.
-        samples: held-out samples.
-        groups: of the open ones.
-        progress: called with (steps done, steps in all).
-    """
+    """Try every change and name the best."""
     if not groups:
-        return Findings((), (), np.empty(0, dtype=np.int64), (), ())
+        return Findings((), np.empty(0, dtype=np.int64), (), ())
     trial = _try(changes, targets, samples, groups, progress)
     # What a reachable candidate measures already is no gain of another change.
     closed = [group for group in groups if group.reason is not Reason.NOT_SELECTED]
     rest = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *(group.rows for group in closed)]))
     in_rest = trial.gains.astype(np.float64) @ _weights(trial.place, closed, samples)
     overall = trial.choose(in_rest, _NAMED)
-    pieces = sorted((piece for group in groups for piece in group.patches), key=lambda piece: -len(piece))
-    asked = {int(piece[0]) for piece in pieces[:_PATCHES]}
+    largest = sorted((patch.rows for group in groups for patch in group.patches), key=lambda rows: -len(rows))
+    asked = {int(rows[0]) for rows in largest[:_PATCHES]}
     of_group = [trial.best(group.rows, group.reason, _NAMED) for group in groups]
     of_patch = [
-        [
-            next(iter(trial.best(piece, group.reason, 1)), -1) if int(piece[0]) in asked else -1
-            for piece in group.patches
-        ]
+        [trial.best(patch.rows, group.reason, 1) if int(patch.rows[0]) in asked else [] for patch in group.patches]
         for group in groups
     ]
     verify = [(index, rest) for index in overall]
     for group, named, patches in zip(groups, of_group, of_patch, strict=True):
         verify += [(index, group.rows) for index in named]
-        verify += [(index, piece) for index, piece in zip(patches, group.patches, strict=True) if index >= 0]
+        verify += [(index, patch.rows) for own, patch in zip(patches, group.patches, strict=True) for index in own]
     verified = _verify(trial, verify, targets, progress)
+
+    def helping(chosen: Sequence[int], rows: Ints) -> tuple[Named, ...]:
+        return tuple(verified[index] for index in chosen if verified[index].gained[rows].any())
+
     return Findings(
         tuple(
-            tuple(verified[index] for index in named if verified[index].gained[group.rows].any())
-            for group, named in zip(groups, of_group, strict=True)
-        ),
-        tuple(
-            tuple(
-                verified[index] if index >= 0 and verified[index].gained[piece].any() else None
-                for index, piece in zip(patches, group.patches, strict=True)
+            replace(
+                group,
+                named=helping(named, group.rows),
+                patches=tuple(
+                    replace(patch, named=next(iter(helping(own, patch.rows)), None))
+                    for patch, own in zip(group.patches, patches, strict=True)
+                ),
             )
-            for group, patches in zip(groups, of_patch, strict=True)
+            for group, named, patches in zip(groups, of_group, of_patch, strict=True)
         ),
         rest,
         tuple(verified[index] for index in overall),
@@ -143,7 +121,7 @@ def _try(
     changes: Changes,
     targets: Targets,
     samples: SurfaceSamples,
-    groups: Sequence[OpenGroup],
+    groups: Sequence[Group],
     progress: Progress,
 ) -> _Trial:
     rows = np.sort(np.concatenate([group.rows for group in groups]))
@@ -187,7 +165,7 @@ def _spread(rows: Ints, count: int) -> Ints:
     return rows[np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)]
 
 
-def _weights(place: Ints, groups: Sequence[OpenGroup], samples: SurfaceSamples) -> Floats:
+def _weights(place: Ints, groups: Sequence[Group], samples: SurfaceSamples) -> Floats:
     """(r,) share of the groups' area that each representative stands for; 0 for those of other groups."""
     weight = np.zeros(int(place.max()) + 1)
     total = sum(float(samples.areas[group.rows].sum()) for group in groups)

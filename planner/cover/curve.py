@@ -67,9 +67,6 @@ class CoverageCurve(Value):
     def fewest(self, coverage: float) -> tuple[int | None, int | None]:
         """The fewest views for a share of the coverable area: a number that certainly suffices, and one that may.
 
-        Args:
-            coverage: 0 to 1.
-
         Returns:
             The number of views found, None where the curve ends below; and the smallest number that the bound does not
             exclude, None where it excludes all on the curve.

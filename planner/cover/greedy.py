@@ -64,12 +64,7 @@ class Open:
 
 
 def complete(sets: Sets, columns: Ints) -> Ints:
-    """Add columns greedily until the target is met, or as many are chosen as are allowed; in a graph, join them.
-
-    Args:
-        sets: the problem.
-        columns: a partial cover; kept, in front.
-    """
+    """Add columns greedily until the target is met, or as many are chosen as are allowed; in a graph, join them."""
     return _completed(sets, columns)[0]
 
 

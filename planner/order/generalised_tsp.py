@@ -169,10 +169,6 @@ def solve(
 def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
     """The exact best node of each cluster for one order.
 
-    Args:
-        problem: the instance.
-        order: (m - 1,) clusters 1.. in visiting order.
-
     Returns:
         The cost, and the closed tour (m,) of nodes that begins in cluster 0.
     """

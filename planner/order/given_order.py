@@ -15,7 +15,7 @@ from planner.order.orderings import Ordering, OrderStatus, Sequence
 
 
 def in_order(given: Numbers[int]) -> Ordering:
-    """An ordering (one of `ORDERINGS`) that keeps a given order; without effect where views of it are missing.
+    """An ordering that keeps a given order; without effect where views of it are missing.
 
     Where a bound is asked for, baseline and bound are those of the free order.
 

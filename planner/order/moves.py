@@ -74,9 +74,6 @@ class Moves(Value):
 def node_offsets(configurations: Sequence[Sized]) -> Ints:
     """Node numbers: solution i of view k is node `offsets[k] + i`, home is node 0.
 
-    Args:
-        configurations: per view, its joint solutions.
-
     Returns:
         (n + 1,) first node of each view, and the number of nodes.
     """

@@ -49,7 +49,7 @@ def grown(joined: Joined, wanted: Ints, first: int) -> Ints | None:
 
 
 def overlapping(joined: Joined) -> Ordering:
-    """An ordering (one of `ORDERINGS`) of views that overlap; without effect where some of them are missing.
+    """An ordering of views that overlap; without effect where some of them are missing.
 
     Args:
         joined: (n, n) which views overlap, in the order in which they are numbered.

@@ -16,7 +16,6 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.order import generalised_tsp as gtsp
 from planner.order.moves import Moves
-from planner.order.tour_bound import one_tree
 from planner.values import Floats, Ints, Value, readonly
 from planner.worded import Worded
 
@@ -107,30 +106,6 @@ def sequence(
     costs = [gtsp.best_nodes(problem, order)[0] for order in starts]
     found = gtsp.solve(problem, starts[int(np.argmin(costs))], rng, budget, bound_work)
     return _result(problem, moves, found, baseline)
-
-
-def christofides(
-    moves: Moves,
-    T_base_scanner: Floats,
-    rng: np.random.Generator,
-    *,
-    budget: int = gtsp.STEPS,
-    bound_work: int | None = gtsp.BOUND_WORK,
-    T_base_home: Floats | None = None,
-    start: Ints | None = None,
-) -> Sequence:
-    """The baseline: a Christofides tour in task space, then its best joint solutions; arguments as in `sequence`.
-
-    The tour's length is at most 1.5 times the shortest in task space (Christofides 1976); its time has no such bound.
-    """
-    problem = moves.instance()
-    baseline = _christofides(problem, T_base_scanner, T_base_home)
-    cost, tour = gtsp.best_nodes(problem, baseline)
-    quick = one_tree(problem.either, problem.first)
-    return _result(problem, moves, gtsp.Found(tour, cost, min(quick, cost), 1), baseline)
-
-
-ORDERINGS: dict[str, Ordering] = {"joint-space": sequence, "christofides": christofides}
 
 
 def _permutation(order: Ints, n: int) -> Ints:

@@ -147,7 +147,7 @@ class Roadmap:
         for attempt in range(tries):
             rng = np.random.default_rng([self._seed, a, b, 1 + attempt])
             if attempt % 2:
-                found = connect(self.q[a], self.q[b], self.checker, self.limits, rng, self._path_checks, measure=False)
+                found = connect(self.q[a], self.q[b], self.checker, self.limits, rng, self._path_checks)
                 via, used = found.via, found.checks
             else:
                 via, used = shorten(best, self.checker, self.limits, rng, self._path_checks // 2)
@@ -168,7 +168,7 @@ class Roadmap:
         if any(self._pose[node] == self._pose[other] for node in (a, b) if node for other in self.isolated):
             budget //= 4  # the same place, some turns apart, could not be reached
         budget = max(min(budget, self._total_checks - self.checks), _LEAST_SEARCH)
-        found = connect(self.q[a], self.q[b], self.checker, self.limits, self._rng(a, b), budget, measure=False)
+        found = connect(self.q[a], self.q[b], self.checker, self.limits, self._rng(a, b), budget)
         self.checks += found.checks
         if found.via is None:
             self._failed.add((a, b))

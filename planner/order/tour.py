@@ -1,7 +1,6 @@
 """The whole motion over a set of views: order, joint solutions and certified paths, from home and back.
 
-The search itself is `planner.order.tour_search`; this file checks its input, puts the legs together and measures their
-clearance.
+The search itself is `planner.order.tour_search`; this file checks its input and puts the legs together.
 
 A view to which no path is found from any of its joint solutions is dropped and said; the caller may then cover the part
 anew without it.
@@ -13,11 +12,10 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.order import orderings as ordering_of_views
+from planner.order.orderings import Ordering, sequence
 from planner.order.roadmap import Roadmap
 from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
 from planner.order.visits import Visits
-from planner.path.certified_edge import clearance_along
 from planner.path.path import path_time
 from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, JointLimits, Progress
@@ -72,9 +70,6 @@ class Tour(Value):
         view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
         pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
         entered: (n,) via point at which each visited view is entered: where its passage begins.
-        clearance: (n + 1,) smallest distance found along each leg [m] (`planner.path.certified_edge.clearance_along`);
-            inf where it was not measured.
-        between: n + 1 names of the pair that is nearest on each leg, "" where it was not measured.
         detour: (n + 1,) True where the leg is no straight move.
         duration: time of all moves, stopping at each via point, and of the passages [s].
         baseline_duration: time of the Christofides tour with straight moves [s], collisions not looked at.
@@ -94,8 +89,6 @@ class Tour(Value):
     view: Annotated[Ints, "N"]
     pose: Annotated[Ints, "N"]
     entered: Annotated[Ints, "n"]
-    clearance: Annotated[Floats, "legs"]
-    between: Annotated[tuple[str, ...], "legs"]
     detour: Annotated[Bools, "legs"]
     duration: float
     baseline_duration: float
@@ -115,8 +108,7 @@ def plan_motion(
     budget: MotionBudget = DEFAULT_BUDGET,
     progress: Progress | None = None,
     *,
-    ordering: str | ordering_of_views.Ordering = "joint-space",
-    measure: bool = True,
+    ordering: Ordering = sequence,
 ) -> Tour:
     """Plan the motion that visits every view once, from home and back.
 
@@ -127,20 +119,15 @@ def plan_motion(
         rng: source of all randomness.
         budget: work that may be used.
         progress: told about real edges as they become known.
-        ordering: a name of `planner.order.orderings.ORDERINGS`, or a function like them.
-        measure: whether to measure the clearance along the legs.
+        ordering: how the views are ordered.
 
     Returns:
         The motion with the views that it cannot visit. It is certified: see `planner.path.certified_edge`.
 
     Raises:
-        PlannerError: if the ordering is unknown, home or a joint solution outside the joint range, a limit unusable,
-            or the checker keeps no clearance.
+        PlannerError: if home or a joint solution is outside the joint range, a limit unusable, or the checker keeps no
+            clearance.
     """
-    if isinstance(ordering, str) and ordering not in ordering_of_views.ORDERINGS:
-        raise PlannerError(
-            f"there is no ordering {ordering!r}; it must be one of {', '.join(ordering_of_views.ORDERINGS)}"
-        )
     check_limits(limits)
     check_inside("home: number", visits.home[None], limits)
     for k, q in enumerate(visits.configurations):
@@ -154,7 +141,7 @@ def plan_motion(
         everything = tuple(Dropped(k, DropReason.NO_HOME, "") for k in range(len(visits.configurations)))
         none = np.zeros(0, dtype=np.int64)
         return replace(
-            _tour(roadmap, [], search, everything, measure),
+            _tour(roadmap, [], search, everything),
             via=np.zeros((0, 6)),
             segment=none,
             view=none,
@@ -173,11 +160,11 @@ def plan_motion(
 
     nodes = search.run()
     dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
-    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)), measure)
+    return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)))
 
 
-def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[Dropped, ...], measure: bool) -> Tour:
-    """Put the legs together and measure their clearance."""
+def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[Dropped, ...]) -> Tour:
+    """Put the legs together."""
     passages = search.visits.passages
     views = [search.view_of(node) for node in nodes[1:-1]]
     stands = [
@@ -187,10 +174,9 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
         for view, node in zip(views, nodes[1:-1], strict=True)
     ]
     via, segment, view, pose, entered = [roadmap.q[:1]], [0], [-1], [-1], []
-    clearance, between, detour, duration = [], [], [], 0.0
+    detour, duration = [], 0.0
     for leg, (a, b) in enumerate(search.edges(nodes)):
         path = search.path(a, b)
-        nearest, pair = clearance_along(path, roadmap.checker) if measure else (float("inf"), "")
         duration += path_time(path, search.limits)
         via.append(path[1:])
         view += [-1] * (len(path) - 1)
@@ -202,11 +188,7 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
             view[-1:] = np.where(here.pose >= 0, views[leg], -1).tolist()
             pose[-1:] = here.pose.tolist()
             duration += here.duration
-            if measure and len(here.via) > 1:
-                nearest, pair = min((nearest, pair), clearance_along(here.via, roadmap.checker))
         segment += [leg] * (len(view) - len(segment))
-        clearance.append(nearest)
-        between.append(pair)
         detour.append(len(path) > 2)
     visited = np.array(nodes[1:-1], dtype=np.int64)
     return Tour(
@@ -218,8 +200,6 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
         view=np.array(view),
         pose=np.array(pose),
         entered=np.array(entered, dtype=np.int64),
-        clearance=np.array(clearance),
-        between=tuple(between),
         detour=np.array(detour, dtype=bool),
         duration=duration,
         baseline_duration=search.baseline,

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from planner.order import generalised_tsp as gtsp
-from planner.order import orderings as ordering_of_views
 from planner.order.moves import Moves, node_offsets
+from planner.order.orderings import Ordering
 from planner.order.roadmap import Edge, Roadmap
 from planner.order.visits import Visits
 from planner.path.path import CHECKS, path_time
@@ -78,12 +78,11 @@ class TourSearch:
         limits: JointLimits,
         seed: int,
         budget: MotionBudget,
-        ordering: str | ordering_of_views.Ordering,
+        ordering: Ordering,
         progress: Progress | None,
     ) -> None:
         self.roadmap, self.visits, self.limits = roadmap, visits, limits
-        self.seed, self.budget, self.progress = seed, budget, progress
-        self.ordering = ordering_of_views.ORDERINGS[ordering] if isinstance(ordering, str) else ordering
+        self.seed, self.budget, self.ordering, self.progress = seed, budget, ordering, progress
         self.views = [k for k in range(len(visits.configurations)) if len(roadmap.nodes_of(k))]
         self.unconnected: list[int] = []
         self.baseline, self.lower_bound = 0.0, 0.0

@@ -76,30 +76,16 @@ def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats
     return _subdivide_many(q_from[None], q_to[None], checker)[0]
 
 
-def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker, *, ends_free: bool = False) -> tuple[bool, int]:
-    """Whether a straight segment is free everywhere.
-
-    Args:
-        q_from: (6,) [rad].
-        q_to: (6,) [rad].
-        checker: the collision checker.
-        ends_free: True where both ends are known to be free.
-
-    Returns:
-        True where the segment is certified, and how many configurations were checked. The checks run in bisection order
-        in growing batches and stop at the first batch that holds a collision.
-    """
-    configurations = subdivide(q_from, q_to, checker)
-    checks = 0
-    for batch in _bisection_batches(len(configurations), ends_free):
-        checks += len(batch)
-        if not checker.free(configurations[batch]).all():
-            return False, checks
-    return True, checks
+def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[bool, int]:
+    """`certify_many` for one segment (6,) [rad]."""
+    certified, checks = certify_many(q_from[None], q_to[None], checker)
+    return bool(certified[0]), checks
 
 
 def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[Bools, int]:
-    """Certify several segments with free ends; the same verdicts as `certify`, in fewer and larger calls.
+    """Which straight segments with free ends are free everywhere.
+
+    The checks run in bisection order in growing batches; of a segment they stop at the first batch with a collision.
 
     Args:
         q_from: (N, 6) [rad], free configurations.
@@ -110,7 +96,7 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
         (N,) True where the segment is certified, and how many configurations were checked.
     """
     segments = _subdivide_many(q_from, q_to, checker)
-    waiting = [_bisection_batches(len(s), True) for s in segments]
+    waiting = [_bisection_batches(len(s)) for s in segments]
     certified, checks, active = np.ones(len(segments), dtype=bool), 0, list(range(len(segments)))
     while active:
         batches = [(k, batch) for k in active if (batch := next(waiting[k], None)) is not None]
@@ -124,47 +110,6 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
                 if certified[k]:
                     active.append(k)
     return certified, checks
-
-
-def clearance_along(via: Floats, checker: CollisionChecker, samples: int = 64) -> tuple[float, str]:
-    """Smallest distance found along a path of certified segments, and between what.
-
-    Distances cost far more than yes-or-no checks, so they are taken at about `samples` configurations, shared among the
-    segments by their travel, ends included; then once more around the smallest. The true minimum can be smaller by no
-    more than half the travel between two samples, and is above (1 - 2 STEP) of the clearance by certification.
-
-    Args:
-        via: (m, 6) via points [rad].
-        checker: the collision checker.
-        samples: configurations in the first pass.
-
-    Returns:
-        The distance [m] and the pair's name, such as "housing with part".
-    """
-    path = along(via, checker, samples)
-    distance, pairs = checker.distance(path)
-    k = int(np.argmin(distance))
-    best, pair = float(distance[k]), pairs[k]
-    around = path[max(k - 1, 0) : k + 2]
-    if len(around) > 1:
-        distance, pairs = checker.distance(along(around, checker, 12))
-        k = int(np.argmin(distance))
-        if distance[k] < best:
-            best, pair = float(distance[k]), pairs[k]
-    return best, pair
-
-
-def along(via: Floats, checker: CollisionChecker, samples: int) -> Floats:
-    """(K, 6) configurations on the path through `via` (m, 6), about `samples`, shared by travel, all via points in."""
-    if len(via) < 2:
-        return via
-    lengths = checker.travel(via[:-1], via[1:])
-    total = float(lengths.sum())
-    parts = (
-        np.maximum(1, np.ceil(samples * lengths / total).astype(int)) if total > 0 else np.ones(len(lengths), dtype=int)
-    )
-    pieces = [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(via[:-1], via[1:], parts, strict=True)]
-    return np.concatenate([*pieces, via[-1:]])
 
 
 def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> list[Floats]:
@@ -181,11 +126,9 @@ def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> 
     return found
 
 
-def _bisection_batches(count: int, ends_free: bool) -> Iterator[Ints]:
-    """Indices 0..count-1 in bisection order, in batches that grow; the ends come first, or not at all."""
-    order = _bisection_order(count)
-    if ends_free:
-        order = order[min(2, count) :]
+def _bisection_batches(count: int) -> Iterator[Ints]:
+    """Indices between the ends, 1..count-2, in bisection order, in batches that grow."""
+    order = _bisection_order(count)[2:]
     start, size = 0, _FIRST_BATCH
     while start < len(order):
         yield order[start : start + size]

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from planner.path.certified_edge import certify, clearance_along, quantise_inside
+from planner.path.certified_edge import certify, quantise_inside
 from planner.path.rrt_connect import rrt_connect
 from planner.ports import CollisionChecker, JointLimits
 from planner.timing.motion import check_inside, check_limits, move_time
@@ -40,17 +40,12 @@ class PathResult(Value):
             segments; None where no path was found.
         status: how the connection ended.
         checks: configurations checked.
-        clearance: smallest distance [m] found along the path by `planner.path.certified_edge.clearance_along`; of a
-            colliding end, at that end; NaN where it was not measured.
-        between: the pair that is nearest there, "" where it was not measured.
         duration: time of the moves [s]; inf without a path.
     """
 
     via: Annotated[Floats, "m 6"] | None
     status: PathStatus
     checks: int
-    clearance: float
-    between: str
     duration: float
 
 
@@ -61,8 +56,6 @@ def connect(
     limits: JointLimits,
     rng: np.random.Generator,
     budget: int = CHECKS,
-    *,
-    measure: bool = True,
 ) -> PathResult:
     """Connect two configurations by a path that is certified free.
 
@@ -73,10 +66,6 @@ def connect(
         limits: the joint range that is searched, and the speeds that rate a detour.
         rng: source of the search's randomness; not used where the straight segment is free.
         budget: configurations that the search may check; shortening may check half as many again.
-        measure: whether to measure the clearance along the path.
-
-    Returns:
-        The path and its status.
 
     Raises:
         PlannerError: if an end lies outside the joint range, a limit cannot be used, or the checker keeps no clearance.
@@ -87,23 +76,20 @@ def connect(
     ends = quantise_inside(ends, limits)
     free = checker.free(ends)
     if not free.all():
-        end = int(free[0])
-        status = PathStatus.START_IN_COLLISION if end == 0 else PathStatus.GOAL_IN_COLLISION
-        distance, pairs = checker.distance(ends[end : end + 1])
-        return PathResult(None, status, 2, float(distance[0]), pairs[0], float("inf"))
-    straight, checks = certify(ends[0], ends[1], checker, ends_free=True)
+        status = PathStatus.GOAL_IN_COLLISION if free[0] else PathStatus.START_IN_COLLISION
+        return PathResult(None, status, 2, float("inf"))
+    straight, checks = certify(ends[0], ends[1], checker)
     checks += 2
     via, status = ends, PathStatus.STRAIGHT
     if not straight:
         found, used = rrt_connect(ends[0], ends[1], checker, limits, rng, budget - checks)
         checks += used
         if found is None:
-            return PathResult(None, PathStatus.NO_PATH_FOUND, checks, float("nan"), "", float("inf"))
+            return PathResult(None, PathStatus.NO_PATH_FOUND, checks, float("inf"))
         via, used = shorten(found, checker, limits, rng, budget // 2)
         checks += used
         status = PathStatus.DETOUR
-    clearance, between = clearance_along(via, checker) if measure else (float("nan"), "")
-    return PathResult(via, status, checks, clearance, between, path_time(via, limits))
+    return PathResult(via, status, checks, path_time(via, limits))
 
 
 def path_time(via: Floats, limits: JointLimits) -> float:
@@ -151,10 +137,10 @@ def shorten(
         checks += len(fastest)
         failures += 1
         for k in fastest[free][:_TRIED]:
-            certified, used = certify(via[i], candidates[k], checker, ends_free=True)
+            certified, used = certify(via[i], candidates[k], checker)
             checks += used
             if certified:
-                certified, used = certify(candidates[k], via[j], checker, ends_free=True)
+                certified, used = certify(candidates[k], via[j], checker)
                 checks += used
             if certified:
                 via = np.concatenate((via[: i + 1], candidates[k : k + 1], via[j:]))
@@ -173,7 +159,7 @@ def _skip(via: Floats, checker: CollisionChecker, budget: int) -> tuple[Floats, 
         j = len(via) - 1
         while j > i + 1:
             if checks < budget:
-                certified, used = certify(via[i], via[j], checker, ends_free=True)
+                certified, used = certify(via[i], via[j], checker)
                 checks += used
                 if certified:
                     break

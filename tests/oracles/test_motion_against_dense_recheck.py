@@ -1,7 +1,6 @@
 """Whole motions of a toy arm among spheres, re-checked ten times finer on the sampled motion by plain distances."""
 
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -158,8 +157,8 @@ def test_no_limit_is_exceeded_by_samples_or_their_differences(seed: int) -> None
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_tour_is_what_its_fields_say(seed: int) -> None:
-    """Home at both ends, each view at its solution exactly once, legs numbered, clearance what the path shows."""
-    arm, tour, _ = planned(seed)
+    """Home at both ends, each view at its solution exactly once, legs numbered, detours tagged."""
+    _, tour, _ = planned(seed)
     _, configurations, _ = cell_with_part(seed, 8)
     np.testing.assert_allclose(tour.via[[0, -1]], [HOME, HOME], atol=1e-15)
     np.testing.assert_array_equal(tour.view[tour.view >= 0], tour.order)
@@ -174,10 +173,6 @@ def test_the_tour_is_what_its_fields_say(seed: int) -> None:
     for leg in range(9):
         rows = np.flatnonzero(tour.segment == leg)
         path = tour.via[max(rows[0] - 1, 0) : rows[-1] + 1]
-        moves = pairwise(path)
-        dense = np.concatenate([a + np.linspace(0, 1, 400)[:, None] * (b - a) for a, b in moves])
-        truth = arm.distances(dense).min()
-        assert truth - 1e-3 <= tour.clearance[leg] <= truth + 0.02  # the truth is sampled too
         assert tour.detour[leg] == (len(path) > 2)
 
 
@@ -190,7 +185,6 @@ def test_equal_seeds_give_equal_motions() -> None:
         plan_motion(visits, arm, LIMITS, np.random.default_rng(5), progress=lambda *p: told.append(p)) for _ in range(2)
     ]
     assert tours[0].via.tobytes() == tours[1].via.tobytes()
-    assert tours[0].clearance.tobytes() == tours[1].clearance.tobytes()
     assert told[-1] == (7, 7)
 
 

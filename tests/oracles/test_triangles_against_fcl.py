@@ -200,7 +200,7 @@ def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
     q = Kr16Kinematics.from_model(world.model).inverse((T @ np.linalg.inv(world.T_flange_scanner))[None])[0]
     q = q[np.isfinite(q).all(axis=1) & (q >= world.limits.lower).all(axis=1) & (q <= world.limits.upper).all(axis=1)]
     goal = q[checker.free(q)][0]
-    found = connect(world.home, goal, checker, world.limits, np.random.default_rng(0), measure=False)
+    found = connect(world.home, goal, checker, world.limits, np.random.default_rng(0))
     assert found.via is not None
     placed = _model(bucket)
     placed.setTransform(fcl.Transform(world.T_base_object[:3, :3], world.T_base_object[:3, 3]))

@@ -11,7 +11,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.order.tour import DropReason, plan_motion
 from planner.order.visits import Visits
-from planner.path.certified_edge import STEP, along, certify, quantise
+from planner.path.certified_edge import STEP, certify, quantise
 from planner.path.path import PathStatus, connect
 
 BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part that is out of the way
@@ -57,21 +57,21 @@ def test_the_housing_enters_a_gap_5_mm_beyond_the_clearance(seed: int) -> None:
     found = connect(outside, inside, checker, world.limits, np.random.default_rng(seed))
     assert found.status is PathStatus.DETOUR
     assert found.via is not None
-    distance, _ = checker.distance(along(found.via, checker, 600))
+    shares = np.linspace(0, 1, 300)[:, None]
+    moves = zip(found.via[:-1], found.via[1:], strict=True)
+    distance, _ = checker.distance(np.concatenate([a + shares * (b - a) for a, b in moves]))
     assert distance.min() >= (1 - STEP) * checker.clearance
     assert distance.min() < 0.016  # inside the gap
 
 
 def test_a_gap_narrower_than_the_clearance_has_no_place_inside() -> None:
-    """The goal is refused with what is too near, and nothing is searched."""
+    """The goal is refused, and nothing is searched."""
     _, wide, kinematics = cell(5.0)
     world, narrow, _ = cell(-1.0)
     inside = at(kinematics, wide, FLANGE, 0.0)
     outside = at(kinematics, wide, FLANGE + ASIDE, np.radians(60))
     found = connect(outside, inside, narrow, world.limits, np.random.default_rng(0))
     assert (found.status, found.via, found.checks) == (PathStatus.GOAL_IN_COLLISION, None, 2)
-    assert "plate" in found.between
-    assert found.clearance == pytest.approx(0.009, abs=1e-6)
     back = connect(inside, outside, narrow, world.limits, np.random.default_rng(0))
     assert back.status is PathStatus.START_IN_COLLISION
 
