@@ -6,6 +6,7 @@ kills, libraries that a fresh process loads (`start_cell`).
 """
 
 import contextlib
+import gc
 import hashlib
 import io
 import json
@@ -23,6 +24,8 @@ from functools import cached_property
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by NumPy as it is imported: workers fill the cores already
 
 import numpy as np
 import pytest
@@ -42,8 +45,22 @@ for _name, _examples in (("full", 100), ("own", 25)):
     settings.register_profile(_name, deadline=None, derandomize="CI" in os.environ, max_examples=_examples)
 settings.load_profile("own")
 
+# What one process compiled the others load, those of `start_cell` too.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+# Collecting makes a million objects that stay to the end: not looked through now, nor ever again.
+gc.disable()
+
 # MuJoCo reads it once, when it is imported: what draws without a display.
 os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def pytest_collection_finish() -> None:
+    """From here on what is made may be garbage."""
+    gc.freeze()
+    gc.enable()
+
 
 _SMALL_PLAN = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",

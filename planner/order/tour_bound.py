@@ -197,6 +197,9 @@ class _Ascent:
         states = sizes << self.count
         self.table, self.rows = walks.memory_table(self.neighbours, self.count)
         self.base = np.concatenate(([0], np.cumsum(states)))
+        within = np.arange(self.base[-1]) - np.repeat(self.base[:-1], states)
+        self.node_of = np.repeat(self.first[:-1], states) + within % np.repeat(sizes, states)
+        self.row_of = np.repeat(self.rows, states) + within // np.repeat(sizes, states)
         steps = int(states[1:].sum()) * int(sizes[1:].sum()) + _PER_CLUSTER * int((1 << self.count[1:]).sum()) * len(
             sizes
         )
@@ -211,18 +214,30 @@ class _Ascent:
 
         best, walk = np.inf, self.walk
         for start in range(self.first[1]):
-            arguments = self._arguments(prize, start)
-            value = walks.layers(*arguments, self.far)
+            value = walks.layers(*self._arguments(prize, start), self.far)
             self.work += self.price
             length, cluster, node, memory, other, _ = walks.join(
                 value, self.first, prize, self.count, self.base, self.near, self.far
             )
             if length < best:
                 best = length
-                there = walks.walk_back(value, *arguments[:3], *arguments[4:], self.near, cluster, node, memory)
-                back = walks.walk_back(value, *arguments[:3], *arguments[4:], self.far, cluster, node, other)
+                size = self.first[cluster + 1] - self.first[cluster]
+                there = self._walked(value, prize, self.near, self.base[cluster] + memory * size + node)
+                back = self._walked(value, prize, self.far, self.base[cluster] + other * size + node)
                 walk = np.concatenate(([start], there[::-1], back[1:]))
         return best + float(prize[1:].sum()), walk
+
+    def _walked(self, value: Floats, prize: Floats, depth: int, state: int) -> Ints:
+        """(depth,) nodes of the cheapest walk to a state, from its last visit back to its first."""
+        nodes = [self.node_of[state]]
+        for k in range(depth, 1, -1):
+            row, node = self.row_of[state], self.node_of[state]
+            cluster = int(np.searchsorted(self.rows, row, side="right")) - 1
+            before = np.flatnonzero((self.table[:, cluster] == row - self.rows[cluster])[self.row_of])
+            reached = value[k - 1, before] - prize[cluster] + self.cost[self.node_of[before], node]
+            state = before[np.abs(reached - value[k, state]).argmin()]
+            nodes.append(self.node_of[state])
+        return np.array(nodes)
 
 
 def _cheapest_one_tree(cost: Floats) -> tuple[float, Ints]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import logm
+from scipy.linalg import expm, logm
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -32,7 +32,7 @@ def _by_angles(first: Floats, x: Floats) -> Floats:
 
 @pytest.mark.parametrize("size", [1e-7, 1e-3, 0.5, 3.0])
 def test_screws_are_the_matrix_logarithm(size: float) -> None:
-    """`screw_of` is the logarithm about the centre, and `motion_of` brings the motion back."""
+    """`screw_of` is the logarithm about the centre, and `motion_of` the exponential."""
     rng = np.random.default_rng(1)
     turn = rng.standard_normal(3)
     screw = np.concatenate([rng.standard_normal(3), size * turn / np.linalg.norm(turn)])
@@ -41,6 +41,9 @@ def test_screws_are_the_matrix_logarithm(size: float) -> None:
     shifted = T.copy()
     shifted[:3, 3] += T[:3, :3] @ CENTRE - CENTRE
     np.testing.assert_allclose(np.real(logm(shifted))[:3, 3], screw[:3], atol=1e-8)
+    generator = np.zeros((4, 4))
+    generator[:3, :3], generator[:3, 3] = hat(screw[3:]), screw[:3]
+    np.testing.assert_allclose(shifted, expm(generator), atol=1e-14)
 
 
 def test_a_small_motion_about_another_centre_moves_points_alike() -> None:
