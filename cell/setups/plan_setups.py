@@ -174,7 +174,7 @@ def _file(
     can = np.logical_or.reduce([setup.coverable for setup in setups.values()]) | seen
     coverage = SetupsCoverage(
         visible=float(seen.mean()), coverable=float(can.mean()), visible_of_coverable=float(seen.sum() / can.sum()),
-        asked=job.scene.plan.coverage,
+        asked=job.scene.plan.coverage, required=job.scene.plan.required_visible,
     )  # fmt: skip
     return SetupsFile(
         part=job.part.name,
