@@ -102,7 +102,7 @@ def plan_setups(
     part: "str | Path | trimesh.Trimesh | Scene | None" = None,
     *,
     most: int | None = None,
-    offer: int = 24,
+    offer: int | None = None,
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
     use_cache: bool = True,
@@ -115,7 +115,7 @@ def plan_setups(
     Args:
         part: as for `plan`.
         most: set-ups that may be used; None: as many as it takes.
-        offer: poses that are looked at, at most.
+        offer: poses that are proposed, at most; None: 24, or none beside those that the scene gives (`[[setup]]`).
         scene: scene file (TOML); None is the built-in scene. Its placement is the first pose that is offered.
         out: folder to make; None makes one below sim_runs/.
         use_cache: as for `plan`.
