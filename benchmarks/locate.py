@@ -21,12 +21,12 @@ from benchmarks.edits import no_pictures
 from benchmarks.parts import parts, place
 from cell.api import plan
 from cell.errors import CellError
-from cell.locate.surface_fit import Search, fit
 from cell.rays import virtual_scan
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import FreeKind
 from cell.reconstruction.matching import small_motion
 from cell.reconstruction.rigid import RigidFit, motion_of, screw_of, told
+from cell.reconstruction.surface_fit import Search, fit
 from cell.run import reader
 from cell.run.cell import RunCell, read_cell
 from cell.run.planned import PlannedRun

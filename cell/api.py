@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cell.part.workpiece import Workpiece
     from cell.run.executed import ExecutedRun
     from cell.run.planned import PlannedRun
+    from cell.scan.of_setups import SetupsOutcome
     from cell.scan.options import ScanOptions
     from cell.scan.safety import Ask
     from cell.scene.scene import Scene
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 """Told `(stage, done, total)` while work goes on; what it raises ends the work. A stage begins with (0, 0)."""
 
-__all__ = ["Progress", "hand_eye", "locate", "open_run", "plan", "plan_setups", "scan"]
+__all__ = ["Progress", "hand_eye", "locate", "open_run", "plan", "plan_setups", "scan", "scan_setups"]
 
 
 def plan(
@@ -101,7 +102,7 @@ def plan_setups(
     part: "str | Path | trimesh.Trimesh | Scene | None" = None,
     *,
     most: int | None = None,
-    offer: int = 24,
+    offer: int | None = None,
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
     use_cache: bool = True,
@@ -114,7 +115,7 @@ def plan_setups(
     Args:
         part: as for `plan`.
         most: set-ups that may be used; None: as many as it takes.
-        offer: poses that are looked at, at most.
+        offer: poses that are proposed, at most; None: 24, or none beside those that the scene gives (`[[setup]]`).
         scene: scene file (TOML); None is the built-in scene. Its placement is the first pose that is offered.
         out: folder to make; None makes one below sim_runs/.
         use_cache: as for `plan`.
@@ -174,6 +175,49 @@ def scan(
     wanted = read(ScanOptions, wishes) if options is None else options
     outcome = execution.scan(_folder(run), wanted, argv=argv, narrator=_narrator(progress), ask=ask)
     return open_execution(outcome.folder)
+
+
+def scan_setups(
+    folder: "PlannedSetups | str | Path",
+    options: "ScanOptions | None" = None,
+    *,
+    setup: int | None = None,
+    resume: bool = False,
+    progress: "Progress | Narrator | None" = None,
+    argv: Sequence[str] = (),
+    ask: "Ask | None" = None,
+    confirm: str | None = None,
+    **wishes: object,
+) -> "SetupsOutcome":
+    """Scan the set-ups of a folder, register them to each other, and make one model of all that are scanned.
+
+    Args:
+        folder: what `plan_setups` returned, or its folder.
+        options: as for `scan`.
+        setup: the number of one of them; None: each that is not scanned yet, in order, halting after one where points
+            are not simulated.
+        resume: whether an execution that was stopped is gone on with.
+        progress: as for `scan`.
+        argv: kept in the manifests.
+        ask: as for `scan`.
+        confirm: as for `scan`: the digest of the set-up's plan.
+        **wishes: options of `cell scan` by name: `setup_error="5mm,2deg"`, `range_noise=0.03`.
+
+    Returns:
+        `report` (scanned/report.json), `folder`, `exit_code`.
+
+    Raises:
+        CellError: in one sentence; what was scanned is kept.
+    """
+    from cell.scan.of_setups import scan_setups as scanned
+    from cell.scan.options import ScanOptions
+    from cell.scene.option import read
+
+    if confirm is not None:
+        wishes = {**wishes, "confirm_motion": confirm}
+    wanted = read(ScanOptions, wishes) if options is None else options
+    where = Path(folder) if isinstance(folder, str | Path) else folder.folder
+    return scanned(where, wanted, setup=setup, resumed=resume, argv=argv, narrator=_narrator(progress), ask=ask)
 
 
 def locate(

@@ -3,13 +3,17 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from cell.commands.options import AsJson, from_fields
 from cell.errors import UsageError
 from cell.scan.options import OF_EACH_TIME, STEEL, ScanOptions
+
+if TYPE_CHECKING:
+    from cell.commands.terminal import Terminal
+    from cell.scan.safety import Ask
 
 EPILOG = (
     "Examples:\n\n"
@@ -19,6 +23,7 @@ EPILOG = (
     "cell scan sim_runs/trial --report 0001\n\n"
     "cell scan sim_runs/trial --driver modbus://192.168.0.10:502 --speed 10\n\n"
     "cell scan sim_runs/trial --resume latest --reset\n\n"
+    "cell scan sim_runs/both --setup 1 --setup-error 5mm,2deg --range-noise 0.03\n\n"
     "Exit codes: 0 done, 2 usage, 3 below the plan's required coverage, 5 driver, 6 files or run folder (also: "
     "a report of an execution that lacks views), 70 bug, 130 Ctrl-C."
 )
@@ -27,8 +32,14 @@ EPILOG = (
 @from_fields
 def scan(
     *,
-    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan, or the folder of cell setups.")],
     options: ScanOptions,
+    setup: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Of a folder of cell setups: scan this set-up. Default: those that are not scanned yet."
+        ),
+    ] = None,
     resume: Annotated[
         str | None,
         typer.Option(
@@ -57,7 +68,11 @@ def scan(
 
     _require_one_question(options.model_fields_set, resume, report)
     terminal = Terminal(quiet_stdout=as_json)
-    ask = terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
+    if (run / "setups.json").is_file():
+        _scan_setups(run, options, setup, resume, report, terminal, as_json=as_json)
+    if setup is not None:
+        raise UsageError(f"--setup is of a folder that cell setups made, and {run} is none; leave it out")
+    ask = _asked(terminal)
     if report is not None:
         outcome = post_processing.report(run, report, terminal)
     elif resume is not None:
@@ -74,6 +89,41 @@ def scan(
         missing = [("cell", "scan", run, "--resume", number)] if outcome.summary.missing_views else []
         terminal.then(*missing, ("cell", "replay", run, "--execution", number))
     raise typer.Exit(outcome.exit_code)
+
+
+def _scan_setups(
+    folder: Path, options: ScanOptions, setup: int | None, resume: str | None, report: str | None,
+    terminal: "Terminal", *, as_json: bool,
+) -> NoReturn:  # fmt: skip
+    """The set-ups of a folder, and what all their scans are together."""
+    from cell import api
+    from cell.scan.of_setups import report as report_of
+    from cell.scan.whole_page import rows
+    from cell.setups.planned_setups import PlannedSetups
+
+    for option, given in (("--resume", resume), ("--report", report)):
+        if given not in (None, "latest"):
+            raise UsageError(f"{option} of several set-ups goes on from the latest execution of each: {option} latest")
+    if report is not None:
+        outcome = report_of(PlannedSetups.opened(folder), sys.argv[1:], terminal)
+    else:
+        outcome = api.scan_setups(
+            folder, options, setup=setup, resume=resume is not None, progress=terminal, argv=sys.argv[1:],
+            ask=_asked(terminal),
+        )  # fmt: skip
+    made = outcome.report
+    if as_json:
+        sys.stdout.write(json.dumps(made.as_json(), indent=2, allow_nan=False) + "\n")
+    else:
+        terminal.pairs(f"Scan of {made.part}", [*rows(made), ("folder", str(outcome.folder))])
+        if made.missing:
+            terminal.then(("cell", "scan", folder, "--setup", made.missing[0]))
+    raise typer.Exit(outcome.exit_code)
+
+
+def _asked(terminal: "Terminal") -> "Ask | None":
+    """Puts questions to the person at the terminal, if there is one."""
+    return terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
 
 
 def _require_one_question(given: set[str], resume: str | None, report: str | None) -> None:

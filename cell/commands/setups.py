@@ -15,7 +15,7 @@ EPILOG = (
     "Examples:\n\n"
     "cell setups part.stl --units mm --place 1200,500,0\n\n"
     "cell setups mug --most 2 --offer 8 --coverage 0.95 --json\n\n"
-    "Each set-up is a run folder of its own: cell scan FOLDER/setups/1.\n\n"
+    "Each set-up is a run folder of its own in FOLDER/setups; cell scan FOLDER scans one after the other.\n\n"
     "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, "
     "130 Ctrl-C."
 )
@@ -32,11 +32,14 @@ def setups(
         typer.Option(min=1, help="Set-ups that may be used. Default: as many as it takes.", rich_help_panel="Set-ups"),
     ] = None,
     offer: Annotated[
-        int,
+        int | None,
         typer.Option(
-            min=1, help="Poses that are looked at: as placed and stable ones, at four turns.", rich_help_panel="Set-ups"
+            min=0,
+            help="Poses that are proposed: as placed and stable ones, at four turns. Default: 24, or none beside those "
+            "that the scene gives in [[setup]].",
+            rich_help_panel="Set-ups",
         ),
-    ] = 24,
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
@@ -62,5 +65,5 @@ def setups(
         sys.stdout.write(json.dumps(made.as_json(), indent=2, allow_nan=False) + "\n")
     else:
         terminal.pairs(f"Set-ups of {made.file.part}", [*rows(made.file), ("folder", str(made.folder))])
-        terminal.then(*(("cell", "scan", folder) for folder in made.folders))
+        terminal.then(("cell", "scan", made.folder, "--setup", 1), ("cell", "view", made.folder))
     raise typer.Exit(made.exit_code)

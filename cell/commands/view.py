@@ -25,7 +25,8 @@ def view(
         Path | None,
         typer.Argument(
             metavar="[SCENE | RUN | EXECUTION | STUDY]",
-            help="Scene file, run folder, executions/<id> of one, or folder of a study. Default: the built-in scene.",
+            help="Scene file, run folder, executions/<id> of one, folder of a study or of "
+            "cell setups. Default: the built-in scene.",
             show_default=False,
         ),
     ] = None,
@@ -52,6 +53,14 @@ def view(
         raise UsageError("--watch draws a scene file again when it is saved; give one: cell view my_cell.toml --watch")
     if watch and what is not None:
         looking.watch(what, out, terminal, opened, time.sleep)
+    elif what is not None and (what / "setups.json").is_file():
+        from cell.setups.planned_setups import PlannedSetups
+
+        if out is not None:
+            raise UsageError(f"{what} holds several set-ups, each with a page of its own: leave --out away")
+        for folder in PlannedSetups.opened(what).folders:
+            opened(looking.page_of(folder, None, terminal))
+        Terminal(quiet_stdout=True).then(("cell", "scan", what))
     else:
         opened(looking.page_of(what, out, terminal))
         if further := _next(what):

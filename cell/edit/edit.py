@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cell import scanners
 from cell.edit.known_motion import known_motion
-from cell.edit.moved import Before, measured_anew, still_reached, unswept
+from cell.edit.moved import Before, measured_anew, still_reached
 from cell.edit.options import Edit, Pose
 from cell.edit.views import EditedViews, check, edited_views
 from cell.errors import UnreachableError, UsageError
@@ -150,7 +151,7 @@ def _surface(before: Before, run: Run, job: Job) -> PartSurface:
 
 def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
     """The views that are asked for; of a sensor that sweeps they are named by the middle poses of their sweeps."""
-    views, T_scanner_view = unswept(before.candidates, job.scanner)
+    views, T_scanner_view = scanners.unswept(job.scanner, before.candidates)
     T_object_base = np.linalg.inv(cell.world.T_base_object)
 
     def T_object_view(given: Pose) -> Floats:

@@ -17,10 +17,8 @@ from cell.plan import steps
 from cell.plan.steps import Cell, Job, Measured, Run
 from cell.rays.matrix import PartSurface
 from cell.run.planned import PlannedRun
-from cell.scanners import ScannerPlugin
 from planner.measurability.columns import spread_measurability
 from planner.reach.reach import Reach, Verdict
-from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 
@@ -41,17 +39,9 @@ class Before:
     moved: bool
 
 
-def unswept(known: Viewpoints, scanner: ScannerPlugin) -> tuple[Viewpoints, Floats]:
-    """Candidates as one pose each, of a sweep the viewpoint that it is made about, and (4, 4) its T_scanner_view."""
-    T_view_scanner = getattr(scanner, "T_view_scanner", np.eye(4)[None])
-    T_scanner_view: Floats = np.linalg.inv(T_view_scanner[len(T_view_scanner) // 2])
-    middle = known.T_object_scanner[:, [known.T_object_scanner.shape[1] // 2]] @ T_scanner_view
-    return Viewpoints(middle, known.face, known.standoff, known.roll), T_scanner_view
-
-
 def measured_anew(before: Before, run: Run, job: Job, surface: PartSurface, cell: Cell) -> Measured:
     """Candidates of the run with reach and matrix where the part stands now."""
-    views, _ = unswept(before.candidates, job.scanner)
+    views, _ = scanners.unswept(job.scanner, before.candidates)
     with run.step("reach") as progress:
         reached = steps.reach_of(job, cell, views, progress)
     with run.step("measurability") as progress:

@@ -8,10 +8,12 @@ from cell import caches
 from cell.errors import FileError
 from cell.export import krl, program, tables
 from cell.export.krl import KrlOptions
+from cell.export.krl_names import LONGEST_NAME, check_name
 from cell.export.options import ExportOptions
 from cell.export.program import Program
 from cell.narrator import Narrator
 from cell.run.json_table import JsonTable
+from cell.setups.planned_setups import PlannedSetups
 
 FOLDER = "export"
 """Below the run folder; not part of the plan, each call replaces its files."""
@@ -45,11 +47,7 @@ def export(run_folder: Path, wanted: ExportOptions, narrator: Narrator | None = 
         FileError: if the run has no finished motion, a file of it is damaged, or the files cannot be written.
     """
     loaded = program.load(run_folder, wanted.name, wanted.now, narrator)
-    options = KrlOptions(
-        percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
-        percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
-        wanted,
-    )
+    options = _krl_options(loaded, wanted)
     contents = _contents(loaded, options, wanted.kind)
     folder = wanted.out if wanted.out is not None else run_folder / FOLDER
     files = _write(folder, contents, replace=wanted.out is None)
@@ -61,6 +59,51 @@ def export(run_folder: Path, wanted: ExportOptions, narrator: Narrator | None = 
         views=loaded.views,
         speed_percent=options.speed_percent,
         acceleration_percent=options.acceleration_percent,
+    )
+
+
+def export_setups(folder: Path, wanted: ExportOptions, narrator: Narrator | None = None) -> ExportOutcome:
+    """Write the programs of all set-ups of a folder; of KRL a main program too, which halts before each of them.
+
+    Args:
+        folder: of `cell setups`.
+        wanted: what was asked for.
+        narrator: is told which files of the plans are gone; None: nobody.
+
+    Raises:
+        UsageError, FileError: as `export`.
+    """
+    planned = PlannedSetups.opened(folder)
+    name = wanted.name or program.name_of(folder.resolve().name, planned.file.chosen[0].digest)
+    if len(name) > LONGEST_NAME - 3:  # what the names of the set-ups' programs have behind it
+        name = f"scan_{planned.file.chosen[0].digest[:8]}"
+    check_name(name)
+    contents: dict[str, bytes] = {}
+    all_: list[Program] = []
+    for number, run in enumerate(planned.folders, start=1):
+        loaded = program.load(run, f"{name}_{number}", wanted.now, narrator)
+        contents |= _contents(loaded, _krl_options(loaded, wanted), wanted.kind)
+        all_.append(loaded)
+    if wanted.kind == "krl":
+        contents[f"{name}.src"] = krl.main_source(name, all_)
+    files = _write(wanted.out if wanted.out is not None else folder / FOLDER, contents, replace=wanted.out is None)
+    slowest = [_krl_options(loaded, wanted) for loaded in all_]
+    return ExportOutcome(
+        format=wanted.kind,
+        name=name,
+        files=tuple(str(path) for path in files),
+        via_points=sum(len(loaded.q) for loaded in all_),
+        views=sum(loaded.views for loaded in all_),
+        speed_percent=min(each.speed_percent for each in slowest),
+        acceleration_percent=min(each.acceleration_percent for each in slowest),
+    )
+
+
+def _krl_options(loaded: Program, wanted: ExportOptions) -> KrlOptions:
+    return KrlOptions(
+        percent(wanted.speed_percent, SPEED_PERCENT, loaded.told.speed),
+        percent(wanted.acceleration_percent, ACCELERATION_PERCENT, loaded.told.acceleration),
+        wanted,
     )
 
 

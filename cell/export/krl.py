@@ -23,7 +23,7 @@ Numbers: joint angles exact to 1e-4 deg, lengths to 1e-3 mm, angles of frames to
 digits). Lines end with CR LF; characters are ASCII.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +77,27 @@ def source(program: Program, options: KrlOptions) -> bytes:
                 "sweep_deg"
             )
     return _file(_source(program, options))
+
+
+def main_source(name: str, programs: Sequence[Program]) -> bytes:
+    """The content of `<name>.src` that calls the programs of several set-ups, halting before each.
+
+    While it stands, $BASE is the part's frame of the set-up to come, so that the pendant shows where it has to lie.
+    """
+    return _file(_main(name, programs))
+
+
+def _main(name: str, programs: Sequence[Program]) -> Iterator[str]:
+    yield from ("&ACCESS RVP", "&REL 1", f"DEF {name}( )")
+    yield f"; {len(programs)} set-ups of {programs[0].told.part}, planned by scan-cell; each begins and ends at home"
+    yield from BEGIN
+    for number, program in enumerate(programs, start=1):
+        frame_of_part = frame(program.T_base_object)
+        yield from ("", f"; set-up {number}: {program.views} views; digest of the plan {program.told.digest}")
+        yield f"$BASE={frame_of_part}"
+        yield f"HALT ; set-up {number}: put the part where its frame is $BASE, then start again"
+        yield f"{program.told.name}( )"
+    yield from ("", "END")
 
 
 def data(program: Program, options: KrlOptions) -> bytes:

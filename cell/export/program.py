@@ -154,7 +154,7 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
     clearance, between = run_reader.nearest(proven.run)
     folder = run_folder.resolve().name
     told = Told(
-        name=name if name is not None else _name_of(folder, proven.digest),
+        name=name if name is not None else name_of(folder, proven.digest),
         part=scene.part.name,
         run=folder,
         digest=proven.digest,
@@ -249,7 +249,8 @@ def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:
     return Sweep(begin, end, path / time, turn / time, path / time / each)
 
 
-def _name_of(folder: str, digest: str) -> str:
+def name_of(folder: str, digest: str) -> str:
+    """A program's name: the folder's where KRL takes it, else one made of a digest."""
     try:
         check_name(folder)
     except UsageError:

@@ -5,11 +5,12 @@ from collections.abc import Callable
 import numpy as np
 
 from cell.errors import UsageError
-from cell.locate import measured, points_fit, surface_fit
+from cell.locate import measured, points_fit
 from cell.locate.located import CheckedMotion, Located, Precision
 from cell.locate.options import Locating
 from cell.narrator import Narrator
 from cell.proof.motion_again import require_free
+from cell.reconstruction import surface_fit
 from cell.reconstruction.freedom import FreeKind, FreeMotion
 from cell.reconstruction.rigid import RigidFit, told
 from cell.robot.frames import kuka_abc_from_pose

@@ -42,7 +42,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
     """sha256 of what the plan depends on: the part and everything that the scene says (paths by their content)."""
-    content = scene.model_dump(mode="json", exclude=None if scene.region else {"region"})
+    content = scene.model_dump(mode="json", exclude={key for key in ("region", "setup") if not getattr(scene, key)})
     for region in content.get("region", ()):
         if region["painted"] is not None:
             region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()

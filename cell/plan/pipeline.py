@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cell import scanners
-from cell.errors import FileError
+from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
@@ -69,6 +69,11 @@ def plan(
     Raises:
         CellError: with one sentence and the exit code; the run folder keeps what was finished, its status and stage.
     """
+    if scene.setup and steps_of is None:
+        raise UsageError(
+            f"the scene gives {len(scene.setup)} set-ups, and this plans one: give it to cell setups, or leave its "
+            "[[setup]] tables out"
+        )
     with picture_process.beside() if drawn else nullcontext(picture_process.Undrawn()) as drawing:
         with narrator.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part

@@ -18,7 +18,8 @@ from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.refine import Standing, fewer
 from planner.viewpoints.viewpoints import Viewpoints, standing_at
 
-_BEYOND = 0.0005  # beyond the coverage asked for: a plan whose views stay has as much on average
+BEYOND = 0.0005
+"""Beyond the coverage asked for, a share of what is coverable: a plan whose views stay has as much on average."""
 
 Append = Callable[[Problem, Viewpoints], Problem]
 """A problem with further viewpoints behind its candidates: all of them known as well as those there."""
@@ -43,14 +44,14 @@ def with_fewer(problem: Problem, selected: Selected, append: Append) -> tuple[Pr
     M, features = problem.M.matrix().tocsc(), problem.M.features
     rows = np.diff(problem.M.indptr) > 0
     areas = np.where(rows, features.areas, 0.0) / max(float(features.areas[rows].sum()), 1e-300)
-    least = max(problem.request.plan.coverage + _BEYOND, float(selected.shares[0]))
+    least = max(problem.request.plan.coverage + BEYOND, float(selected.shares[0]))
     before = Standing(
         candidates.T_object_scanner[chosen, 0], candidates.standoff[chosen], np.arange(len(chosen)),
         np.zeros(len(chosen), dtype=np.bool_), M[:, chosen].toarray(),
     )  # fmt: skip
+    arm = arm_of(problem.world, problem.kinematics, problem.checker, known.scanner, known.casters)
     after = fewer(
-        before, Targets.of(features.points, features.normals), areas,
-        arm_of(problem.world, problem.kinematics, problem.checker, known.scanner, known.casters),
+        before, Targets.of(features.points, features.normals), areas, lambda view: arm,
         goal=min(selected.target, float(areas[before.measured.any(axis=1)].sum())),
         short=lambda views: least - known.share_of_coverable(views.T_object_scanner[:, None]),
     )  # fmt: skip

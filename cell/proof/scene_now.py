@@ -84,6 +84,8 @@ def _differences(proven: Proven, now: FilesNow, gone: list[str]) -> Iterator[tup
             continue
         elif named.what == "scene":
             scene, changed = path, _changed_tables(proven, path)
+            if changed and "setup" in changed:
+                yield "placement", f"the [[setup]] tables of {path} were changed"
         elif named.what == "part":
             yield from _part(proven, named.path)
         elif named.what == "robot":

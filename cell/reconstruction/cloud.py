@@ -73,6 +73,10 @@ class PointCloud(Value):
     def __len__(self) -> int:
         return len(self.points)
 
+    def moved(self, T: Floats) -> "PointCloud":
+        """The cloud after a rigid motion T (4, 4)."""
+        return PointCloud(self.points @ T[:3, :3].T + T[:3, 3], self.normals @ T[:3, :3].T, self.scan)
+
 
 def finite(name: str, points: Floats) -> Floats:
     """Points as a read-only (N, 3) array.

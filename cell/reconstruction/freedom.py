@@ -77,6 +77,22 @@ def split(information: Floats, weight: float, length: float) -> tuple[Floats, Fl
     return vectors[:, ~is_free], vectors[:, is_free]
 
 
+def of_surface(points: Floats, normals: Floats) -> tuple[FreeMotion, ...]:
+    """Motions that a piece of surface does not show, so that they stay open where two scans share it alone.
+
+    Args:
+        points: (N, 3) of it, evenly spread [m].
+        normals: (N, 3).
+    """
+    if len(points) < 6:
+        return name(np.eye(6), np.zeros(3), 1.0)
+    centre = points.mean(axis=0)
+    arms = points - centre
+    J = np.hstack([normals, np.cross(arms, normals)])
+    length = float(np.sqrt((arms**2).sum(axis=1).mean()))
+    return name(split(J.T @ J, float(len(points)), length)[1], centre, length)
+
+
 def name(free: Floats, centre: Floats, length: float) -> tuple[FreeMotion, ...]:
     """Translations, rotations and screws that span the free directions; translations first.
 

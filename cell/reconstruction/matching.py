@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cell.reconstruction.cloud import ScanCloud, estimate_normals, point_spacing
+from cell.reconstruction.cloud import PointCloud, ScanCloud, estimate_normals, point_spacing
 from cell.reconstruction.freedom import split
 from planner.surface.closest import NearestSurface
 from planner.values import Floats, Ints
@@ -30,18 +30,18 @@ class MovingScan:
     """A scan with its correction so far.
 
     Args:
-        scan: object frame by the reported pose.
+        scan: object frame by the reported pose; merged scans move as one.
         samples: most points to match, spread evenly over the scan's order.
     """
 
-    def __init__(self, scan: ScanCloud, samples: int) -> None:
+    def __init__(self, scan: ScanCloud | PointCloud, samples: int) -> None:
         self._all_points = scan.points
-        self._all_normals = estimate_normals(scan.points, scan.sensor)
+        self._all_normals = scan.normals if isinstance(scan, PointCloud) else estimate_normals(scan.points, scan.sensor)
         self._tree = cKDTree(scan.points, balanced_tree=False, compact_nodes=False) if len(scan) else None
         count = min(samples, len(scan))
         chosen = (np.arange(count) * len(scan)) // max(count, 1)
         self._points, self._normals = scan.points[chosen], self._all_normals[chosen]
-        self.spacing = point_spacing(scan.points)
+        self.spacing = point_spacing(scan.points, scan.scan if isinstance(scan, PointCloud) else None)
         self.T: Floats = np.eye(4)
 
     def __len__(self) -> int:

@@ -15,7 +15,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cell.reconstruction.cloud import ScanCloud
+from cell.reconstruction.cloud import PointCloud, ScanCloud
 from cell.reconstruction.freedom import FreeMotion, name, shape_of, split
 from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingScan
 from planner.errors import PlannerError
@@ -109,7 +109,7 @@ class Registration:
 
 
 def register(
-    scans: Sequence[ScanCloud],
+    scans: Sequence[ScanCloud | PointCloud],
     model: TriangleMesh | NearestSurface | None,
     *,
     reach: float | None = None,
@@ -120,7 +120,7 @@ def register(
     """Correct the poses of scans.
 
     Args:
-        scans: clouds in the object frame by their reported poses.
+        scans: clouds in the object frame by their reported poses; merged scans move as one body.
         model: the reference, object frame; None matches the scans to each other only: the mean of their motions is then
             kept zero, because nothing says where they are all together.
         reach: farthest match [m]; None takes 3 % of the diagonal of model or scans. Larger pose errors need more.

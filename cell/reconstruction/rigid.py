@@ -56,10 +56,21 @@ class RigidFit(Value):
 
     def undetermined(self, within: float) -> tuple[FreeMotion, ...]:
         """Motions that are free, or whose `ENOUGH` standard deviations move the body's points by more than this [m]."""
+        return name(self.open_directions(within), self.centre, self.length)
+
+    def open_directions(self, within: float) -> Floats:
+        """(6, f) the same as orthonormal directions, in coordinates (translation, length * rotation)."""
         scale = _scale(self.length)
         known = np.zeros((6, 6)) if self.covariance is None else self.covariance * scale[:, None] * scale
         values, vectors = np.linalg.eigh(known + (_ENDLESS * self.length) ** 2 * self.free @ self.free.T)
-        return name(vectors[:, ENOUGH * np.sqrt(np.maximum(values, 0.0)) > within], self.centre, self.length)
+        return np.asarray(vectors[:, ENOUGH * np.sqrt(np.maximum(values, 0.0)) > within])
+
+    def off(self, T: Floats, within: float) -> tuple[float, float]:
+        """How far the body is moved [m] and turned [rad] by a motion (4, 4), along what is determined alone."""
+        scale, open_ = _scale(self.length), self.open_directions(within)
+        screw = scale * screw_of(T, self.centre)
+        seen = (screw - open_ @ (open_.T @ screw)) / scale
+        return float(np.linalg.norm(seen[:3])), float(np.linalg.norm(seen[3:]))
 
     def deviation_of(self, points: Floats) -> float | None:
         """Standard deviation of that of (N, 3) points of the body that is known least [m], along its worst direction.

@@ -9,7 +9,7 @@ taken out of it. Metres, radians; object frame where nothing else is said.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,6 +78,12 @@ class RunCell:
         T_base_scanner = self.kinematics.forward(np.asarray(q)[None])[0] @ self.scene.T_flange_scanner
         T: Floats = np.linalg.inv(self.scene.T_base_object) @ T_base_scanner
         return T
+
+    def about_part(self, T: Floats) -> RunCell:
+        """The cell whose part stands off its place: all that stands about it is moved by (4, 4) in the object frame."""
+        R, t = T[:3, :3], T[:3, 3]
+        moved = tuple(replace(each, vertices=each.vertices @ R.T + t) for each in self.occluders)
+        return replace(self, occluders=moved, occluder_caster=caster_of(moved))
 
 
 def taken_as_triangles(scene: ResolvedScene) -> list[str]:

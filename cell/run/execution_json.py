@@ -92,6 +92,21 @@ class ExecutedRegistration(JsonTable):
     left_as_reported: int = Field(description="scans whose pose was not corrected")
 
 
+class ExecutedPlace(JsonTable):
+    """Where the part of a set-up was found to stand: all scans moved as one body onto the reference."""
+
+    moved_mm: float = Field(description="of its centre, from its place")
+    turned_deg: float = Field(description="from how it should lie")
+    worst_point_mm: float | None = Field(description="standard deviation of the point of the part that is known least")
+    undetermined: tuple[str, ...] = Field(
+        description="motions that the points do not tell to 0.05 mm, in words: the part stays as planned along them"
+    )
+    off_mm: float | None = Field(
+        description="of the centre from the truth, along what is determined; null where points are not simulated"
+    )
+    off_deg: float | None = Field(description="angle to the truth, about what is determined")
+
+
 class ExecutedSurface(JsonTable):
     """The surface that was made of the points; lengths are null without points or without a grid."""
 
@@ -156,6 +171,7 @@ class ExecutionReport(JsonTable):
     regions: tuple[ExecutedRegion, ...] | None = optional()
     views: tuple[ExecutedView, ...] = Field(description="in driving order")
     cloud: ExecutedCloud
+    place: ExecutedPlace | None = optional()
     registration: ExecutedRegistration | None = Field(description="null where it was not asked for")
     model: ExecutedSurface
     deviation: ExecutedDeviation | None = Field(description="null without a surface")

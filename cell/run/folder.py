@@ -9,7 +9,7 @@ import errno
 import hashlib
 import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -145,6 +145,10 @@ class RunFolder:
         with self._writing(name):
             np.savez_compressed(self.path / name, allow_pickle=False, **arrays)
         self.adopt(name)
+
+    def write_bytes(self, name: str, pieces: Iterable[bytes]) -> None:
+        """Write a binary artefact."""
+        self._write(name, b"".join(pieces))
 
     def write_mesh(self, name: str, mesh: TriangleMesh) -> None:
         """Write a mesh as binary PLY in millimetres, with the region of each face where it has such."""

@@ -98,9 +98,8 @@ def open_run(folder: Path) -> RunRecord:
     if not path.is_file():
         raise FileError(f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made")
     if (folder / "setups.json").is_file():
-        raise FileError(
-            f"{folder} holds several set-ups; give the run folder of one of them, {folder / 'setups' / '1'}"
-        )
+        runs = ", ".join(str(path) for path in sorted((folder / "setups").iterdir()))
+        raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
     manifest = read_manifest(path)
     schema = manifest.schema_version
     if schema != SCHEMA:

@@ -1,7 +1,11 @@
-"""setups.json: several set-ups of one part that were planned as one cover; fractions of the surface."""
+"""setups.json and scanned/report.json: set-ups of one part planned as one cover, and what their scans are together.
+
+Shares are fractions of the surface, on the held-out samples that all set-ups have.
+"""
 
 from pydantic import Field
 
+from cell.run.execution_json import ExecutedDeviation, ExecutedPlace, ExecutedRegistration, ExecutedSurface
 from cell.run.json_table import JsonTable, Triple
 
 
@@ -35,6 +39,7 @@ class SetupsCoverage(JsonTable):
     coverable: float = Field(description="measured by a reachable candidate of any set-up that was offered")
     visible_of_coverable: float = Field(description="the first as a fraction of the second")
     asked: float = Field(description="of that fraction")
+    required: float = Field(default=0.0, description="of the whole surface: less is exit code 3")
 
 
 class SetupsFile(JsonTable):
@@ -49,3 +54,57 @@ class SetupsFile(JsonTable):
     views_bound: int = Field(description="no cover by so many of the set-ups offered has fewer views")
     chosen: tuple[ChosenSetup, ...] = Field(description="in the order in which they are numbered")
     offered: tuple[OfferedSetup, ...] = Field(description="all that were looked at")
+
+
+class SharedSurface(JsonTable):
+    """What two set-ups both measure, by which their scans are held together."""
+
+    setups: tuple[int, int] = Field(description="their numbers")
+    share: float = Field(description="of the surface that both measure")
+    free: tuple[str, ...] = Field(
+        description="motions of one against the other that it leaves open although the part would show them; in words"
+    )
+
+
+class ScannedSetup(JsonTable):
+    """A set-up that is scanned."""
+
+    number: int = Field(description="from 1, of its folder in setups/")
+    execution: str = Field(description="of its run folder")
+    digest: str = Field(description="of the plan that was executed")
+    views: int = Field(description="scans that are used")
+    points: int = Field(description="of them")
+    visible: float = Field(description="what they measure, and no support touches")
+    adds: float = Field(description="of that, what the set-ups before do not measure")
+    place: ExecutedPlace | None = Field(
+        description="where the part was found to stand; null where it was not looked for"
+    )
+
+
+class OpenShares(JsonTable):
+    """What no scan measures, by the first reason that holds."""
+
+    to_come: float = Field(description="views of set-ups that are not scanned yet measure it, as planned")
+    lost: float = Field(description="a view was planned to measure it, and the executed one does not")
+    in_contact: float = Field(description="a support touches it in every set-up")
+    not_planned: float = Field(description="no view was planned for it")
+
+
+class ScannedSetups(JsonTable):
+    """The file."""
+
+    part: str = Field(description="of the built-in part or of the file")
+    source: str = Field(description="where the points come from")
+    setups: tuple[ScannedSetup, ...] = Field(description="that are scanned, in order of their numbers")
+    missing: tuple[int, ...] = Field(description="numbers of the others")
+    visible: float = Field(description="measured in any set-up")
+    planned: float = Field(description="the same of all set-ups as planned")
+    sampled: float = Field(description="within 1 % of the diagonal of a point")
+    open: OpenShares
+    shared: tuple[SharedSurface, ...] = Field(description="by pairs of scanned set-ups")
+    registration: ExecutedRegistration | None = Field(
+        description="of whole set-ups to the reference and to each other; null where all parts stood in their places"
+    )
+    doubts: tuple[str, ...] = Field(description="a sentence each")
+    surface: ExecutedSurface
+    deviation: ExecutedDeviation | None = Field(description="of the surface; null without one")

@@ -7,7 +7,7 @@ The plan beside it is never touched. docs/internals/run_folder.md is the contrac
 import io
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any
@@ -159,10 +159,6 @@ class ExecutionFolder(RunFolder):
         self._on_disk(f"scans/{name}", lambda path: _replace(path, buffer.getvalue()))
         self.adopt(f"scans/{name}")
         self.note(artefacts=dict(sorted(self._artefacts.items())))
-
-    def write_bytes(self, name: str, pieces: Iterable[bytes]) -> None:
-        """Write a binary artefact."""
-        self._write(name, b"".join(pieces))
 
     def remove(self, name: str) -> None:
         """Take away an artefact that an earlier report made and this one has no data for."""

@@ -8,6 +8,7 @@ import numpy as np
 from cell.reconstruction.deviation import Deviation
 from cell.reconstruction.reconstruct import REACH, Reconstruction
 from cell.reconstruction.registration import Registration
+from cell.reconstruction.rigid import told
 from cell.run.cell import RunCell
 from cell.run.execution_json import (
     ExecutedCloud,
@@ -15,6 +16,7 @@ from cell.run.execution_json import (
     ExecutedDeviation,
     ExecutedMotion,
     ExecutedPart,
+    ExecutedPlace,
     ExecutedRegion,
     ExecutedRegistration,
     ExecutedSettings,
@@ -28,6 +30,12 @@ from cell.scan.achieved import Achieved
 from cell.scan.executed_scans import ExecutedScan, counts_by_reason, source_of
 from cell.scan.merging import Merged
 from cell.scan.pose_error import difference
+from planner.surface.mesh import TriangleMesh
+
+DETERMINED = 5e-5
+"""A direction is determined where two standard deviations move the part by less [m]."""
+
+_LOOKED_AT = 2000  # points of a cloud that stand for all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +101,10 @@ def execution_report(
             rms_to_reference_as_reported_mm=_known_mm(merged.rms_before),
             outliers=merged.outliers,
         ),
-        registration=None if merged.registration is None else _registration(merged.registration),
-        model=_surface(cell, results.model),
-        deviation=None if results.deviation is None else _deviation(results.deviation),
+        place=place_of(merged, scans),
+        registration=None if merged.registration is None else registration_of(merged.registration),
+        model=surface_of(cell.reference, results.model),
+        deviation=None if results.deviation is None else deviation_of(results.deviation),
         motion=motion,
     )
 
@@ -172,7 +181,30 @@ def _view(k: int, scan: ExecutedScan, results: Results) -> ExecutedView:
     )
 
 
-def _registration(registration: Registration) -> ExecutedRegistration:
+def place_of(merged: Merged, scans: Sequence[ExecutedScan]) -> ExecutedPlace | None:
+    """Where the part was found to stand; None where it was not looked for."""
+    if (fit := merged.fit) is None:
+        return None
+    centre = fit.centre
+    moved = fit.T[:3, :3] @ centre + fit.T[:3, 3] - centre
+    truth = [
+        fit.off(scan.T_true @ np.linalg.inv(T), DETERMINED)
+        for scan, T in zip(scans, merged.poses, strict=True)
+        if scan.T_true is not None
+    ]
+    worst = fit.deviation_of(merged.cloud.points[:: max(1, len(merged.cloud) // _LOOKED_AT)])
+    return ExecutedPlace(
+        moved_mm=_mm(float(np.linalg.norm(moved))),
+        turned_deg=_deg(difference(fit.T, np.eye(4))[1]),
+        worst_point_mm=None if worst is None else _mm(worst),
+        undetermined=(*([told(open_)] if (open_ := fit.undetermined(DETERMINED)) else []), *fit.rivals),
+        off_mm=_mm(max(shift for shift, _ in truth)) if truth else None,
+        off_deg=_deg(max(turn for _, turn in truth)) if truth else None,
+    )
+
+
+def registration_of(registration: Registration) -> ExecutedRegistration:
+    """How the poses were corrected."""
     return ExecutedRegistration(
         rms_before_mm=_known_mm(registration.rms_before),
         rms_after_mm=_known_mm(registration.rms_after),
@@ -182,7 +214,8 @@ def _registration(registration: Registration) -> ExecutedRegistration:
     )
 
 
-def _surface(cell: RunCell, model: Reconstruction) -> ExecutedSurface:
+def surface_of(reference: TriangleMesh, model: Reconstruction) -> ExecutedSurface:
+    """The surface in numbers."""
     return ExecutedSurface(
         status=model.status.value,
         vertices=0 if model.mesh is None else len(model.mesh.vertices),
@@ -190,14 +223,15 @@ def _surface(cell: RunCell, model: Reconstruction) -> ExecutedSurface:
         closed_faces=int(model.closed.sum()),
         spacing_mm=_known_mm(model.spacing),
         reach_mm=_known_mm(REACH * model.spacing),
-        diagonal_mm=_mm(cell.reference.diagonal),
+        diagonal_mm=_mm(reference.diagonal),
         grid_mm=_known_mm(model.grid),
         outliers=model.outliers,
         holes=model.holes,
     )
 
 
-def _deviation(deviation: Deviation) -> ExecutedDeviation:
+def deviation_of(deviation: Deviation) -> ExecutedDeviation:
+    """The deviation in numbers."""
     closed = None if deviation.closed is None else SurfaceDeviation(**_numbers(deviation.closed))
     return ExecutedDeviation(**_numbers(deviation), closed=closed)
 

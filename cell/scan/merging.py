@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from cell.acquisition import SIMULATED
 from cell.reconstruction.cloud import PointCloud, ScanCloud, merge, point_spacing
 from cell.reconstruction.registration import Registration, register
+from cell.reconstruction.rigid import RigidFit
+from cell.reconstruction.surface_fit import Search
+from cell.reconstruction.surface_fit import fit as fitted
 from cell.scan.executed_scans import ExecutedScan
 from planner.ports import Scanner
 from planner.surface.closest import NearestSurface
@@ -33,6 +36,7 @@ class Merged:
         rms_before: of the points' distances to the reference by the reported poses [m]; NaN without points.
         rms_after: the same after registration [m].
         outliers: points off the reference that no neighbour bears out, left out; none of simulated ones.
+        fit: the motion that took all scans onto the reference as one body; None where the part stands in its place.
     """
 
     cloud: PointCloud
@@ -42,20 +46,35 @@ class Merged:
     rms_before: float
     rms_after: float
     outliers: int = 0
+    fit: RigidFit | None = None
 
 
-def merged(scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered: bool) -> Merged:
+def merged(
+    scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered: bool, search: Search | None = None,
+    rng: np.random.Generator | None = None,
+) -> Merged:  # fmt: skip
     """Bring the scans into the object frame by their reported poses, and register them if asked.
 
     Args:
         scans: of one execution.
         nearest: the reference.
         registered: whether to correct the reported poses by registration.
+        search: how far the part may stand off its place, where it is to be found first.
+        rng: of the motions that the search begins with.
+
+    Raises:
+        FileError: if too few points lie near the part to find it.
     """
     clouds = [scan.cloud for scan in scans]
     before = _rms_to(nearest, clouds)
-    after, registration = before, None
+    after, registration, fit = before, None, None
     poses = [scan.T_reported for scan in scans]
+    if search is not None and rng is not None and clouds:
+        vertices = nearest.mesh.vertices
+        centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        fit = fitted(clouds, nearest, centre, search, rng)
+        clouds, poses = [cloud.moved(fit.T) for cloud in clouds], [fit.T @ pose for pose in poses]
+        after = _rms_to(nearest, clouds)
     if registered and clouds:
         registration = register(clouds, nearest)
         corrections = [result.T_correction for result in registration.scans]
@@ -70,7 +89,7 @@ def merged(scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered
             clouds = [ScanCloud(each.points[own], each.sensor) for each, own in zip(clouds, parts, strict=True)]
             cloud, after = merge(clouds), _rms_to(nearest, clouds)
     stop = np.array([scan.stop for scan in scans], dtype=np.int32)[cloud.scan]
-    return Merged(cloud, stop, tuple(poses), registration, before, after, count - len(cloud))
+    return Merged(cloud, stop, tuple(poses), registration, before, after, count - len(cloud), fit)
 
 
 def sigma_of(merged: Merged, scans: Sequence[ExecutedScan], scanner: Scanner) -> Floats:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
 from cell.acquisition import SIMULATED
@@ -24,6 +25,14 @@ _POSE_ERROR = Option(
     form="two numbers, mm and deg",
     examples=("0.5,0.1",),
     counts=(2,),
+)
+_SETUP_ERROR = Option(
+    "How far off its place the part may stand in this set-up: a simulated one does, in a direction drawn by the seed, "
+    "and all scans are matched to the model as one body, searched so far.",
+    _ERRORS,
+    metavar="LENGTH,ANGLE",
+    form="a length and an angle with their units",
+    examples=("5mm,2deg",),
 )
 OF_EACH_TIME = frozenset(
     {
@@ -54,6 +63,8 @@ class ScanOptions(Table):
     ] = "none"
     pose_error_mm: Annotated[NotNegative, _POSE_ERROR] = 0.0
     pose_error_deg: Annotated[NotNegative, _POSE_ERROR] = 0.0
+    setup_error_mm: Annotated[NotNegative, _SETUP_ERROR] = 0.0
+    setup_error_deg: Annotated[NotNegative, _SETUP_ERROR] = 0.0
     registration: Annotated[
         bool | None,
         Option(
@@ -143,6 +154,13 @@ class ScanOptions(Table):
         """Whether poses are corrected by registration."""
         moved = self.pose_error_mm > 0 or self.pose_error_deg > 0 or self.acquire != SIMULATED
         return moved if self.registration is None else self.registration
+
+    @property
+    def search(self) -> tuple[float, float] | None:
+        """How far the part is looked for about its place [m, rad]; None where it stands there."""
+        if self.setup_error_mm == 0 == self.setup_error_deg:
+            return None
+        return self.setup_error_mm / 1000, float(np.radians(self.setup_error_deg))
 
     def kept(self) -> dict[str, JsonValue]:
         """For the manifest: all that a report made later needs, settled."""

@@ -1,7 +1,10 @@
-"""What an execution is off by: range noise of the scanner and error of the executed pose, both normal and seeded.
+"""What an execution is off by, seeded: noise along the rays, errors of the executed poses, a part off its place.
+
+Noise and pose errors are normal; the part is off by a given distance and angle, in a direction that is drawn.
 
 The rays are traced from where the scanner really is; the data are told as seen from where the controller says it is.
-So a pose error shows in merged data as it would in reality: whole scans are shifted and turned against each other.
+So a pose error shows in merged data as it would in reality: whole scans are shifted and turned against each other,
+and of a part that stands off its place all of them together.
 Metres and radians inside.
 """
 
@@ -10,6 +13,7 @@ from typing import Self
 
 import numpy as np
 
+from cell.reconstruction.matching import small_motion
 from cell.scan.options import ScanOptions
 from planner.values import Floats
 
@@ -23,23 +27,37 @@ class Disturbance:
         position: of the scanner's origin, along each axis [m].
         rotation: of the scanner, about each of its axes [rad].
         by_model: draw noise along the ray by the scanner's own sigma as well.
+        part: (4, 4) motion from where the part should stand to where it does, object frame; None where it does.
     """
 
     range_noise: float = 0.0
     position: float = 0.0
     rotation: float = 0.0
     by_model: bool = False
+    part: Floats | None = None
 
     @classmethod
-    def of(cls, options: ScanOptions) -> Self:
-        """The errors that were asked for."""
-        rotation = float(np.radians(options.pose_error_deg))
-        return cls(options.range_noise_mm / 1000, options.pose_error_mm / 1000, rotation, options.noise == "model")
+    def of(cls, options: ScanOptions, centre: Floats, rng: np.random.Generator) -> Self:
+        """The errors that were asked for.
+
+        Args:
+            options: of the execution.
+            centre: (3,) of the part, about which it is turned [m], object frame.
+            rng: says in which direction the part is off.
+        """
+        rotation, part = float(np.radians(options.pose_error_deg)), None
+        if options.search is not None:
+            axes = rng.standard_normal((2, 3))
+            sizes = np.array(options.search) / np.linalg.norm(axes, axis=1)
+            part = small_motion((sizes[:, None] * axes).ravel(), centre)
+        return cls(
+            options.range_noise_mm / 1000, options.pose_error_mm / 1000, rotation, options.noise == "model", part
+        )
 
     @property
     def moves_pose(self) -> bool:
         """Whether the executed pose differs from the reported one."""
-        return self.position > 0 or self.rotation > 0
+        return self.position > 0 or self.rotation > 0 or self.part is not None
 
     def true_pose(self, T_reported: Floats, rng: np.random.Generator) -> Floats:
         """(4, 4) where the scanner really is, given (4, 4) where it says it is; the very same without a pose error."""
@@ -49,7 +67,7 @@ class Disturbance:
         off[:3, 3] = self.position * rng.standard_normal(3)
         off[:3, :3] = rotation(self.rotation * rng.standard_normal(3))
         T: Floats = T_reported @ off
-        return T
+        return T if self.part is None else np.linalg.inv(self.part) @ T
 
     def as_reported(
         self,

@@ -15,6 +15,7 @@ from cell.narrator import Narrator
 from cell.reconstruction import cloud_files
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import reconstruct
+from cell.reconstruction.surface_fit import Search
 from cell.run import process
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
@@ -41,8 +42,11 @@ from cell.view.surface import canvas_of
 from planner.surface.closest import NearestSurface
 from planner.timing.motion import Motion
 
-_DEVIATION = 12
+DEVIATION = 12
 """Stream of randomness of the samples that the deviation is measured on."""
+
+PLACES = 14
+"""Stream of randomness of the motions that the search for the part begins with."""
 
 
 def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
@@ -69,7 +73,7 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
             f"execution {recorded.folder.name} did not finish (its status is '{ended}'); what is there is used"
         )
     folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
-    cell = read_cell(run, _options(recorded).resolution_deg)
+    cell = read_cell(run, options_of(recorded).resolution_deg)
     # The status tells how the execution ended, not how its report did.
     status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.exit_code
     summary = results(Work(run, folder, narrator), cell, run_reader.motion(run), recorded)
@@ -89,7 +93,7 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
 def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecution) -> ExecutionReport:
     """Merge, reconstruct, measure and report what the execution has on disk."""
     run, folder = work.run, work.folder
-    options, manifest = _options(recorded), folder.manifest
+    options, manifest = options_of(recorded), folder.manifest
     seed = run.seed if manifest.seed is None else manifest.seed
 
     with work.step("merge"):
@@ -100,7 +104,11 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         doubts = causes.doubts(scans, cell, nearest, options.points_units)
         for doubt in doubts:
             work.narrator.note(doubt)
-        cloud = merged(scans, nearest, registered=options.registers)
+        search = None if options.search is None else Search(*options.search)
+        rng = np.random.default_rng([seed, PLACES])
+        cloud = merged(scans, nearest, registered=options.registers, search=search, rng=rng)
+        if cloud.fit is not None:
+            cell = cell.about_part(cloud.fit.T)
         source, sigma = source_of(scans), sigma_of(cloud, scans, cell.scanner)
         folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop, sigma, source))
 
@@ -115,7 +123,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         if model.mesh is None:
             folder.remove("mesh.ply")
         else:
-            off = deviation(model.mesh, nearest, np.random.default_rng([seed, _DEVIATION]), closed=model.closed)
+            off = deviation(model.mesh, nearest, np.random.default_rng([seed, DEVIATION]), closed=model.closed)
             folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
 
     with work.step("report"):
@@ -132,7 +140,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
     return summary
 
 
-def _options(recorded: RecordedExecution) -> ScanOptions:
+def options_of(recorded: RecordedExecution) -> ScanOptions:
     """What the execution was asked for; the defaults where its manifest does not say it."""
     with understood(recorded.folder / "manifest.json"):
         return ScanOptions.begun(recorded.manifest.options)

@@ -1,5 +1,7 @@
 """`--acquire simulated`: rays are traced from where the scanner really is; its face, pixel and codes are known."""
 
+import zlib
+
 import numpy as np
 
 from cell.acquisition import SIMULATED
@@ -11,8 +13,9 @@ from cell.scan.pose_error import Disturbance
 from cell.scan.sweep_scan import scan_of
 from planner.ports import Rejection
 
-POSE, NOISE = 10, 11
-"""Streams of randomness; a stop has its own of each, so that one view alone is disturbed as in the whole execution."""
+POSE, NOISE, PART = 10, 11, 13
+"""Streams of randomness; a stop has its own of the first two, so that one view alone is disturbed as in the whole
+execution, and a placement of the last, so that a part that is turned over is off in another direction."""
 
 
 class Simulated:
@@ -32,6 +35,8 @@ class Simulated:
             disturbance: noise and pose error.
             seed: of the disturbance.
         """
+        if disturbance.part is not None:  # what stands about the part stays where it is
+            cell = cell.about_part(np.asarray(np.linalg.inv(disturbance.part), dtype=np.float64))
         self._cell, self._disturbance, self._seed = cell, disturbance, seed
 
     def take(self, view: View) -> Acquired:
@@ -62,5 +67,10 @@ def simulated(argument: str, context: Context) -> Simulated:
         UsageError: if there is an argument.
     """
     if argument:
-        raise UsageError("--acquire simulated takes nothing behind it; its errors are --range-noise and --pose-error")
-    return Simulated(context.cell, Disturbance.of(ScanOptions.begun(context.options)), context.seed)
+        raise UsageError(
+            "--acquire simulated takes nothing behind it; its errors are --range-noise, --pose-error and --setup-error"
+        )
+    scene = context.cell.scene
+    rng = np.random.default_rng([context.seed, PART, zlib.crc32(scene.T_base_object.tobytes())])
+    errors = Disturbance.of(ScanOptions.begun(context.options), scene.T_object_centre[:3, 3], rng)
+    return Simulated(context.cell, errors, context.seed)

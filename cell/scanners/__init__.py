@@ -23,6 +23,7 @@ from planner.ports import Scanner
 if TYPE_CHECKING:
     from pydantic import JsonValue
 
+    from planner.values import Floats
     from planner.viewpoints.viewpoints import Viewpoints
 
 GROUP = "cell.scanners"
@@ -157,6 +158,18 @@ def swept(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
     from planner.viewpoints.sweeps import swept as sweeps_of
 
     return sweeps_of(viewpoints, T_view_scanner)
+
+
+def unswept(scanner: Scanner, columns: "Viewpoints") -> "tuple[Viewpoints, Floats]":
+    """The viewpoints of which a scanner made columns, one pose each, and (4, 4) its T_scanner_view."""
+    import numpy as np  # like `swept`: what only names scanners starts without
+
+    from planner.viewpoints.viewpoints import Viewpoints
+
+    T_view_scanner = getattr(scanner, "T_view_scanner", np.eye(4)[None])
+    T_scanner_view: Floats = np.linalg.inv(T_view_scanner[len(T_view_scanner) // 2])
+    middle = columns.T_object_scanner[:, [columns.T_object_scanner.shape[1] // 2]] @ T_scanner_view
+    return Viewpoints(middle, columns.face, columns.standoff, columns.roll), T_scanner_view
 
 
 def baseline_mm(values: Mapping[str, Any], scanner: Scanner) -> float:

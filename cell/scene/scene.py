@@ -323,6 +323,15 @@ class MeshFixture(_Fixture):
 Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discriminator="shape")]
 
 
+class Setup(Posed):
+    """A pose of the part that `cell setups` may use: where its centre stands, and what stands about it only then."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]
+    position_mm: Triple
+    fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
+    post: Post | None = None
+
+
 class Scene(Table):
     """A whole scene; `Scene()` is the built-in one."""
 
@@ -338,6 +347,7 @@ class Scene(Table):
     fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
     plan: PlanSettings = Field(default_factory=PlanSettings)
     region: Annotated[tuple[Region, ...], Field(strict=False)] = ()
+    setup: Annotated[tuple[Setup, ...], Field(strict=False)] = ()
     picture: Picture = Field(default_factory=Picture)
 
     @field_validator("fixtures")
@@ -356,6 +366,21 @@ class Scene(Table):
         if problem := contradiction(regions) or (plan and regions and beside_plan(regions, plan)):
             raise ValueError(problem)
         return regions
+
+    @field_validator("setup")
+    @classmethod
+    def _differ(cls, setups: tuple[Setup, ...], info: ValidationInfo) -> tuple[Setup, ...]:
+        shared = [fixture.name for fixture in info.data.get("fixtures", ())]
+        for number, setup in enumerate(setups):
+            names = [*shared, *(fixture.name for fixture in setup.fixtures)]
+            if twice := sorted({name for name in names if names.count(name) > 1}):
+                raise ValueError(f"'{setup.name}' has the fixture '{twice[0]}' more than once; each needs its own name")
+            for other in setups[:number]:
+                if other.name == setup.name:
+                    raise ValueError(f" has the name '{setup.name}' more than once; each set-up needs its own")
+                if other.model_copy(update={"name": setup.name}) == setup:
+                    raise ValueError(f"s '{other.name}' and '{setup.name}' are equal; leave one of them out")
+        return setups
 
     @field_validator("picture")
     @classmethod

@@ -7,7 +7,7 @@ which a set-up is a group of columns with a cost above that of all its views tog
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -65,6 +65,7 @@ def joint_cover(
     *,
     most: int | None = None,
     brief: bool = False,
+    start: Mapping[int, Ints] | None = None,
 ) -> JointCover:
     """Fewest set-ups, then fewest views.
 
@@ -75,6 +76,7 @@ def joint_cover(
         rng: randomness of the search.
         most: set-ups that may be used; where the target takes more, those that can measure most do what they can.
         brief: whether a short search is enough, and a weaker bound.
+        start: views by set-up from which the search begins where it comes to these set-ups.
     """
     areas = matrices[0].features.areas
     can = np.stack([M.matrix() @ use.astype(np.int32) > 0 for M, use in zip(matrices, usable, strict=True)])
@@ -86,13 +88,16 @@ def joint_cover(
     allowed = np.concatenate(list(usable)) & np.isin(group, sorted({each for some in members for each in some}))
     asked, wanted = wanted, min(wanted, max(float(areas[can[list(some)].any(axis=0)].sum()) for some in members))
 
+    known = np.concatenate([first[row] + views for row, views in start.items()]) if start else np.empty(0, np.int64)
+
     def solved(columns: Bools, work: int, *, grouped: bool = False) -> cover.Cover:
         reach = float(areas[joined @ columns.astype(np.int32) > 0].sum())
         problem = Problem(
             joined, areas, columns, coverage=min(1.0, wanted / reach), group=group if grouped else None,
             group_costs=np.full(len(matrices), _ABOVE_ALL_VIEWS) if grouped else None,
         )  # fmt: skip
-        return cover.solve(problem, rng=rng, budget=work)
+        begin = known if len(known) and columns[known].all() else None
+        return cover.solve(problem, rng=rng, budget=work, start=begin)
 
     work, count = (cover.DEFAULT_WORK // 5, _EACH // 3) if brief else (cover.DEFAULT_WORK, _EACH)
     largest = sorted(members, key=lambda some: -float(areas[can[list(some)].any(axis=0)].sum()))

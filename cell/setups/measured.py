@@ -8,20 +8,27 @@ import numpy as np
 from cell import scanners
 from cell.checks.possible import impossible
 from cell.plan import denser, steps
+from cell.plan.appended import appended
+from cell.plan.candidates import arm_of
 from cell.plan.steps import Cell, Job, Measured, Run
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles
 from cell.rays.prediction import Prediction
 from cell.robot.arm import kinematics_of
+from cell.scene.scene import Scene
 from cell.setups.contact import touching
 from cell.setups.growing import with_grown
 from cell.setups.offered import Offer
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.model import World
+from cell.world.model import World, compile_world
 from planner.measurability.columns import spread_measurability
 from planner.measurability.matrix import Measurability, measured
+from planner.reach.reach import join_reach
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
-from planner.values import Bools, Floats
+from planner.values import Bools, Floats, Ints
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 
@@ -59,12 +66,56 @@ class Setup:
         seen = measured(T_object_poses, samples, self.prediction.scanner, self.prediction.casters)
         return seen & ~touching(samples, self.supports)
 
+    def with_views(
+        self, run: Run, surface: PartSurface, M: Measurability, views: Viewpoints
+    ) -> "tuple[Setup, Measurability]":
+        """With further candidates behind the others, and the matrix of all of them over the rows of M.
+
+        Args:
+            run: the open run.
+            surface: the part.
+            M: of the candidates that there are, over the rows by now.
+            views: the further ones, one pose each, that the arm takes up.
+        """
+        known, rows = self.measured, replace(surface, features=M.features)
+        reached = join_reach([known.reached, steps.reach_of(self.job, self.cell, views)])
+        candidates, joined, _ = appended(
+            replace(run, use_cache=False), self.job, rows, known.casters, (known.candidates, M), views
+        )
+        M = _without(joined, touching(M.features, self.supports))
+        prediction = self.prediction.with_more(candidates.T_object_scanner[len(known.candidates) :])
+        measured = replace(known, candidates=candidates, reached=reached, M=M)
+        return replace(self, measured=measured, prediction=prediction), M
+
+    def arm(self, features: SurfaceSamples) -> Arm:
+        """Who measures here and where it gets to; of the features those that touch a support are not measured."""
+        cell, known = self.cell, self.measured
+        arm = arm_of(cell.world, cell.kinematics, cell.checker, known.scanner, known.casters)
+        return _PartArm(
+            arm.scanner, arm.casters, arm.takes_up, arm.T_view_scanner, touched=touching(features, self.supports)
+        )
+
     def rows_of(self, features: SurfaceSamples) -> Measurability:
         """What reachable candidates measure of further features."""
         reachable = self.measured.reached.reachable
         sigma = self.measured.M.sigma is not None
         M = denser.rows_of(self.measured.candidates, reachable, self.prediction, features, sigma=sigma)
         return _without(M, touching(features, self.supports))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PartArm(Arm):
+    """An arm before a part of which some lies on something.
+
+    Attributes:
+        touched: (S,) targets that a support touches.
+    """
+
+    touched: Bools
+
+    def measured(self, views: Floats, targets: Targets, rows: Ints) -> Bools:
+        """(n_rows, n_views) which of the rows each viewpoint (n, 4, 4) [m] measures."""
+        return Arm.measured(self, views, targets, rows) & ~self.touched[rows, None]
 
 
 def measured_setup(
@@ -87,10 +138,14 @@ def measured_setup(
         shared: candidates that all set-ups share.
         scouts: points that more candidates are grown for.
     """
-    scene = job.scene.model_copy(update={"placement": offer.placement})
-    T_base_object = scene.placement.T @ np.linalg.inv(world.T_object_centre)
-    settled = world.scene.model_copy(update={"placement": offer.placement})
-    world = replace(world, scene=settled, T_base_object=T_base_object)
+    scene = offer.scene(job.scene)
+    if offer.given is not None and (offer.given.fixtures or offer.given.post):
+        world = compiled_world(job, scene, surface.reference)
+    else:
+        T_base_object = scene.placement.T @ np.linalg.inv(world.T_object_centre)
+        world = replace(
+            world, scene=world.scene.model_copy(update={"placement": offer.placement}), T_base_object=T_base_object
+        )
     if problems := impossible(world):
         return problems[0]
     job = replace(job, scene=scene)
@@ -108,6 +163,12 @@ def measured_setup(
         known = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
         prediction = steps.predicted(run, surface, known, progress)
         return Setup(job, cell, known, prediction, supports, touching(prediction.samples, supports))
+
+
+def compiled_world(job: Job, scene: Scene, part: TriangleMesh) -> World:
+    """The cell of a scene, compiled with the part in it."""
+    baseline_mm = scanners.baseline_mm(job.settings.scanner, job.scanner)
+    return compile_world(scene, part.vertices, part_faces=part.faces, baseline_mm=baseline_mm)
 
 
 def _without(M: Measurability, rows: Bools) -> Measurability:

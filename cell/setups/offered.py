@@ -7,6 +7,7 @@ import numpy as np
 
 from cell.robot.frames import kuka_abc_from_pose
 from cell.scene.posed import Placement
+from cell.scene.scene import Scene, Setup
 from cell.world.model import World
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
@@ -25,14 +26,31 @@ class Offer:
     Attributes:
         name: in words.
         placement: of the part's centre.
+        given: its table in the scene; None of one that is proposed.
     """
 
     name: str
     placement: Placement
+    given: Setup | None = None
+
+    def scene(self, shared: Scene) -> Scene:
+        """The scene of this set-up alone, of that of all."""
+        own: dict[str, object] = {"placement": self.placement, "setup": ()}
+        if self.given is None:
+            return shared.model_copy(update=own)
+        own["fixtures"] = (*shared.fixtures, *self.given.fixtures)
+        return shared.model_copy(update=own | ({} if self.given.post is None else {"post": self.given.post}))
 
 
-def offered(world: World, part: TriangleMesh, most: int) -> list[Offer]:
-    """The set-ups that are looked at: the part's lowest point stays at its height, its centre over the same place.
+def given(scene: Scene) -> list[Offer]:
+    """The set-ups that the scene gives, in its order."""
+    return [
+        Offer(each.name, Placement(position_mm=each.position_mm, abc_deg=each.abc_deg), each) for each in scene.setup
+    ]
+
+
+def proposed(world: World, part: TriangleMesh, most: int) -> list[Offer]:
+    """The set-ups that are proposed: the part's lowest point stays at its height, its centre over the same place.
 
     The pose that the scene gives comes first, then stable poses, the most probable first, each at all turns.
 
@@ -41,8 +59,8 @@ def offered(world: World, part: TriangleMesh, most: int) -> list[Offer]:
         part: its reference [m], object frame.
         most: how many at most.
     """
-    given = (world.T_base_object @ world.T_object_centre)[:3, :3]
-    lies = [("as it is placed", given)]
+    placed = (world.T_base_object @ world.T_object_centre)[:3, :3]
+    lies = [("as it is placed", placed)]
     for R, probability in _stable(part):
         if all(_apart_deg(R, other) > _ALIKE_DEG for _, other in lies):
             lies.append((f"in a stable pose of probability {probability:.2f}", R))

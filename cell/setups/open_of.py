@@ -170,22 +170,13 @@ def _candidates(left: _Open, run: Run, job: Job, surface: PartSurface, cell: Cel
     with run.step("reach and grow the candidates") as progress:
         scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(steps.SCOUTS))
         scouts = pick_samples(scouts, left.asks(scouts))
-        candidates, reached = with_grown(job, surface, cell, _viewpoints(left.setups[0]), scouts, progress)
+        first = left.setups[0]
+        shared, _ = scanners.unswept(first.cell.scanner, reader.candidates(first.run.record))
+        candidates, reached = with_grown(job, surface, cell, shared, scouts, progress)
     plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
     plan_files.write_reach(run.folder, reached)
     require_reachable(job.scene.plan, job.part, reached)
     return candidates, reached
-
-
-def _viewpoints(setup: EarlierSetup) -> Viewpoints:
-    """The candidates of a run before its scanner made sweeps of them."""
-    known = reader.candidates(setup.run.record)
-    T_view_scanner = getattr(setup.cell.scanner, "T_view_scanner", np.eye(4)[None])
-    middle = len(T_view_scanner) // 2
-    T = known.T_object_scanner[:, [middle]]
-    if len(T_view_scanner) > 1:
-        T = T @ np.linalg.inv(T_view_scanner[middle])
-    return Viewpoints(T, known.face, known.standoff, known.roll)
 
 
 def _together(

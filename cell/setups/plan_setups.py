@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cell import scanners
 from cell.errors import UnreachableError, UsageError
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
@@ -27,11 +26,10 @@ from cell.run.setups_json import ChosenSetup, OfferedSetup, SetupsCoverage, Setu
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene
 from cell.setups.joint import JointCover
-from cell.setups.measured import Setup, measured_setup
-from cell.setups.offered import Offer, offered
+from cell.setups.measured import Setup, compiled_world, measured_setup
+from cell.setups.offered import Offer, given, proposed
 from cell.setups.report import page, status
 from cell.setups.search import Search
-from cell.world.model import compile_world
 from planner.surface.decimate import decimate
 from planner.surface.sample import sample
 from planner.values import Bools
@@ -42,12 +40,18 @@ _FOREIGN = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share",
 """Wishes of `[plan]` that a cover of several set-ups does not answer."""
 
 
+PROPOSED = 24
+"""Poses that are proposed where neither the scene nor the user says which."""
+
+_SAME = 1e-5  # m, and entries of a rotation
+
+
 def plan_setups(
     scene: Scene,
     *,
     part: Workpiece | None,
     most: int | None,
-    offer: int,
+    offer: int | None,
     scene_path: Path | None,
     out: Path | None,
     argv: Sequence[str],
@@ -60,7 +64,7 @@ def plan_setups(
         scene: the checked scene; its placement says where the part's centre and its lowest point are.
         part: in place of the scene's.
         most: set-ups that may be used; None: as many as it takes.
-        offer: poses that are looked at, at most.
+        offer: poses that are proposed, at most; None: `PROPOSED`, or none beside those that the scene gives.
         scene_path: where the scene came from; None for the built-in one.
         out: the folder to make; None makes one below sim_runs/.
         argv: for the manifests.
@@ -79,6 +83,10 @@ def plan_setups(
             raise UsageError(f"plan.{key} is no wish that a cover of several set-ups answers; leave it out")
     if scene.region:
         raise UsageError("regions are no wish that a cover of several set-ups answers; leave them out")
+    if offer is None:
+        offer = 0 if scene.setup else PROPOSED
+    if not (offer or scene.setup):
+        raise UsageError("no set-up is offered: give [[setup]] tables in the scene, or let some be proposed")
     steps_of = partial(_steps, most, offer, scene_path, narrator)
     return pipeline.plan(
         scene, part=part, scene_path=scene_path, out=out, argv=argv, use_cache=use_cache, narrator=narrator,
@@ -94,8 +102,14 @@ def _steps(most: int | None, offer: int, scene_path: Path | None, narrator: Narr
         told = next((found for found in tried if isinstance(found, str)), "no candidate measures anything")
         raise UnreachableError(f"none of the {len(offers)} set-ups offered can be planned ({told}); move the part")
     with run.step("select and connect"):
-        found, connected = Search(run, surface, setups, most).result()
+        search = Search(run, surface, setups, most)
+        found, connected = search.result()
+        setups = dict(search.setups)
     visible = {row: setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()}
+    for row, each in enumerate(offers):
+        if each.given is not None and row not in connected:
+            why = tried[row] if isinstance(tried[row], str) else "it adds nothing that the others do not measure"
+            run.narrator.note(f"the set-up '{each.name}' is left out: {why}")
     order = sorted(visible, key=lambda row: (-int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
         setup, (problem, plan) = setups[row], connected[row]
@@ -125,15 +139,25 @@ def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], l
         features = surface_features(job.scene, reference, planning, run.rng(steps.FEATURES))
         surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
         scouts = sample(reference, planning, growth.SCOUTS, run.rng(steps.SCOUTS))
-        world = compile_world(
-            job.scene,
-            reference.vertices,
-            part_faces=reference.faces,
-            baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
-        )
-        offers = offered(world, reference, most)
+        world = compiled_world(job, job.scene, reference)
+        offers = _distinct([*given(job.scene), *proposed(world, reference, most)])
+        if job.scene.setup == () and len({offer.name.split(",")[0] for offer in offers}) == 1 < most:
+            run.narrator.note("the part has no other stable pose: it is offered as it is placed, turned, alone")
     tried = [measured_setup(run, job, surface, world, each, shared, scouts) for each in offers]
     return surface, offers, tried
+
+
+def _distinct(offers: list[Offer]) -> list[Offer]:
+    """The offers without those in which the part lies as in an earlier one, among the same fixtures."""
+    kept: list[Offer] = []
+    for offer in offers:
+        alike = (
+            np.abs(offer.placement.T - other.placement.T).max() < _SAME and not (other.given and other.given.fixtures)
+            for other in kept
+        )
+        if offer.given is not None or not any(alike):
+            kept.append(offer)
+    return kept
 
 
 def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: Run, job: Job) -> int:
@@ -174,7 +198,7 @@ def _file(
     can = np.logical_or.reduce([setup.coverable for setup in setups.values()]) | seen
     coverage = SetupsCoverage(
         visible=float(seen.mean()), coverable=float(can.mean()), visible_of_coverable=float(seen.sum() / can.sum()),
-        asked=job.scene.plan.coverage,
+        asked=job.scene.plan.coverage, required=job.scene.plan.required_visible,
     )  # fmt: skip
     return SetupsFile(
         part=job.part.name,

@@ -18,9 +18,11 @@ from cell.plan.view_plan import ConnectedPlan, choose_and_connect, first_choice
 from cell.rays.matrix import PartSurface
 from cell.setups.joint import JointCover, joint_cover
 from cell.setups.measured import Setup
+from cell.setups.moved import movable, with_fewer
 from planner.cover import CoverStatus
 from planner.measurability.rows import add_rows
 from planner.surface.sample import pick_samples, sample
+from planner.values import Ints
 
 _TRIES = 20  # covers in all
 _STEP = 0.0005  # beyond the gap that the held-out samples show, as `cell.plan.request` raises a target
@@ -39,7 +41,8 @@ class Search:
     """
 
     def __init__(self, run: Run, surface: PartSurface, setups: Mapping[int, Setup], most: int | None) -> None:
-        self._run, self._surface, self._setups, self._most = run, surface, setups, most
+        self._run, self._surface, self._most = run, surface, most
+        self._setups = dict(setups)
         self._M = {row: setup.measured.M for row, setup in setups.items()}  # as the arms leave it
         self._usable = {row: np.array(setup.measured.reached.reachable) for row, setup in setups.items()}
         self._asked = next(iter(setups.values())).job.scene.plan.coverage
@@ -76,18 +79,42 @@ class Search:
         if last is None:
             raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
         found, connected = last
-        thorough = self._cover(brief=False)
-        fewer = self._connected(thorough) if thorough.n_views < found.n_views else None
-        if fewer is not None and self._lacks(thorough, fewer) <= 0:
-            found, connected = thorough, fewer
-        bound = min(max(found.views_bound, thorough.views_bound), found.n_views)
-        return replace(found, views_bound=bound), connected
+        moved = self._moved(found)
+        thorough = self._cover(brief=False, start=None if moved is None else moved.views)
+        for better in sorted((thorough, moved or thorough), key=lambda each: each.n_views):
+            plans = self._connected(better) if better.n_views < found.n_views else None
+            if plans is not None and self._lacks(better, plans) <= 0:
+                found, connected = better, plans
+                break
+        bound = max(thorough.views_bound, found.views_bound if moved is None else 1)
+        return replace(found, views_bound=min(bound, found.n_views)), connected
 
-    def _cover(self, *, brief: bool) -> JointCover:
+    @property
+    def setups(self) -> Mapping[int, Setup]:
+        """The set-ups with what has become a candidate since."""
+        return self._setups
+
+    def _cover(self, *, brief: bool, start: Mapping[int, Ints] | None = None) -> JointCover:
         return joint_cover(
             list(self._M.values()), list(self._usable.values()), self._target, self._chooses, most=self._most,
-            brief=brief,
+            brief=brief, start=start,
         )  # fmt: skip
+
+    def _moved(self, found: JointCover) -> JointCover | None:
+        """The cover by fewer views, of which some were moved and are candidates from here on; None where none can."""
+        rows = list(self._setups)
+        if not (self._asked < 1 and movable(self._setups)):
+            return None
+        chosen = {rows[index]: views for index, views in found.views.items()}
+        self._setups, self._M, views = with_fewer(
+            self._run, self._surface, self._setups, self._M, chosen, found.wanted_area
+        )
+        if sum(map(len, views.values())) == found.n_views:
+            return None
+        for row, setup in self._setups.items():
+            more = setup.measured.reached.reachable[len(self._usable[row]) :]
+            self._usable[row] = np.concatenate([self._usable[row], more])
+        return replace(found, views={rows.index(row): columns for row, columns in views.items()})
 
     def _connected(self, found: JointCover) -> Connected | None:
         """The plans of a cover's set-ups; None where a view cannot be connected, or arms leave less than was asked."""

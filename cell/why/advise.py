@@ -134,15 +134,18 @@ def _place(T_base_centre: Floats) -> str:
 
 
 def _open_of(run: RunRecord, T_base_centre: Floats) -> str:
-    """The command that plans a second set-up for what a run leaves open."""
-    return shlex.join(["cell", "plan", "--open-of", str(run.folder), "--place", _place(T_base_centre)])
+    """The command that plans a further set-up for what a run leaves open, or all set-ups of a folder together."""
+    beside = run.folder.absolute().parent.parent / "setups.json"
+    runs = sorted(run.folder.parent.iterdir()) if beside.is_file() else [run.folder]
+    named = [word for folder in runs for word in ("--open-of", str(folder))]
+    return shlex.join(["cell", "plan", *named, "--place", _place(T_base_centre)])
 
 
 def _command(run: RunRecord, T_base_centre: Floats) -> str:
-    """The run's own command line at another placement; of a run that was not begun by `cell plan`, the option alone."""
+    """The run's own command line at another placement; the option alone where `cell edit` or Python began it."""
     place = _place(T_base_centre)
     words = list(run.manifest.argv)
-    if words[:1] != ["plan"]:
+    if words[:1] not in (["plan"], ["setups"]):
         return f"--place {place}"
     for option in ("--place", "--out"):
         while option in words:

@@ -71,7 +71,7 @@ def fewer(
     views: Standing,
     targets: Targets,
     areas: Floats,
-    arm: Arm,
+    arm_of: Callable[[int], Arm],
     *,
     goal: float,
     short: Callable[[Standing], float],
@@ -83,7 +83,7 @@ def fewer(
         views: that do; which of them are left out and moved is up to the search.
         targets: the S rows.
         areas: (S,) that each row stands for, in any unit; 0 where it does not count.
-        arm: the scanner and what it can take up.
+        arm_of: for each of the views given its scanner and what that can take up: of several set-ups each has its own.
         goal: area of rows that has to be measured, in the unit of `areas`.
         short: asked of views that measure so much: by how much more they should, 0 or less where they do.
         work: poses that are looked at.
@@ -91,7 +91,7 @@ def fewer(
     Returns:
         The views; those given where none of them can be left out.
     """
-    search = _Search(targets, areas, arm, work)
+    search = _Search(targets, areas, arm_of, work)
     count = max(1, len(views) // _TOGETHER)
     while count and len(views) > count:
         found = search.restored(views.pick(search.needed_most(views, len(views) - count)), goal, short)
@@ -102,8 +102,8 @@ def fewer(
 class _Search:
     """Moves views, and counts the poses."""
 
-    def __init__(self, targets: Targets, areas: Floats, arm: Arm, work: int) -> None:
-        self.targets, self.areas, self.arm, self.left, self.rounds = targets, areas, arm, work, 0
+    def __init__(self, targets: Targets, areas: Floats, arm_of: Callable[[int], Arm], work: int) -> None:
+        self.targets, self.areas, self.arm_of, self.left, self.rounds = targets, areas, arm_of, work, 0
 
     def needed_most(self, views: Standing, count: int) -> Ints:
         """So many views, ascending: the one that measures least that no other does leaves, again and again."""
@@ -147,16 +147,16 @@ class _Search:
         """One view where it measures more of what no other does."""
         others = np.delete(views.measured, view, axis=1).any(axis=1)
         rows = np.flatnonzero(~others & (self.areas > 0))
-        area = self.areas[rows]
+        area, arm = self.areas[rows], self.arm_of(int(views.origin[view]))
         now = float(area[views.measured[rows, view]].sum())
         stretch = (self.rounds * _POSES, (self.rounds + 1) * _POSES)
         T = moved(views.T_object_scanner[view], float(views.distance[view]), scale, stretch, view)
-        there = area @ self.arm.measured(T, self.targets, rows)
+        there = area @ arm.measured(T, self.targets, rows)
         best = np.argsort(-there, kind="stable")[:_ASKED]
         best = best[there[best] > now * (1 + 1e-9)]
-        best = best[self.arm.takes_up(T[best, None] @ self.arm.T_view_scanner)] if len(best) else best
+        best = best[arm.takes_up(T[best, None] @ arm.T_view_scanner)] if len(best) else best
         if not len(best):
             return views
         pose = T[best[0]]
-        measured = self.arm.measured(pose[None], self.targets, np.arange(len(self.targets)))[:, 0]
+        measured = arm.measured(pose[None], self.targets, np.arange(len(self.targets)))[:, 0]
         return views.at(view, pose, measured)

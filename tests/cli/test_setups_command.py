@@ -79,9 +79,9 @@ def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: P
     shutil.copytree(made, tmp_path / "made")
     done = run_cell("scan", "made/setups/1", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    done = run_cell("scan", "made", cwd=tmp_path)
+    done = run_cell("replay", "made", "--picture", "x.png", cwd=tmp_path)
     assert done.returncode == 6
-    assert "made holds several set-ups; give the run folder of one of them, made/setups/1" in done.stderr
+    assert "made holds several set-ups; give the run folder of one of them: made/setups/1" in done.stderr
 
 
 @pytest.mark.parametrize(

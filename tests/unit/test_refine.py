@@ -48,7 +48,8 @@ def _fewer(case, *, takes_up=lambda T: np.ones(len(T), dtype=bool), short=lambda
     areas = features.areas / features.areas.sum()
     goal = float(areas[views.measured.any(axis=1)].sum())
     targets = Targets.of(features.points, features.normals)
-    return goal, fewer(views, targets, areas, _arm(scanner, caster, takes_up), goal=goal, short=short, work=work)
+    arm = _arm(scanner, caster, takes_up)
+    return goal, fewer(views, targets, areas, lambda view: arm, goal=goal, short=short, work=work)
 
 
 def test_fewer_views_measure_as_much(case):

@@ -15,7 +15,7 @@ from cell.scene.scene import Scene
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
-from cell.setups.offered import offered
+from cell.setups.offered import proposed
 from cell.world.model import compile_world
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -118,7 +118,7 @@ def test_a_box_is_offered_on_its_six_sides() -> None:
     box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
     scene = Scene.model_validate({"placement": {"position_mm": [1200, 500, 30]}})
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
-    offers = offered(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 100)
+    offers = proposed(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 100)
     assert len(offers) == 24
     assert offers[0].placement == scene.placement
     assert len({offer.name for offer in offers[:4]}) == 4
@@ -128,6 +128,6 @@ def test_a_box_is_offered_on_its_six_sides() -> None:
     np.testing.assert_allclose(T[:, :2, 3], [[1.2, 0.5]] * 24, atol=1e-9)
     lowest = [(box.vertices @ pose[:3, :3].T)[:, 2].min() + pose[2, 3] for pose in T]
     np.testing.assert_allclose(lowest, -0.05, atol=2e-6)  # angles are rounded to a thousandth of a degree
-    assert [offer.placement for offer in offered(world, TriangleMesh(box.vertices, box.faces), 5)] == [
+    assert [offer.placement for offer in proposed(world, TriangleMesh(box.vertices, box.faces), 5)] == [
         offer.placement for offer in offers[:5]
     ]
