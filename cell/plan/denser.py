@@ -12,7 +12,6 @@ from typing import cast
 import numpy as np
 
 from cell.plan.problem import Problem
-from cell.plan.refined import Append, movable, with_fewer
 from cell.plan.request import AGAIN_WORK, LOOK_WORK, WORK, Selected
 from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
@@ -36,11 +35,7 @@ _MORE = 4_000  # rows that a round adds at most, or twice as many as there are: 
 
 
 def chosen_where_kept(
-    problem: Problem,
-    surface: PartSurface,
-    rng: np.random.Generator,
-    fresh: np.random.Generator,
-    append: Append | None = None,
+    problem: Problem, surface: PartSurface, rng: np.random.Generator, fresh: np.random.Generator
 ) -> tuple[Problem, Selected]:
     """The first choice of views, with samples added until they keep the coverage that is asked for.
 
@@ -49,11 +44,9 @@ def chosen_where_kept(
         surface: the part.
         rng: randomness of the selection.
         fresh: draws the samples.
-        append: makes candidates of views that were moved; None: none is moved.
 
     Returns:
-        The problem with its samples and candidates, and the views; they fall short only where fresh samples show
-        nothing more.
+        The problem with its samples, and the views; they fall short only where fresh samples show nothing more.
     """
     if not _adds(problem):
         return problem, first_choice(problem, rng)
@@ -66,7 +59,7 @@ def chosen_where_kept(
     for left in reversed(range(ROUNDS + 1)):
         selected = first_choice(problem, rng, looked=selected, look=LOOK_WORK)
         if selected.nearly(asked):
-            problem, selected = _settled(problem, selected, rng, append)
+            selected = _settled(problem, selected, rng)
             if selected.nearly(asked):
                 break
         if not left:  # what is raised and bounded from here on has to have been looked at on the same samples
@@ -84,26 +77,22 @@ def chosen_where_kept(
     return problem, first_choice(problem, rng, looked=selected)
 
 
-def _settled(
-    problem: Problem, looked: Selected, rng: np.random.Generator, append: Append | None
-) -> tuple[Problem, Selected]:
-    """What the whole work makes of views: moved so that fewer do, searched on among all candidates, and bounded."""
+def _settled(problem: Problem, looked: Selected, rng: np.random.Generator) -> Selected:
+    """What the whole work makes of views: searched on, and bounded."""
     if not problem.request.brief:  # a look was the whole work
-        return problem, looked
+        return looked
     asked, targets = problem.request.asked, looked.raised(problem.request.asked)
-    if append is not None and movable(problem):
-        problem, looked = with_fewer(problem, looked, append)
     if looked.keeps(asked):  # should they stay, then as views for targets that they meet
         targets = np.minimum(targets, looked.claimed)
     looked = replace(looked, targets=targets)
     found = first_choice(problem, rng, looked=looked, look=WORK)
     if found.keeps(asked) or not looked.keeps(asked):
-        return problem, found
+        return found
     # Fewer, but too few: a few more of the matrix' samples, or else the views that were there.
     again = replace(found, targets=found.raised(asked))
     more = first_choice(problem, rng, looked=again, look=AGAIN_WORK).bounded(found)
     better = more.keeps(asked) and len(more.cover.views) < len(looked.cover.views)
-    return problem, more if better else looked.bounded(found)
+    return more if better else looked.bounded(found)
 
 
 def _adds(problem: Problem) -> bool:

@@ -1,7 +1,8 @@
 """Fewer views by moving the chosen ones (`planner.viewpoints.refine`): poses that were no candidates become some.
 
-Views that moved are appended to candidates, reach and matrix, so that every candidate keeps its number, and the views
-are chosen again among all. Where no view can be left out nothing is appended.
+The views that were chosen without it are where it begins, and what comes out has fewer of them and measures no less of
+the held-out samples; else nothing is changed. Views that moved are appended to candidates, reach and matrix, so that
+every candidate keeps its number, and the views are chosen again among all.
 """
 
 from collections.abc import Callable
@@ -11,8 +12,9 @@ import numpy as np
 
 from cell.plan.candidates import GROWN, arm_of
 from cell.plan.problem import Problem
-from cell.plan.request import Selected
+from cell.plan.request import WORK, Selected
 from cell.plan.view_exchange import of_views
+from cell.plan.view_plan import first_choice
 from planner.cover import CoverStatus
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.refine import Standing, fewer
@@ -20,6 +22,8 @@ from planner.viewpoints.viewpoints import Viewpoints, standing_at
 
 BEYOND = 0.0005
 """Beyond the coverage asked for, a share of what is coverable: a plan whose views stay has as much on average."""
+MARGIN = 0.0002
+"""Beyond what the views measured that did not move: as much as a shorter motion may cost."""
 
 Append = Callable[[Problem, Viewpoints], Problem]
 """A problem with further viewpoints behind its candidates: all of them known as well as those there."""
@@ -32,31 +36,55 @@ def movable(problem: Problem) -> bool:
     return free and request.exchangeable and request.goals is None and request.brief and problem.at_rest
 
 
-def with_fewer(problem: Problem, selected: Selected, append: Append) -> tuple[Problem, Selected]:
+def with_fewer(
+    problem: Problem, selected: Selected, append: Append, rng: np.random.Generator
+) -> tuple[Problem, Selected]:
     """Fewer views that measure as much of the held-out samples, as candidates of the problem; or what was given.
 
     Args:
         problem: what is asked.
         selected: views that were chosen for it.
         append: makes candidates of poses.
+        rng: randomness of the selection among candidates of which some are the views that were moved.
     """
+    if not selected.keeps(problem.request.asked):
+        return problem, selected
+    after = _moved(problem, selected)
+    if len(after) == len(selected.cover.views):
+        return problem, selected
+    more, moved = _appended(problem, selected, after, append)
+    # Where all can be chosen from, fewer still may do; what measures less than the views before does not.
+    found = first_choice(more, rng, looked=moved, look=WORK)
+    fewer_still = len(found.cover.views) < len(after) and found.shares[0] >= _least(problem, selected)
+    return more, found if fewer_still else moved.bounded(found)
+
+
+def _least(problem: Problem, selected: Selected) -> float:
+    """Share of what is coverable that moved views have to measure of the held-out samples."""
+    return max(problem.request.plan.coverage + BEYOND, float(selected.shares[0]) + MARGIN)
+
+
+def _moved(problem: Problem, selected: Selected) -> Standing:
+    """The views where they stand, or fewer of them elsewhere."""
     candidates, known, chosen = problem.candidates, problem.prediction, selected.cover.views
     M, features = problem.M.matrix().tocsc(), problem.M.features
-    rows = np.diff(problem.M.indptr) > 0
+    rows, least = np.diff(problem.M.indptr) > 0, _least(problem, selected)
     areas = np.where(rows, features.areas, 0.0) / max(float(features.areas[rows].sum()), 1e-300)
-    least = max(problem.request.plan.coverage + BEYOND, float(selected.shares[0]))
     before = Standing(
         candidates.T_object_scanner[chosen, 0], candidates.standoff[chosen], np.arange(len(chosen)),
         np.zeros(len(chosen), dtype=np.bool_), M[:, chosen].toarray(),
     )  # fmt: skip
     arm = arm_of(problem.world, problem.kinematics, problem.checker, known.scanner, known.casters)
-    after = fewer(
+    return fewer(
         before, Targets.of(features.points, features.normals), areas, lambda view: arm,
         goal=min(selected.target, float(areas[before.measured.any(axis=1)].sum())),
         short=lambda views: least - known.share_of_coverable(views.T_object_scanner[:, None]),
     )  # fmt: skip
-    if len(after) == len(before):
-        return problem, selected
+
+
+def _appended(problem: Problem, selected: Selected, after: Standing, append: Append) -> tuple[Problem, Selected]:
+    """The problem with the views that moved behind its candidates, and all views as an answer to it."""
+    candidates, chosen = problem.candidates, selected.cover.views
     T = after.T_object_scanner[after.moved]
     aim = T[:, :3, 3] + after.distance[after.moved, None] * T[:, :3, 2]
     more = append(problem, standing_at(T, aim, candidates.face[chosen[after.origin[after.moved]]]))
@@ -65,8 +93,9 @@ def with_fewer(problem: Problem, selected: Selected, append: Append) -> tuple[Pr
     coverable = np.diff(more.M.indptr) > 0
     free = replace(
         selected.cover, lower_bound=1, status=CoverStatus.BOUNDED, uncoverable_rows=np.flatnonzero(~coverable),
-        coverable_area=float(features.areas[coverable].sum()),
+        coverable_area=float(more.M.features.areas[coverable].sum()),
     )  # fmt: skip
     cover, _ = of_views(free, more.M, views)
     share = more.prediction.share_of_coverable(more.candidates.T_object_scanner[cover.views])
-    return more, replace(selected, cover=cover, shares=np.array([share]), sentence=cover.sentence)
+    moved = replace(selected, cover=cover, shares=np.array([share]), sentence=cover.sentence)
+    return more, replace(moved, targets=np.minimum(selected.targets, moved.claimed))

@@ -21,7 +21,7 @@ from cell.plan.clearances import require_no_contact
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
-from cell.plan.refined import Append
+from cell.plan.refined import Append, movable, with_fewer
 from cell.plan.region_goals import RegionGoals, require_measurable
 from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import ConnectedPlan, choose_and_connect
@@ -263,7 +263,9 @@ def connect(
     """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
         chooses, before = run.rng(SELECTION), problem
-        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(FRESH), append)
+        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(FRESH))
+        if append is not None and movable(problem):
+            problem, selected = with_fewer(problem, selected, append, chooses)
         if problem.M is not before.M:
             plan_files.write_measurability(run.folder, problem.M)
         if problem.candidates is not before.candidates:
