@@ -171,9 +171,9 @@ def _open(samples: SurfaceSamples, asked: Asked) -> SurfaceSamples:
     still_open = ~space.seen(samples.points)
     chosen = np.flatnonzero(still_open | asked.batch.whole)
     areas = np.where(still_open, asked.record.weights(space.open_at(samples.points)), 1.0) * samples.areas
-    every = max(1.0, len(chosen) / _KEPT)
-    kept = chosen[np.unique((np.arange(0, len(chosen), every)).astype(np.int64))]
-    scale = len(chosen) / max(len(kept), 1)
+    count = min(len(chosen), _KEPT)
+    kept = chosen[np.arange(count) * len(chosen) // max(count, 1)]
+    scale = len(chosen) / max(count, 1)
     return SurfaceSamples(
         samples.points[kept], samples.normals[kept], scale * areas[kept], samples.face[kept],
         samples.planning_face[kept],
