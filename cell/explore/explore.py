@@ -28,7 +28,7 @@ from cell.scan.safety import Ask
 from cell.scene.scene import Scene
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.surface.sample import SurfaceSamples, pick_samples
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 _FILES = "files:"
 _OUTSIDE = 0.01
@@ -72,9 +72,10 @@ def explore(
                 file = _finished(work, file, str(error), error.open)
                 break
             scans = _executed(work, folder)
-            known = _learned(known, folder, scans, work)
+            before, known = known, _learned(known, folder, scans, work)
             work.paths.keep(number, known)
-            file = file.model_copy(update={"stages": (*file.stages, _stage_of(work, folder, scans, known.space))})
+            stage = _stage_of(work, folder, scans, before.space, known.space)
+            file = file.model_copy(update={"stages": (*file.stages, stage)})
             work.paths.write(file)
     return file
 
@@ -130,19 +131,19 @@ def _learned(known: Known, folder: Path, scans: Sequence[ExecutedScan], work: Ex
     """What is known after a stage."""
     _require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
     before, after = known.space, known.space
-    for scan in scans:
+    expected, sees, surface = _expected(folder, before)
+    found = np.zeros(len(expected), dtype=np.bool_)
+    for view, scan in enumerate(scans):
         T, eye = scan.T_reported, work.eye
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (eye.source, eye.sensor))
         after = after.seen_from(scan.points, [source, sensor])
         after = after.judged_from(scan.points, source, eye.blank(scan.points, T), eye.near, eye.far)
-    rows, surface = _expected(folder)
-    rows = pick_samples(rows, ~before.seen(rows.points))
-    tries = before.tries_at(rows.points)
+        found |= sees[:, view] & eye.answered(expected.points, scan.points[~before.seen(scan.points)], T)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
-        shares = rows.areas / record.weights(tries) / surface
-        record = record.with_stage(tries, shares, after.seen(rows.points).astype(np.float64))
-    return Known(after.tried(rows.points[after.open_still(rows.points, rows.normals)]), record)
+        of = before.open_at(expected.points)
+        record = record.with_stage(of, expected.areas / record.weights(of) / surface, found.astype(np.float64))
+    return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record)
 
 
 def _require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
@@ -165,15 +166,18 @@ def _require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
         )
 
 
-def _expected(folder: Path) -> tuple[SurfaceSamples, float]:
-    """The rows that a stage's views should have measured, and the area of what was believed [m^2]."""
+def _expected(folder: Path, before: VoxelSpace) -> tuple[SurfaceSamples, Bools, float]:
+    """What was open (N) and a stage's views should have measured, by which of them (N, views); believed area [m^2]."""
     run = open_finished(folder)
     M, views = reader.measurability(run), reader.plan(run).views
-    rows = np.asarray(M.matrix()[:, [view.id for view in views]].sum(axis=1)).ravel() > 0
-    return pick_samples(M.features, rows), float(reader.mesh(run, "reference.ply").areas.sum())
+    sees = M.matrix()[:, [view.id for view in views]].toarray()
+    rows = sees.any(axis=1) & ~before.seen(M.features.points)
+    return pick_samples(M.features, rows), sees[rows], float(reader.mesh(run, "reference.ply").areas.sum())
 
 
-def _stage_of(work: Exploring, folder: Path, scans: Sequence[ExecutedScan], space: VoxelSpace) -> ExploredStage:
+def _stage_of(
+    work: Exploring, folder: Path, scans: Sequence[ExecutedScan], before: VoxelSpace, space: VoxelSpace
+) -> ExploredStage:
     """What explore.json says of a stage."""
     run, mesh = open_finished(folder), belief.part_of(space, work.name).reference
     return ExploredStage(
@@ -182,7 +186,7 @@ def _stage_of(work: Exploring, folder: Path, scans: Sequence[ExecutedScan], spac
         views=len(scans),
         points=sum(len(scan.points) for scan in scans),
         seconds=round(reader.motion(run).duration, 6),
-        expected_mm2=round(1e6 * float(_expected(folder)[0].areas.sum()), 3),
+        expected_mm2=round(1e6 * float(_expected(folder, before)[0].areas.sum()), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
         open_mm2=round(1e6 * float(mesh.areas[~space.seen(mesh.centres)].sum()), 3),
     )

@@ -27,7 +27,7 @@ from cell.scene.scene import Scene
 from planner.errors import PlannerError
 from planner.explore.space import VoxelSpace
 from planner.ports import Scanner
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,10 +66,22 @@ class Eye:
             points: of one scan.
             T: (4, 4) pose of the scanner in that frame [m].
         """
-        seen = (points - T[:3, 3]) @ T[:3, :3] - self.source
-        seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-12)
-        away = cKDTree(seen).query(self.rays, distance_upper_bound=2 * self.apart)[0] if len(seen) else np.inf
-        return np.asarray(self.rays[np.isinf(np.broadcast_to(away, len(self.rays)))] @ T[:3, :3].T)
+        rays = self.rays @ T[:3, :3].T
+        return np.asarray(rays[~self._beside(rays, self._towards(points, T))])
+
+    def answered(self, targets: Floats, points: Floats, T: Floats) -> Bools:
+        """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m], from `T` as in `blank`."""
+        return self._beside(self._towards(targets, T), self._towards(points, T))
+
+    def _towards(self, points: Floats, T: Floats) -> Floats:
+        legs = points - T[:3, :3] @ self.source - T[:3, 3]
+        return np.asarray(legs / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12))
+
+    def _beside(self, rays: Floats, others: Floats) -> Bools:
+        """(M,) whether one of the unit vectors `others` (N, 3) is two rays' distance from each of `rays` at most."""
+        if not len(others):
+            return np.zeros(len(rays), dtype=np.bool_)
+        return np.isfinite(cKDTree(others).query(rays, distance_upper_bound=2 * self.apart)[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -170,10 +170,10 @@ def _open(samples: SurfaceSamples, asked: Asked) -> SurfaceSamples:
     space = asked.space
     still_open = ~space.seen(samples.points)
     chosen = np.flatnonzero(still_open | asked.batch.whole)
-    areas = np.where(still_open, asked.record.weights(space.tries_at(samples.points)), 1.0) * samples.areas
-    every = max(1.0, len(chosen) / _KEPT)
-    kept = chosen[np.unique((np.arange(0, len(chosen), every)).astype(np.int64))]
-    scale = len(chosen) / max(len(kept), 1)
+    areas = np.where(still_open, asked.record.weights(space.open_at(samples.points)), 1.0) * samples.areas
+    count = min(len(chosen), _KEPT)
+    kept = chosen[np.arange(count) * len(chosen) // max(count, 1)]
+    scale = len(chosen) / max(count, 1)
     return SurfaceSamples(
         samples.points[kept], samples.normals[kept], scale * areas[kept], samples.face[kept],
         samples.planning_face[kept],
@@ -199,9 +199,9 @@ def _explained(
 
     def reasons_now() -> tuple[OpenReason, ...]:
         left = pick_samples(scouts, ~asked.space.seen(scouts.points))
-        tries = asked.space.tries_at(left.points)
-        left = replace(left, areas=left.areas / asked.record.weights(tries))
-        return reasons(left, tries, candidates, reached, scanner, casters)
+        of = asked.space.open_at(left.points)
+        left = replace(left, areas=left.areas / asked.record.weights(of))
+        return reasons(left, of.tries, candidates, reached, scanner, casters)
 
     return reasons_now
 

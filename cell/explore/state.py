@@ -102,8 +102,7 @@ class Paths:
         space, record = known.space, known.record
         np.savez_compressed(
             self.voxels(number), allow_pickle=False, state=space.state, votes=space.votes, tries=space.tries,
-            expected=record.expected,
-            measured=record.measured,
+            expected=record.expected, found=record.found,
         )  # fmt: skip
 
     def known(self, number: int, unknown: VoxelSpace) -> Known:
@@ -120,7 +119,7 @@ class Paths:
         stored = npz(path, path.read_bytes())
         with understood(path):
             space = replace(unknown, state=stored["state"], votes=stored["votes"], tries=stored["tries"])
-            return Known(space, Record(stored["expected"], stored["measured"]))
+            return Known(space, Record(stored["expected"], stored["found"]))
 
     def clear(self, number: int) -> None:
         """Take away what is left of a stage's plan that did not finish."""

@@ -1,8 +1,8 @@
-"""What a view may gain of what is open: an area, and the probability that a view which should measure it does.
+"""What a view may gain of what is open: an area, and the probability that a ray to it finds something new.
 
-What is believed of a part beyond the last measured point is a guess. Views that should measure it do so the more
-seldom, the more often others should have and did not: behind it is a wall of the guess itself, or nothing. How much
-more seldom is learned from the exploration.
+What is believed of a part beyond the last measured point is a guess: a wall of the guess itself, behind which the part
+lies deeper, or nothing at all. It is the better, the nearer to a measured point, where the surface goes on, and the
+worse, the more often others should have measured it and did not. How much so is learned from the exploration.
 """
 
 from dataclasses import dataclass, replace
@@ -12,65 +12,70 @@ import numpy as np
 
 from planner.values import Floats, Ints, Value
 
-MOST_TRIES = 4
+MOST_TRIES = 2
 """Tries beyond this many are as this many."""
 
-_KEPT = 0.5
+REACHES = (2.0, 4.0, 8.0, 16.0, 32.0)
+"""Distances from the nearest measured voxel between the classes [edges of a voxel]."""
+
+_PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.arange(len(REACHES) + 1)
+"""Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
+
+_WORTH = 0.01
+"""... and the weight of this, as a share of the believed surface."""
+
+_KEPT = 0.7
 """Weight of earlier stages at each new one: what is believed late is more often true than what was believed early."""
 
-_PRIOR = 0.5
-"""Share of what failed with one try less that is expected to succeed before anything is known of it ..."""
 
-_WORTH = 0.02
-"""... and the weight of that expectation, as a share of the believed surface."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Open(Value):
+    """Which class open samples of a believed surface are of.
+
+    Attributes:
+        tries: (N,) views that should have measured each and did not.
+        beside: (N,) distance to the nearest measured voxel [edges].
+    """
+
+    tries: Annotated[Ints, "N"]
+    beside: Annotated[Floats, "N"]
+
+    @property
+    def classes(self) -> tuple[Ints, Ints]:
+        """(N,) row and column of each in tables by class."""
+        return np.minimum(self.tries, MOST_TRIES), np.digitize(self.beside, REACHES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record(Value):
-    """What became of believed surface that views should have measured, by the tries before.
+    """What became of what was open where views should have measured it, by class.
 
     Attributes:
-        expected: (MOST_TRIES + 1,) area that executed views should have measured [share of the believed surface].
-        measured: (MOST_TRIES + 1,) of it, where points came back [share of the believed surface].
+        expected: (MOST_TRIES + 1, len(REACHES) + 1) area [share of the believed surface].
+        found: of it, where a ray came back with something new [share of the believed surface].
     """
 
-    expected: Annotated[Floats, "n"]
-    measured: Annotated[Floats, "n"]
+    expected: Annotated[Floats, "T R"]
+    found: Annotated[Floats, "T R"]
 
     @classmethod
     def empty(cls) -> "Record":
         """Before anything was executed."""
-        return cls(np.zeros(MOST_TRIES + 1), np.zeros(MOST_TRIES + 1))
+        return cls(np.zeros(_PRIOR.shape), np.zeros(_PRIOR.shape))
 
-    def with_stage(self, tries: Ints, shares: Floats, measured: Floats) -> "Record":
+    def with_stage(self, still_open: Open, shares: Floats, found: Floats) -> "Record":
         """With a stage more.
 
         Args:
-            tries: (N,) before, of samples that its views should have measured.
+            still_open: before it, samples that its views should have measured.
             shares: (N,) of the believed surface that each stands for.
-            measured: (N,) 1 where points came back near it, else 0.
+            found: (N,) 1 where a ray came back with something new, else 0.
         """
-        level = np.minimum(tries, MOST_TRIES)
-        count = MOST_TRIES + 1
-        return replace(
-            self,
-            expected=_KEPT * self.expected + np.bincount(level, shares, count),
-            measured=_KEPT * self.measured + np.bincount(level, shares * measured, count),
-        )
+        expected, came = _KEPT * self.expected, _KEPT * self.found
+        np.add.at(expected, still_open.classes, shares)
+        np.add.at(came, still_open.classes, shares * found)
+        return replace(self, expected=expected, found=came)
 
-    @property
-    def probability(self) -> Floats:
-        """(MOST_TRIES + 1,) that a view which should measure something open does, by tries; never more with more.
-
-        The share that did, shrunk towards `_PRIOR` of the one with a try less (1 for none).
-        """
-        found = np.empty(MOST_TRIES + 1)
-        before = 1.0 / _PRIOR
-        for level in range(MOST_TRIES + 1):
-            share = (self.measured[level] + _WORTH * _PRIOR * before) / (self.expected[level] + _WORTH)
-            found[level] = before = min(share, before, 1.0)
-        return found
-
-    def weights(self, tries: Ints) -> Floats:
-        """(N,) probability for samples of so many tries."""
-        return np.asarray(self.probability[np.minimum(tries, MOST_TRIES)])
+    def weights(self, still_open: Open) -> Floats:
+        """(N,) probability that a view which should measure each finds something: the share that did, with the prior."""
+        return np.asarray(((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes])

@@ -26,6 +26,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from planner.errors import PlannerError
+from planner.explore.gain import Open
 from planner.values import Bools, Floats, Ints, Value
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
@@ -34,6 +35,7 @@ MOST_VOXELS = 8_000_000
 """Of a grid; two arrays of bytes and one of 8-byte counters are made of it."""
 
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
+_LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
 _NEAR = 1.1  # edges from the middle of a voxel that is measured to a believed surface above it, and little beyond
 _ALL_ROUND = np.ones((3, 3, 3), dtype=np.bool_)
 
@@ -140,13 +142,15 @@ class VoxelSpace(Value):
         """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
 
         A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
-        that no leg has crossed yet.
+        that no leg has crossed yet. Before the first point it is the middle of the cylinder, `_LIKELY`.
         """
+        if not (self.state == OCCUPIED).any():
+            return self._cylinder(_LIKELY * self.radius, _LIKELY * self.height / 2)
         solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0))
         labels, count = ndimage.label(solid, _ALL_ROUND)
         hit = np.zeros(count + 1, dtype=np.bool_)
         hit[labels[self.state == OCCUPIED]] = True
-        return np.asarray(solid if not hit.any() else hit[labels])
+        return np.asarray(hit[labels])
 
     def seen(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) of a believed surface [m] are as near to a voxel with a point as that surface is.
@@ -177,9 +181,12 @@ class VoxelSpace(Value):
         tries[place] = np.minimum(tries[place].astype(np.int64) + 1, 255).astype(np.uint8)
         return replace(self, tries=tries)
 
-    def tries_at(self, points: Floats) -> Ints:
-        """(N,) the most tries within two voxels of each point (N, 3) [m]: what is open there is one patch."""
-        return np.asarray(self.at(points, ndimage.maximum_filter(self.tries, 5)), dtype=np.int64)
+    def open_at(self, points: Floats) -> Open:
+        """What class points (N, 3) of a believed surface [m] are of; tries within two voxels are of one patch."""
+        measured = self.centres(self.state == OCCUPIED)
+        beside = cKDTree(measured).query(points)[0] / self.edge if len(measured) else np.full(len(points), np.inf)
+        tries = self.at(points, ndimage.maximum_filter(self.tries, 5))
+        return Open(np.asarray(tries, dtype=np.int64), np.asarray(beside))
 
     def _crossed(self, starts: Floats, ends: Floats) -> Bools:
         """(X, Y, Z) the voxels that legs from (N, 3) to (N, 3) cross [m]."""
@@ -200,6 +207,10 @@ class VoxelSpace(Value):
 
     def _within(self, more: float) -> Bools:
         """(X, Y, Z) whose middle is in the cylinder, or so much beyond [m]."""
+        return self._cylinder(self.radius + more, self.height / 2 + more)
+
+    def _cylinder(self, radius: float, half: float) -> Bools:
+        """(X, Y, Z) whose middle is in a cylinder about the axis [m]."""
         x, y, z = (low + self.edge * (np.arange(n) + 0.5) for low, n in zip(self.low, self._shape, strict=True))
-        disc = np.hypot(x[:, None], y[None]) <= self.radius + more
-        return np.asarray(disc[:, :, None] & (np.abs(z) <= self.height / 2 + more))
+        disc = np.hypot(x[:, None], y[None]) <= radius
+        return np.asarray(disc[:, :, None] & (np.abs(z) <= half))
