@@ -1,0 +1,176 @@
+"""A scanner that may stand anywhere that is known to be free, in front of a part that nobody knows.
+
+No robot, no post, no floor: what is compared is the choice of views alone. Every policy begins with the same view, sees
+the same voxels (`planner.explore.space`) and the same points, and is judged on the same 100,000 samples of the true
+part. Explored frame, metres: its origin is the cylinder's middle.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from scipy import ndimage
+
+from cell import scanners
+from cell.explore.hidden import Cylinder
+from cell.explore.options import ExploreOptions
+from cell.explore.prepare import Eye, prepared
+from cell.narrator import Quiet
+from cell.part import workpiece
+from cell.rays import virtual_scan
+from cell.rays.embree import EmbreeRayCaster
+from cell.rays.prediction import held_out
+from cell.scan.options import ScanOptions
+from cell.scene.options import scene_of
+from cell.scene.resolve import Settings, resolve
+from planner.explore.space import FREE, VoxelSpace
+from planner.measurability.coverage import added
+from planner.measurability.matrix import measured
+from planner.ports import Scanner
+from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples, sample
+from planner.values import Bools, Floats
+from planner.viewpoints import growth
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.zone import optimal_scanning_zone
+
+CLEARANCE = 0.01
+"""Distance [m] of laser source and sensor from all that was not seen free."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What a policy knows.
+
+    Attributes:
+        space: the voxels.
+        poses: (4, 4) of each executed view [m].
+        points: (N, 3) of each [m].
+    """
+
+    space: VoxelSpace
+    poses: tuple[Floats, ...] = ()
+    points: tuple[Floats, ...] = ()
+
+
+NextView = Callable[[Known], Floats | None]
+"""The (4, 4) pose of the next view; None: the policy has no further one."""
+
+Policy = Callable[["Lab", Generator], NextView]
+"""A policy for one exploration; randomness is its second argument."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lab:
+    """A part, hidden, and the scanner before it.
+
+    Attributes:
+        cylinder: that holds the part; known.
+        scanner: its law.
+        eye: where it looks.
+        settings: standoffs, rolls and faces of a plan.
+        unknown: the voxels before anything was seen.
+        part: the true part; no policy looks at it.
+        samples: of it, on which is judged.
+    """
+
+    cylinder: Cylinder
+    scanner: Scanner
+    eye: Eye
+    settings: Settings
+    unknown: VoxelSpace
+    part: TriangleMesh
+    samples: SurfaceSamples
+
+    @classmethod
+    def of(cls, part: str, units: str | None = None) -> "Lab":
+        """A built-in part by name, or a mesh file."""
+        wishes: dict[str, Any] = {"place": (1200, 500, 0), "seed": 0} | ({} if units is None else {"units": units})
+        scene = scene_of(None, wishes, part)
+        work = prepared(scene, ExploreOptions(), ScanOptions(), Path(), (), Quiet(), None)
+        known = workpiece.load(scene.part.source, scene.part.units)
+        settings = resolve(work.scene, known)
+        assert work.hidden is not None
+        mesh = work.hidden.mesh
+        return cls(
+            work.cylinder, scanners.make(work.scene.scanner.type, settings.scanner), work.eye, settings, work.unknown,
+            mesh, held_out(mesh, decimate(mesh, min(settings.faces, len(mesh.faces))), 0),
+        )  # fmt: skip
+
+    @property
+    def middle_range(self) -> float:
+        """Middle of the scanner's range [m]."""
+        return (self.eye.near + self.eye.far) / 2
+
+    def first_view(self, rng: Generator) -> Floats:
+        """(4, 4) of the view that all begin with: level, from a random side, at the middle of the range or farther."""
+        turn = rng.uniform(0, 2 * np.pi)
+        out = np.array([[np.cos(turn), np.sin(turn), 0.0]])
+        distance = max(self.middle_range, self.cylinder.radius + self.eye.near)
+        return np.asarray(looking_at(np.zeros((1, 3)), out, np.array([-1]), [distance], [0.0]).T_object_scanner[0, 0])
+
+    def free(self, space: VoxelSpace) -> Callable[[Floats], Bools]:
+        """Tells at which of (n, 4, 4) poses source and sensor keep `CLEARANCE` from all that was not seen free."""
+        away = ndimage.distance_transform_edt(space.state == FREE) * space.edge
+        return lambda T: np.asarray(
+            np.min([space.at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in (self.eye.source, self.eye.sensor)], axis=0)
+            >= CLEARANCE
+        )  # fmt: skip
+
+    def look(self, known: Known, T: Floats) -> Known:
+        """What is known after a view from (4, 4)."""
+        points = virtual_scan.scan(self.scanner, T, self._caster(), self.part).points
+        eye, source, sensor = self.eye, *(T[:3, :3] @ at + T[:3, 3] for at in (self.eye.source, self.eye.sensor))
+        space = known.space.seen_from(points, [source, sensor]) if len(points) else known.space
+        space = space.judged_from(points, source, eye.blank(points, T), eye.near, eye.far)
+        return Known(space, (*known.poses, T), (*known.points, points))
+
+    def by_views(self, poses: tuple[Floats, ...]) -> Floats:
+        """(n,) visible coverage after each of the views, share of the true surface."""
+        seen = measured(np.stack(poses)[:, None], self.samples, self.scanner, (self._caster(),), each=True)
+        return np.cumsum(added(seen))
+
+    def ceiling(self) -> float:
+        """Share of the true surface that some pose measures which keeps the clearance from the true part.
+
+        Poses are grown as for a plan of the true part; it is what a search found, not a proof.
+        """
+        planning = decimate(self.part, min(self.settings.faces, len(self.part.faces)))
+        space = replace(self.unknown, state=np.full_like(self.unknown.state, FREE))
+        free = self.free(space.seen_from(self.samples.points, []))
+        scouts = sample(self.part, planning, growth.SCOUTS, np.random.default_rng(0))
+        poses, casters = self.candidates(planning, scouts, (self._caster(),), free), (self._caster(),)
+        seen = measured(poses[:, None], self.samples, self.scanner, casters)
+        return float(self.samples.areas[seen].sum() / self.samples.areas.sum())
+
+    def candidates(
+        self, planning: TriangleMesh, scouts: SurfaceSamples, casters: tuple[EmbreeRayCaster, ...],
+        free: Callable[[Floats], Bools],
+    ) -> Floats:  # fmt: skip
+        """(V, 4, 4) candidates of a plan of a surface: before its faces, and grown for what those leave open."""
+        zone = optimal_scanning_zone(planning, self.settings.standoffs, self.settings.rolls).T_object_scanner[:, 0]
+        zone = zone[free(zone)]
+        seen = measured(zone[:, None], scouts, self.scanner, casters) if len(zone) else np.zeros(len(scouts), bool)
+        arm = growth.Arm(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
+        grown = growth.grow(Targets.of(scouts.points, scouts.normals), seen, arm)
+        return np.concatenate([zone, grown.T_object_scanner])
+
+    def _caster(self) -> EmbreeRayCaster:
+        return _CASTERS.setdefault(id(self.part), EmbreeRayCaster(self.part.vertices, self.part.faces))
+
+
+_CASTERS: dict[int, EmbreeRayCaster] = {}
+
+
+def explored(lab: Lab, policy: Policy, seed: int, views: int) -> tuple[Known, Floats]:
+    """What is known after so many views of a policy, and its (n,) true coverage after each."""
+    known = lab.look(Known(lab.unknown), lab.first_view(np.random.default_rng([seed, 0])))
+    next_view = policy(lab, np.random.default_rng([seed, 1]))
+    while len(known.poses) < views and (T := next_view(known)) is not None:
+        known = lab.look(known, T)
+    return known, lab.by_views(known.poses)

@@ -1,0 +1,127 @@
+"""Views that no plan chose (uniform, random), and those that look along most unknown voxels.
+
+Each is a function of a view space (`view_spaces`) that gives a policy. What the publications have beside it and is left
+out here, because the laboratory has no use for it, stands in each docstring.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.random import Generator
+
+from benchmarks.exploring.lab import Known, Lab, NextView, Policy
+from benchmarks.exploring.view_spaces import VIEW_SPACES
+from planner.compiled import compiled
+from planner.explore.space import OCCUPIED, UNKNOWN
+from planner.values import Floats, Ints
+from planner.viewpoints.viewpoints import rotations
+
+_MANY, _CANDIDATES = 2000, 250
+_EVERY = 6  # of the scanner's rays, along both sides of its grid: 1,600 are cast for a candidate
+
+
+def uniform(space: str) -> Policy:
+    """Pre-programmed views, evenly over the view space: each is the farthest from all before.
+
+    Farthest points first: Gonzalez, "Clustering to minimize the maximum intercluster distance", Theoretical Computer
+    Science 38 (1985); as the order of views Scott, Roth and Rivest call it the generic view sphere.
+    """
+
+    def begun(lab: Lab, rng: Generator) -> NextView:
+        poses = VIEW_SPACES[space](lab, _MANY)
+
+        def next_view(known: Known) -> Floats | None:
+            usable = poses[lab.free(known.space)(poses)]
+            taken = np.stack([T[:3, 3] for T in known.poses])
+            away = np.linalg.norm(usable[:, None, :3, 3] - taken[None], axis=2).min(axis=1)
+            return usable[int(np.argmax(away))]
+
+        return next_view
+
+    return begun
+
+
+def random(space: str) -> Policy:
+    """A pose of the view space at random, turned about its axis at random."""
+
+    def begun(lab: Lab, rng: Generator) -> NextView:
+        poses = VIEW_SPACES[space](lab, _MANY)
+
+        def next_view(known: Known) -> Floats | None:
+            usable = poses[lab.free(known.space)(poses)]
+            chosen = usable[rng.integers(len(usable))].copy()
+            chosen[:3, :3] = chosen[:3, :3] @ rotations(np.array([[0.0, 0.0, rng.uniform(0, 2 * np.pi)]]))[0]
+            return chosen
+
+        return next_view
+
+    return begun
+
+
+def volumetric(space: str) -> Policy:
+    """The candidate whose rays cross the most unknown voxels before they meet an occupied one, or leave the range.
+
+    C. I. Connolly, "The determination of next best views", ICRA 1985, counts unknown voxels in sight of candidates on a
+    view sphere; J. I. Vasquez-Gomez and others, "Volumetric next-best-view planning for 3D object reconstruction with
+    positioning error", International Journal of Advanced Robotic Systems 11 (2014), doi:10.5772/58759, casts rays
+    through a voxel grid of candidates about the object. Rays pass through unknown voxels, as in the count of unobserved
+    voxels by S. Isler and others, ICRA 2016. Left out: overlap for registration (poses are known here), positioning
+    errors and the way of the robot.
+    """
+
+    def begun(lab: Lab, rng: Generator) -> NextView:
+        poses = VIEW_SPACES[space](lab, _CANDIDATES)
+        rows, columns = lab.scanner.grid_shape
+        rays = lab.eye.rays.reshape(rows, columns, 3)[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].reshape(-1, 3)
+
+        def next_view(known: Known) -> Floats | None:
+            usable = poses[lab.free(known.space)(poses)]
+            gains = [_unknown_along(lab, known, T, rays) for T in usable]
+            return usable[int(np.argmax(gains))] if max(gains, default=0) > 0 else None
+
+        return next_view
+
+    return begun
+
+
+RIVALS: dict[str, tuple[Callable[[str], Policy], tuple[str, ...]]] = {
+    "uniform": (uniform, tuple(VIEW_SPACES)),
+    "random": (random, tuple(VIEW_SPACES)),
+    "volumetric": (volumetric, tuple(VIEW_SPACES)),
+}
+"""Name -> the policy of a setting, and the settings that it is tuned over."""
+
+
+def _unknown_along(lab: Lab, known: Known, T: Floats, rays: Floats) -> int:
+    space = known.space
+    source = T[:3, :3] @ lab.eye.source + T[:3, 3]
+    return int(
+        _crossed(source, rays @ T[:3, :3].T, lab.eye.near, lab.eye.far, np.array(space.low), space.edge, space.state)
+    )
+
+
+@compiled
+def _crossed(
+    source: Floats, directions: Floats, near: float, far: float, low: Floats, edge: float, state: Ints
+) -> np.int64:
+    """Unknown voxels along rays, over all of them, looked at every edge of a voxel."""
+    found = np.int64(0)
+    for ray in range(len(directions)):
+        begin, end = near, far  # within the grid
+        for axis in range(3):
+            if directions[ray, axis] != 0.0:
+                a = (low[axis] - source[axis]) / directions[ray, axis]
+                b = (low[axis] + edge * state.shape[axis] - source[axis]) / directions[ray, axis]
+                begin, end = max(begin, min(a, b)), min(end, max(a, b))
+        at = begin + 0.5 * edge
+        while at < end:
+            i = np.int64(np.floor((source[0] + at * directions[ray, 0] - low[0]) / edge))
+            j = np.int64(np.floor((source[1] + at * directions[ray, 1] - low[1]) / edge))
+            k = np.int64(np.floor((source[2] + at * directions[ray, 2] - low[2]) / edge))
+            if 0 <= i < state.shape[0] and 0 <= j < state.shape[1] and 0 <= k < state.shape[2]:
+                if state[i, j, k] == OCCUPIED:
+                    break
+                if state[i, j, k] == UNKNOWN:
+                    found += 1
+            at += edge
+    return found
