@@ -107,16 +107,16 @@ class _Explorer:
 
     def _sees(self, poses: Floats, at: Floats, normals: Floats) -> Bools:
         """(frontier, poses) whether a view faces each frontier point within field of view and range."""
-        seen = [
-            self._lab.scanner.reject((at - T[:3, 3]) @ T[:3, :3], normals @ T[:3, :3]) == 0 for T in poses
-        ]
+        seen = [self._lab.scanner.reject((at - T[:3, 3]) @ T[:3, :3], normals @ T[:3, :3]) == 0 for T in poses]
         return np.stack(seen, axis=1)
 
 
 def _thinned(known: Known, spacing: float) -> tuple[Floats, Floats]:
     """(P, 3) a point of each cell of a grid, and the unit direction to the source that saw it."""
     points = np.concatenate(known.points)
-    origin = np.concatenate([np.broadcast_to(T[:3, 3], p.shape) for T, p in zip(known.poses, known.points, strict=True)])
+    origin = np.concatenate(
+        [np.broadcast_to(T[:3, 3], p.shape) for T, p in zip(known.poses, known.points, strict=True)]
+    )
     first = np.unique(np.floor(points / spacing).astype(np.int64), axis=0, return_index=True)[1]
     away = origin[first] - points[first]
     return points[first], away / np.linalg.norm(away, axis=1, keepdims=True)
