@@ -112,7 +112,7 @@ def screw_of(T: Floats, centre: Floats) -> Floats:
 def motion_of(screw: Floats, centre: Floats) -> Floats:
     """(4, 4) the motion whose screw about a centre (3,) is (6,) (translation, rotation) [m, rad].
 
-    The exponential in closed form: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, 2.36.
+    Exponential in closed form: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, 2.36.
     """
     turn, angle = hat(screw[3:]), float(np.linalg.norm(screw[3:]))
     if angle > _SMALL:
