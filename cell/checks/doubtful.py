@@ -14,6 +14,7 @@ from cell.checks.standing import arm, standing
 from cell.part.workpiece import size_findings
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import floor_square
+from cell.robot import model as robot
 from cell.scene.scene import MeshFixture
 from cell.world.model import World
 from planner.values import Floats
@@ -27,9 +28,9 @@ _FINE = 512  # ... where a length is told
 
 def doubtful(world: World) -> list[str]:
     """What is hardly meant in a compiled scene, one sentence each."""
-    fixtures = world.scene.fixtures
+    fixtures, of_arm = world.scene.fixtures, robot.doubts(world.spec)
     if not fixtures and world.scene.post.enabled:
-        return []
+        return of_arm
     solids = {name: solid for name, solid in standing(world).items() if name not in arm(world)}
     said = [
         finding.sentence
@@ -38,7 +39,7 @@ def doubtful(world: World) -> list[str]:
         for finding in size_findings(np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0), fixture.units,
                                      called(world, fixture.name))
     ]  # fmt: skip
-    return said + _in_each_other(world, solids) + _standing_badly(world, solids)
+    return of_arm + said + _in_each_other(world, solids) + _standing_badly(world, solids)
 
 
 def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:

@@ -56,7 +56,7 @@ class RobotReport:
         home_deg: where motions begin and end; None: none was found.
         home_is: whether it is the file's.
         contacts_at_home: pairs of links that touch there.
-        missing: what the file does not say and what stands for it, one sentence each.
+        missing: what the file does not say and what stands for it, and what MuJoCo warned of, one sentence each.
     """
 
     file: str
@@ -202,12 +202,8 @@ def _excused(model: mujoco.MjModel) -> list[str]:
 def _missing(file: RobotFile) -> list[str]:
     """What the file does not say, and what stands for it."""
     slow = [name for name, speed in zip(file.joints, file.velocity, strict=True) if not np.isfinite(speed)]
-    endless = ", ".join(file.endless)
     return [
-        *(
-            [f"no range of {endless}: -360 to 360 deg is taken; give less where a cable or a stop allows less"]
-            * bool(endless)
-        ),
+        *file.doubts,
         *([f"no speed of {', '.join(slow)}: give robot.velocity_deg_s"] if slow else []),
         f"no accelerations and jerks: a speed is reached in {ACCELERATION_TIME:g} s, an acceleration in "
         f"{JERK_TIME:g} s, unless robot.acceleration_deg_s2 and robot.jerk_deg_s3 say otherwise",

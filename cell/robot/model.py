@@ -30,6 +30,9 @@ LINKS = ("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6")
 FLANGE = "flange"
 _TOOL = ("bracket", "housing")
 
+DOUBT = "doubt_"
+"""What texts are called that say what is hardly meant in an arm's file, a sentence each."""
+
 KEEPS, APART = "keeps_", "apart_"
 """What numerics are called that say by how much two bodies are guarded, and how far apart two are proven to be."""
 
@@ -105,6 +108,11 @@ def bodies(model: mujoco.MjModel) -> tuple[str, ...]:
     """Names of the robot's bodies: base, links, and what is driven along."""
     driven = (model.body(model.jnt_bodyid[joint]).name for joint in range(len(AXES), model.njnt))
     return (*LINKS, *driven)
+
+
+def doubts(spec: mujoco.MjSpec) -> list[str]:
+    """What is hardly meant in an arm's file, one sentence each."""
+    return [text.data for text in spec.texts if text.name.startswith(DOUBT)]
 
 
 def kept_near(model: mujoco.MjModel) -> dict[tuple[int, int], float]:

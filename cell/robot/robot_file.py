@@ -7,8 +7,10 @@ another are taken from the URDF itself. Base frame of the arm: that of its base 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from xml.etree import ElementTree
@@ -64,7 +66,8 @@ class RobotFile(Value):
         upper: (6,) largest joint angles [rad].
         velocity: (6,) axis speeds [rad/s]; inf where the file says none.
         home: (6,) angles of a key named home [rad]; None: the file has none, or one outside the limits.
-        endless: those of the six joints that have no range, and are given a turn to either side.
+        doubts: what is taken for what the file does not say of its axes' ranges, and what MuJoCo warned of when it read
+            it, one sentence each.
     """
 
     path: Path
@@ -78,15 +81,16 @@ class RobotFile(Value):
     upper: Annotated[Floats, "6"]
     velocity: Annotated[Floats, "6"]
     home: Annotated[Floats, "6"] | None
-    endless: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class _Urdf:
-    """What MuJoCo leaves out of a URDF."""
+    """What MuJoCo leaves out of a URDF, and what it warns of."""
 
     velocity: Mapping[str, float] = field(default_factory=dict)
     mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+    warned: tuple[str, ...] = ()
 
 
 def read(
@@ -124,13 +128,31 @@ def read(
             f"{path} is neither a URDF (<robot>) nor an MJCF (<mujoco>) but <{root.tag}>; expand a xacro first"
         )
     try:
-        if root.tag == "robot":
-            model = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")).compile()
-        else:
-            model = mujoco.MjSpec.from_file(str(path)).compile()
+        with what_mujoco_says() as warned:
+            if root.tag == "robot":
+                model = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")).compile()
+            else:
+                model = mujoco.MjSpec.from_file(str(path)).compile()
     except ValueError as error:
-        raise FileError(f"{path} cannot be read: {error}") from error
-    return _chosen(path, model, base, flange, said)
+        raise FileError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
+    return _chosen(path, model, base, flange, replace(said, warned=tuple(warned)))
+
+
+@contextmanager
+def what_mujoco_says() -> Iterator[list[str]]:
+    """Catch MuJoCo's warnings, which else go to stderr and to a MUJOCO_LOG.TXT in the working directory."""
+    import mujoco
+
+    said: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(said.append)
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            yield said
+        said += [str(each.message) for each in caught]
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _prepare(root: ElementTree.Element, path: Path, packages: Mapping[str, Path]) -> _Urdf:
@@ -215,8 +237,14 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
         raise SceneError(
             f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_listed(names)}); an arm has six, all revolute"
         )
+    doubts = [f"{path.name}: MuJoCo warns that {' '.join(text.split())}" for text in said.warned]
     endless = [joint for joint in chain if not model.jnt_limited[joint]]
-    model.jnt_range[endless] = (-2.0 * np.pi, 2.0 * np.pi)  # what a plan may use of a joint that turns without end
+    model.jnt_range[endless] = (-2.0 * np.pi, 2.0 * np.pi)
+    if endless:
+        doubts.append(
+            f"{path.name} gives no range of {_listed([model.joint(joint).name for joint in endless])}: -360 to 360 deg "
+            "is taken; give the joint a range where a cable or a stop allows less"
+        )
     lower, upper = model.jnt_range[chain].T
     for name, low, high in zip(names, lower, upper, strict=True):
         _require_range(path, name, low, high)
@@ -237,7 +265,7 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
         home = None
     return RobotFile(
         path, model, root, end, end in bodies, tuple(names), _followers(path, model, names, said), lower, upper,
-        velocity, home, tuple(model.joint(joint).name for joint in endless),
+        velocity, home, tuple(doubts),
     )  # fmt: skip
 
 

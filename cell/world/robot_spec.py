@@ -114,6 +114,8 @@ def from_file(
     folders = {name: Path(folder) for name, folder in packages}
     file = robot_file.read(path, base=base_link, flange=flange_link, packages=folders)
     spec = normalised(file, velocity_deg_s)
+    for number, sentence in enumerate(file.doubts):
+        spec.add_text(name=f"{robot.DOUBT}{number}", data=sentence)
     try:
         model = spec.compile()
     except ValueError as error:

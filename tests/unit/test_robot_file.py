@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from cell.checks.doubtful import doubtful
 from cell.checks.robot import report
 from cell.errors import CellError
 from cell.replay.marks import touches
@@ -19,6 +20,7 @@ from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.normalised import normalised
+from cell.robot.robot_file import what_mujoco_says
 from cell.scene.scene import Scene
 from cell.world import apart, robot_spec
 from cell.world.apart import keeps_apart
@@ -427,15 +429,34 @@ CAPSULES = """<mujoco model="small"><worldbody><body name="foot"><geom type="box
   <keyframe><key name="home" qpos="0 0 0.5 0 1 0"/></keyframe></mujoco>"""
 
 
-def test_a_hinge_without_a_range_is_listed_as_missing(tmp_path: Path) -> None:
-    """It may turn once to either side, and the report of the arm says so."""
+FALLS = "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+
+
+def test_what_is_hardly_meant_in_a_file_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A hinge without a range, and what MuJoCo warns of: a sentence each of arm and cell, nothing else written."""
+    monkeypatch.chdir(tmp_path)
     path = tmp_path / "arm.xml"
-    path.write_text(CAPSULES.replace('axis="1 0 0" range="-170 170"', 'axis="1 0 0"'), encoding="utf-8")
+    text = CAPSULES.replace('axis="1 0 0" range="-170 170"', 'axis="1 0 0"')
+    path.write_text(text.replace("<worldbody>", '<compiler settotalmass="9"/><worldbody>'), encoding="utf-8")
     told, _ = report(path)
     assert told.limits_deg[3] == (-360.0, 360.0)
-    assert "no range of q4, q6" in " ".join(told.missing)
+    robot_settings = {"model": str(path), "velocity_deg_s": (90.0,) * 6}
+    world = compile_world(Scene.model_validate({"robot": robot_settings}), CUBE)
+    assert told.missing[:2] == tuple(doubtful(world))
+    assert "arm.xml: MuJoCo warns that compiler attribute 'settotalmass' is deprecated" in told.missing[0]
+    assert "arm.xml gives no range of q4, q6: -360 to 360 deg is taken" in told.missing[1]
+    assert all("\n" not in sentence for sentence in told.missing)
+    with what_mujoco_says() as said:
+        mujoco.mj_forward(of := mujoco.MjModel.from_xml_string(FALLS), data := mujoco.MjData(of))
+        data.qpos[2] = np.nan
+        mujoco.mj_step(of, data)
+    assert "Nan" in said[0]
+    assert capfd.readouterr() == ("", "")
+    assert {each.name for each in tmp_path.iterdir()} == {"arm.xml", "cache"}
     path.write_text(CAPSULES, encoding="utf-8")
-    assert "no range" not in " ".join(report(path)[0].missing)
+    assert len(report(path)[0].missing) == 2  # speeds, accelerations and jerks
 
 
 def test_what_stands_beside_the_base_is_a_fixed_shape_of_the_arm(tmp_path: Path) -> None:
