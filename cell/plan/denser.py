@@ -52,9 +52,6 @@ def chosen_where_kept(
         return problem, first_choice(problem, rng)
     asked, known = problem.request.asked, problem.prediction
     spread = known.samples if known.asked is None else pick_samples(known.samples, known.asked)
-    face_areas = np.bincount(spread.planning_face, weights=spread.areas, minlength=len(surface.planning.faces)).astype(
-        np.float64, copy=False
-    )
     selected = None
     for left in reversed(range(ROUNDS + 1)):
         selected = first_choice(problem, rng, looked=selected, look=LOOK_WORK)
@@ -73,7 +70,7 @@ def chosen_where_kept(
             problem.candidates, problem.reached.reachable, problem.prediction, pick_samples(pool, added),
             sigma=problem.M.sigma is not None,
         )  # fmt: skip
-        problem = replace(problem, M=add_rows(problem.M, more, face_areas))
+        problem = replace(problem, M=add_rows(problem.M, more, spread))
     return problem, first_choice(problem, rng, looked=selected)
 
 

@@ -47,10 +47,7 @@ class Search:
         self._usable = {row: np.array(setup.measured.reached.reachable) for row, setup in setups.items()}
         self._asked = next(iter(setups.values())).job.scene.plan.coverage
         self._target = self._asked
-        spread = next(iter(setups.values())).prediction.samples
-        self._face_areas = np.bincount(
-            spread.planning_face, weights=spread.areas, minlength=len(surface.planning.faces)
-        ).astype(np.float64, copy=False)
+        self._spread = next(iter(setups.values())).prediction.samples
         self._fresh = run.rng(steps.FRESH)
         self._chooses = run.rng(steps.SELECTION)
 
@@ -164,7 +161,7 @@ class Search:
         faces = left.planning_face[can]
         added = pick_samples(fresh, np.isin(fresh.planning_face, faces))
         self._M = {
-            row: add_rows(self._M[row], setup.rows_of(added), self._face_areas) for row, setup in self._setups.items()
+            row: add_rows(self._M[row], setup.rows_of(added), self._spread) for row, setup in self._setups.items()
         }
         return True
 
