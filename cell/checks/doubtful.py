@@ -14,7 +14,7 @@ from cell.checks.standing import arm, standing
 from cell.part.workpiece import size_findings
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import floor_square
-from cell.robot import model as robot
+from cell.robot import told
 from cell.scene.scene import MeshFixture
 from cell.world.model import World
 from planner.values import Floats
@@ -28,7 +28,7 @@ _FINE = 512  # ... where a length is told
 
 def doubtful(world: World) -> list[str]:
     """What is hardly meant in a compiled scene, one sentence each."""
-    fixtures, of_arm = world.scene.fixtures, robot.doubts(world.spec)
+    fixtures, of_arm = world.scene.fixtures, told.doubts(world.spec)
     if not fixtures and world.scene.post.enabled:
         return of_arm
     solids = {name: solid for name, solid in standing(world).items() if name not in arm(world)}

@@ -11,13 +11,14 @@ import numpy as np
 
 from cell.errors import SceneError
 from cell.robot import model as robot
-from cell.robot import robot_file
+from cell.robot import robot_file, told
 from cell.robot.arm import POLISHED_ABOVE, chain_of
 from cell.robot.fit import fit
 from cell.robot.model import AXES
 from cell.robot.normalised import ACCELERATION_TIME, JERK_TIME
 from cell.world.gap import meshes_of
-from cell.world.robot_spec import JOINED, POSES, OwnPairs, from_file, in_our_form, stamp
+from cell.world.own_pairs import POSES, OwnPairs
+from cell.world.robot_spec import JOINED, from_file, in_our_form, stamp
 from cell.world.triangles import is_closed
 from planner.errors import PlannerError
 
@@ -169,8 +170,8 @@ def report(
         shapes={name: int(model.body(name).geomnum[0]) for name in robot.bodies(model)},
         not_closed=tuple(name for name, mesh in meshes_of(model).items() if not is_closed(mesh)),
         excused=tuple(_excused(model)),
-        apart=_told(model, robot.APART),
-        near=_told(model, robot.KEEPS),
+        apart=_told(model, told.APART),
+        near=_told(model, told.KEEPS),
         home_deg=None if home is None else tuple(np.degrees(home).round(4).tolist()),
         home_is="the file's" if file.home is not None else "found: the flange down at half the reach",
         contacts_at_home=()
@@ -184,7 +185,7 @@ def _told(model: mujoco.MjModel, kind: str) -> dict[str, float]:
     """Pairs of which the numerics of a kind speak, and their distance [mm]."""
     numbers = [number for number in range(model.nnumeric) if model.numeric(number).name.startswith(kind)]
     return {
-        " with ".join(robot.pair_of(model, each)): round(1000 * float(model.numeric(each).data[0]), 3)
+        " with ".join(told.pair_of(model, each)): round(1000 * float(model.numeric(each).data[0]), 3)
         for each in numbers
     }
 

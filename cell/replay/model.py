@@ -17,6 +17,7 @@ import numpy as np
 from cell.errors import FileError
 from cell.replay.look import add_mesh, light, of_robot, paint, part_pieces, show_surface
 from cell.robot import model as robot
+from cell.robot import told
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
@@ -141,7 +142,7 @@ def dress(
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
-        near=robot.kept_near(model),
+        near=told.kept_near(model),
         shapes=Shapes(model, {**links, **checked}, hollow),
     )
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from xml.etree import ElementTree
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
-from cell.robot.mesh_paths import mesh_file
+from cell.robot.urdf import Unread, prepare, require_range
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:
@@ -84,15 +84,6 @@ class RobotFile(Value):
     doubts: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Urdf:
-    """What MuJoCo leaves out of a URDF, and what it warns of."""
-
-    velocity: Mapping[str, float] = field(default_factory=dict)
-    mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
-    warned: tuple[str, ...] = ()
-
-
 def read(
     path: Path, *, base: str | None = None, flange: str | None = None, packages: Mapping[str, Path] | None = None
 ) -> RobotFile:
@@ -120,9 +111,9 @@ def read(
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise FileError(f"{path} is no XML: {error}; give a URDF or an MJCF") from error
-    said = _Urdf()
+    said = Unread()
     if root.tag == "robot":
-        said = _prepare(root, path, packages or {})
+        said = prepare(root, path, packages or {})
     elif root.tag != "mujoco":
         raise FileError(
             f"{path} is neither a URDF (<robot>) nor an MJCF (<mujoco>) but <{root.tag}>; expand a xacro first"
@@ -135,7 +126,7 @@ def read(
                 model = mujoco.MjSpec.from_file(str(path)).compile()
     except ValueError as error:
         raise FileError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
-    return _chosen(path, model, base, flange, replace(said, warned=tuple(warned)))
+    return _chosen(path, model, base, flange, said, warned)
 
 
 @contextmanager
@@ -155,59 +146,9 @@ def what_mujoco_says() -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-def _prepare(root: ElementTree.Element, path: Path, packages: Mapping[str, Path]) -> _Urdf:
-    """Frames kept, visuals out, mesh paths absolute; what MuJoCo leaves out is returned."""
-    for link in root.iter("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", str(mesh_file(mesh.get("filename", ""), path, packages)))
-    settings = root.find("mujoco")
-    if settings is None:
-        settings = ElementTree.SubElement(root, "mujoco")
-    compiler = settings.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(settings, "compiler")
-    for key, value in (
-        ("fusestatic", "false"),
-        ("discardvisual", "true"),
-        ("strippath", "false"),
-        ("balanceinertia", "true"),
-    ):
-        compiler.set(key, value)
-    velocity, mimics = {}, {}
-    for joint in root.findall("joint"):
-        name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
-        if limit is not None and _number(limit, "velocity", 0.0) > 0.0:
-            velocity[name] = _number(limit, "velocity", 0.0)
-        if mimic is not None:
-            mimics[name] = (mimic.get("joint", ""), _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0))
-        if joint.get("type") == "revolute" and (
-            limit is None or limit.get("lower") is None or limit.get("upper") is None
-        ):
-            raise SceneError(f"{path}: the joint '{name}' has no limits; give it <limit lower upper velocity>")
-        if joint.get("type") == "revolute" and limit is not None and mimic is None:
-            # MuJoCo takes a range that is empty for none at all, and the joint for one that turns without end.
-            _require_range(path, name, _number(limit, "lower", np.nan), _number(limit, "upper", np.nan))
-    return _Urdf(velocity, mimics)
-
-
-def _require_range(path: Path, joint: str, lower: float, upper: float) -> None:
-    if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
-        raise SceneError(
-            f"{path}: the joint '{joint}' has the range {lower:g} to {upper:g}, which is none; give it "
-            "<limit lower upper velocity>"
-        )
-
-
-def _number(element: ElementTree.Element, key: str, default: float) -> float:
-    try:
-        return float(element.get(key, default))
-    except ValueError:
-        return default
-
-
-def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | None, said: _Urdf) -> RobotFile:
+def _chosen(
+    path: Path, model: mujoco.MjModel, base: str | None, flange: str | None, said: Unread, warned: list[str]
+) -> RobotFile:
     """The six joints from base to flange, with their limits."""
     import mujoco
 
@@ -237,7 +178,7 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
         raise SceneError(
             f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_listed(names)}); an arm has six, all revolute"
         )
-    doubts = [f"{path.name}: MuJoCo warns that {' '.join(text.split())}" for text in said.warned]
+    doubts = [f"{path.name}: MuJoCo warns that {' '.join(text.split())}" for text in warned]
     endless = [joint for joint in chain if not model.jnt_limited[joint]]
     model.jnt_range[endless] = (-2.0 * np.pi, 2.0 * np.pi)
     if endless:
@@ -247,7 +188,7 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
         )
     lower, upper = model.jnt_range[chain].T
     for name, low, high in zip(names, lower, upper, strict=True):
-        _require_range(path, name, low, high)
+        require_range(path, name, low, high)
         if name in said.mimics:
             raise SceneError(
                 f"{path}: the joint '{name}' is one of the six and mimics '{said.mimics[name][0]}'; an arm has six "
@@ -269,7 +210,7 @@ def _chosen(path: Path, model: mujoco.MjModel, base: str | None, flange: str | N
     )  # fmt: skip
 
 
-def _followers(path: Path, model: mujoco.MjModel, names: list[str], said: _Urdf) -> tuple[Follower, ...]:
+def _followers(path: Path, model: mujoco.MjModel, names: list[str], said: Unread) -> tuple[Follower, ...]:
     """What is driven along by the six joints of these names.
 
     Raises:

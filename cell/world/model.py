@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.errors import SceneError
-from cell.robot import joint_limits
+from cell.robot import joint_limits, told
 from cell.robot import model as robot
 from cell.scene import devices
 from cell.scene.scene import Scene
+from cell.world import guarded, wrist
 from cell.world import shapes as cell_shapes
-from cell.world import wrist
 from cell.world.gap import Shapes, is_convex, meshes_of
 from cell.world.robot_spec import spec_of
 from cell.world.solid_hull import solid_hull
@@ -201,7 +201,7 @@ def compile_world(
         geom.margin = clearance / 2  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
-    near = {pair: keep for pair, keep in robot.kept_near(model).items() if keep < clearance}
+    near = {pair: keep for pair, keep in told.kept_near(model).items() if keep < clearance}
     return World(
         scene=scene,
         model=model,
@@ -222,11 +222,11 @@ def compile_world(
         collision=scene.plan.collision if part else "hull",
         shapes=_shapes(model, entities, {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}),
         nearer={pair: clearance - keep for pair, keep in near.items()},
-        finer=_finer(model, clearance, near),
+        finer=guarded.finer(model, clearance, near),
         followers=robot.Followers.of(model),
         fixture_meshes=fixture_meshes,
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
-        pairs=_guarded_pairs(model),
+        pairs=guarded.pairs(model),
     )
 
 
@@ -286,20 +286,6 @@ def _shapes(model: mujoco.MjModel, of_robot: Collection[str], exact: Mapping[str
     return Shapes(model, {**links, **exact}, [*exact, *(name for name, mesh in links.items() if not is_convex(mesh))])
 
 
-def _finer(model: mujoco.MjModel, clearance: float, near: Mapping[tuple[int, int], float]) -> float:
-    """How many times closer than by the clearance [m] a motion is looked at (`planner.path.certified_edge`).
-
-    There a pair of which one stands may come nearer by less than half the clearance between two looks, one of which
-    both move by less than the whole: neither may be more than the pair keeps.
-    """
-    finer = 1.0
-    for pair, keep in near.items():
-        both = (model.body_weldid[model.geom_bodyid[list(pair)]] > 0).all()
-        if keep > 0:  # two that are never apart are never free
-            finer = max(finer, clearance * (1.0 if both else 0.5) / keep)
-    return finer
-
-
 def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
     """A copy in which boxes are larger by `by` [m] to every side and have no margin."""
     import mujoco
@@ -309,17 +295,3 @@ def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
         if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
             geom.size, geom.margin = np.asarray(geom.size) + by, 0.0
     return copy
-
-
-def _guarded_pairs(model: mujoco.MjModel) -> NDArray[np.int32]:
-    """(P, 2) the pairs that `mj_collision` looks at: classes meet, not one rigid piece, not excluded."""
-    excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
-    pairs = []
-    for a in range(model.ngeom):
-        for b in range(a + 1, model.ngeom):
-            meet = model.geom_contype[a] & model.geom_conaffinity[b] | model.geom_contype[b] & model.geom_conaffinity[a]
-            bodies = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
-            rigid = model.body_weldid[bodies[0]] == model.body_weldid[bodies[1]]
-            if meet and not rigid and bodies not in excluded and bodies[::-1] not in excluded:
-                pairs.append((a, b))
-    return np.array(pairs, dtype=np.int32).reshape(-1, 2)

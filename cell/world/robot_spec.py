@@ -1,21 +1,13 @@
 """The robot of a scene as a specification that a cell is built around: the built-in KR 16, or an arm from a file.
 
 An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalised`). Which pairs of its links are
-guarded, its triangles say: two that touch at every one of `POSES` seeded poses are joined by something that the chain
-does not show (a closed bearing, a parallelogram) and are excused; two that come near each other and are proven never to
-touch (`cell.world.apart`) need no guard; every other pair is guarded, but for neighbours, and by less than the cell's
-clearance where the arm's build never lets it have that (`Relations`). A home that no file gives is looked for: the
-flange down before the arm at half its reach, nothing near anything.
+guarded, its triangles say (`cell.world.own_pairs`); neighbours are not. A home that no file gives is looked for
+(`cell.world.found_home`).
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import itertools
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,15 +15,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from cell import caches
 from cell.errors import FileError
 from cell.robot import model as robot
-from cell.robot import robot_file
-from cell.robot.arm import kinematics_of
+from cell.robot import robot_file, told
 from cell.robot.mesh_paths import mesh_files
 from cell.robot.normalised import normalised
-from cell.world.apart import LOOKS, MOST_AXES, keeps_apart
-from cell.world.gap import Shapes, is_convex, meshes_of
+from cell.world.found_home import found_home, with_tool
+from cell.world.own_pairs import OwnPairs
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -39,18 +29,8 @@ if TYPE_CHECKING:
 
     from cell.scene.scene import Robot
 
-POSES = 10_000
-"""Seeded poses at which a pair must touch to be excused."""
-
 JOINED = "joined_"
 """What the names of their exclusions begin with."""
-
-_TOOL = "tool of a home"
-_OWN = 0.02  # m; that a home found here keeps between links at least, as far as they can be
-_LEAST = 1e-5  # m; a smaller distance is none
-_NEAR = 0.02  # m; of two links that come no nearer, or get farther apart, nothing more is asked
-_TILTS = (0.0, 0.6, 1.2)  # of the way ahead for one down, where looking straight down is not free
-_HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
 
 
 def spec_of(of: Robot) -> mujoco.MjSpec:
@@ -115,7 +95,7 @@ def from_file(
     file = robot_file.read(path, base=base_link, flange=flange_link, packages=folders)
     spec = normalised(file, velocity_deg_s)
     for number, sentence in enumerate(file.doubts):
-        spec.add_text(name=f"{robot.DOUBT}{number}", data=sentence)
+        spec.add_text(name=f"{told.DOUBT}{number}", data=sentence)
     try:
         model = spec.compile()
     except ValueError as error:
@@ -127,15 +107,15 @@ def from_file(
         spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
     for one, other, least in found.apart:
         del own.pairs[one, other]
-        spec.add_exclude(name=f"{robot.APART}{one}_{other}", bodyname1=one, bodyname2=other)
-        spec.add_numeric(name=robot.apart(model, one, other), data=[least], size=1)
+        spec.add_exclude(name=f"{told.APART}{one}_{other}", bodyname1=one, bodyname2=other)
+        spec.add_numeric(name=told.apart(model, one, other), data=[least], size=1)
     for one, other, keep in found.keeps:
-        spec.add_numeric(name=robot.keeps(model, one, other), data=[keep], size=1)
+        spec.add_numeric(name=told.keeps(model, one, other), data=[keep], size=1)
     home = file.home
     if home is None:
         keeps = {(one, other): keep for one, other, keep in found.keeps}
         looks = np.array((0.0, 0.0, -1.0) if down is None else down)
-        home = next((q for each in (_with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
+        home = next((q for each in (with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
     if home is not None:
         spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
     return spec
@@ -155,172 +135,3 @@ def in_our_form(path: Path) -> bool:
         return "axis_velocity_limit_deg_s" in path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return False
-
-
-@dataclass(frozen=True, slots=True)
-class Relations:
-    """What an arm's own triangles say of its pairs of links.
-
-    Attributes:
-        joined: pairs that touch at every seeded pose.
-        apart: pairs that come nearer than `_NEAR` and never touch, and how far apart [m] they are proven to be at all
-            angles of the axes between them: half of the smallest distance seen.
-        keeps: other pairs that are never farther apart than `_NEAR`, and what is guarded between them: half of the
-            largest distance seen [m].
-    """
-
-    joined: list[tuple[str, str]]
-    apart: list[tuple[str, str, float]]
-    keeps: list[tuple[str, str, float]]
-
-
-class OwnPairs:
-    """The pairs of links of an arm that can touch each other, and how far they are apart.
-
-    Args:
-        model: the robot alone, compiled.
-    """
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        import mujoco
-
-        self.model, self._data, self._followers = model, mujoco.MjData(model), robot.Followers.of(model)
-        meshes = meshes_of(model)
-        self.shapes = Shapes(model, meshes, [name for name, mesh in meshes.items() if not is_convex(mesh)])
-        self._as_triangles = Shapes(model, meshes, list(meshes))
-        self.pairs: dict[tuple[str, str], list[tuple[int, int]]] = {}
-        excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
-        for a, b in itertools.combinations(range(model.ngeom), 2):
-            bodies = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
-            if bodies[0] != bodies[1] and bodies not in excluded and bodies[::-1] not in excluded:
-                self.pairs.setdefault((model.body(bodies[0]).name, model.body(bodies[1]).name), []).append((a, b))
-        limits = robot.limits(model)
-        self.q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (POSES, 6))
-
-    def gap(self, pair: tuple[str, str], reach: float) -> float:
-        """Distance of two links where the arm stands [m], `reach` where it is more."""
-        return min(self.shapes.distance(self._data, a, b, reach) for a, b in self.pairs[pair])
-
-    def touch(self, pair: tuple[str, str]) -> bool:
-        """Whether true triangles of two links touch where the arm stands, whatever their hulls are."""
-        apart = self._as_triangles.distance
-        return any(apart(self._data, a, b, 1e-9, any_nearer=True) <= 0 for a, b in self.pairs[pair])
-
-    def stand(self, q: Floats) -> None:
-        """Put the arm at (6,) joint angles [rad]."""
-        import mujoco
-
-        self._data.qpos[:] = self._followers.qpos(q)
-        mujoco.mj_kinematics(self.model, self._data)
-
-    def relations(self) -> Relations:
-        """What the seeded poses say of each pair; looked at once for an arm, which takes seconds."""
-        known = caches.folder("robots") / f"{self._digest()}.json"
-        with contextlib.suppress(OSError, ValueError, TypeError):
-            return Relations(**json.loads(known.read_text(encoding="utf-8")))
-        joined, lowest, widest = list(self.pairs), dict.fromkeys(self.pairs, np.inf), dict.fromkeys(self.pairs, 0.0)
-        for q in self.q:
-            self.stand(q)
-            joined = [pair for pair in joined if self.touch(pair)]
-            lowest |= dict.fromkeys(joined, 0.0)
-            for pair in self.pairs:
-                if pair not in joined and (lowest[pair] > 0 or widest[pair] < _NEAR):
-                    distance = self.gap(pair, _NEAR)
-                    lowest[pair], widest[pair] = min(lowest[pair], distance), max(widest[pair], distance)
-        apart = {
-            pair: least / 2
-            for pair, least in lowest.items()
-            if 2 * _LEAST < least < _NEAR and self._proven_apart(pair, least / 2)
-        }
-        found = Relations(
-            joined=joined,
-            apart=[(*pair, least) for pair, least in apart.items()],
-            keeps=[
-                (*pair, most / 2)
-                for pair, most in widest.items()
-                if pair not in joined and pair not in apart and most < _NEAR
-            ],
-        )
-        with contextlib.suppress(OSError), caches.whole(known) as place:
-            place.write_text(json.dumps(asdict(found)), encoding="utf-8")
-        return found
-
-    def _proven_apart(self, pair: tuple[str, str], least: float) -> bool:
-        """Whether two links are at least so far apart [m] at all angles of the axes between them."""
-        one, other = (self.model.body(name).id for name in pair)
-        return keeps_apart(self.model, self.shapes, one, other, least)
-
-    def _digest(self) -> str:
-        """sha256 of all that says which links touch."""
-        model = self.model
-        shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
-        chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
-        arrays = (*shapes, *chain, model.geom_bodyid)
-        rule = POSES, _NEAR, LOOKS, MOST_AXES, Relations.__annotations__
-        text = repr((robot.bodies(model), rule)).encode()
-        return hashlib.sha256(text + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
-
-    def elbow(self, q: Floats, up: Floats) -> float:
-        """How high the third axis stands at (6,) joint angles [m], along `up`."""
-        self.stand(q)
-        return float(self._data.joint("A3").xanchor @ up)
-
-    def apart(self, q: Floats, keeps: Mapping[tuple[str, str], float]) -> bool:
-        """Whether no two links are nearer than `_OWN`, or than what they keep [m], at (6,) joint angles."""
-        self.stand(q)
-        return all(self.gap(pair, _OWN) >= min(_OWN, keeps.get(pair, _OWN)) for pair in self.pairs)
-
-
-def _with_tool(spec: mujoco.MjSpec) -> OwnPairs:
-    """The arm with the largest built-in scanner on its flange."""
-    import mujoco
-
-    copy = spec.copy()
-    flange = spec.copy().compile().site(robot.FLANGE)
-    tool = copy.body("link_6").add_body(name=_TOOL, pos=flange.pos, quat=flange.quat)
-    tool.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.039, 0.03, 0.0], pos=[0.0, 0.0, 0.03])
-    tool.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.08, 0.04, 0.03], pos=[0.0375, 0.0, 0.09])
-    for link in ("link_5", "link_6"):
-        copy.add_exclude(name=f"{_TOOL}_{link}", bodyname1=_TOOL, bodyname2=link)
-    return OwnPairs(copy.compile())
-
-
-def found_home(own: OwnPairs, keeps: Mapping[tuple[str, str], float], down: Floats) -> Floats | None:
-    """(6,) joint angles at which the flange looks down before the arm at half its reach [rad]; None: none was found.
-
-    Where the scanner would touch the arm then, it looks down and ahead.
-
-    Of the solutions the one whose elbow is highest, then the one that turns least.
-
-    Args:
-        own: the arm.
-        keeps: pairs that are nearer by their build, and what they keep [m].
-        down: (3,) where the flange is to look, base frame.
-    """
-    kinematics = kinematics_of(own.model)
-    limits = kinematics.limits
-    reach = float(np.linalg.norm(kinematics.forward(own.q[:2000])[:, :3, 3], axis=1).max())
-    level = down * (1.0, 1.0, 0.0)
-    ahead = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(level) < 0.5 else level / np.linalg.norm(level)
-    for tilt, share, height in itertools.product(_TILTS, _SHARES, _HEIGHTS):
-        looks = down + tilt * ahead
-        poses = _looking(looks / np.linalg.norm(looks), reach * (share * ahead + np.array([0.0, 0.0, height])))
-        q = kinematics.inverse(poses).reshape(-1, 6)
-        q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]  # NaN is neither
-        free = [angles for angles in q if own.apart(angles, keeps)]
-        if free:
-            return min(free, key=lambda angles: (-round(own.elbow(angles, -down), 6), float(np.abs(angles).sum())))
-    return None
-
-
-def _looking(z: Floats, origin: Floats) -> Floats:
-    """(4, 4, 4) poses at an origin [m] that look along z, turned about it by quarter turns."""
-    x = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = x - z * (x @ z)
-    x /= np.linalg.norm(x)
-    poses = np.tile(np.eye(4), (4, 1, 1))
-    for turn in range(4):
-        poses[turn, :3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-        x = np.cross(z, x)
-    poses[:, :3, 3] = origin
-    return poses

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.robot import model as robot
+from cell.robot import told
 from cell.world.apart import keeps_apart
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def settle_pairs(
             elif lowest > 2 * _LEAST and keeps_apart(model, shapes, *pair, lowest / 2, _LOOKS):
                 _exclude(spec, "apart", piece, link)
             elif widest < 2 * clearance:
-                spec.add_numeric(name=robot.keeps(model, piece, link), data=[max(widest, 0.0) / 2], size=1)
+                spec.add_numeric(name=told.keeps(model, piece, link), data=[max(widest, 0.0) / 2], size=1)
 
 
 def _exclude(spec: mujoco.MjSpec, why: str, piece: str, link: str) -> None:

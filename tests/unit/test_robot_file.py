@@ -17,16 +17,17 @@ from cell.checks.robot import report
 from cell.errors import CellError
 from cell.replay.marks import touches
 from cell.robot import model as robot
-from cell.robot import robot_file
+from cell.robot import robot_file, told
 from cell.robot.arm import kinematics_of
 from cell.robot.normalised import normalised
 from cell.robot.robot_file import what_mujoco_says
 from cell.scene.scene import Scene
-from cell.world import apart, robot_spec
+from cell.world import apart, own_pairs, robot_spec
 from cell.world.apart import keeps_apart
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.gap import Shapes, is_convex, mesh_of
 from cell.world.model import compile_world
+from cell.world.own_pairs import OwnPairs
 from cell.world.travel import TravelBound
 from planner.path.certified_edge import subdivide
 from planner.surface.mesh import TriangleMesh
@@ -76,7 +77,7 @@ SLIDES = LEVER.replace('type="continuous"', 'type="prismatic"').replace(
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(robot_spec, "POSES", 200)
+    monkeypatch.setattr(own_pairs, "POSES", 200)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -123,7 +124,7 @@ def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
     home = robot.home(model)
     np.testing.assert_allclose(kinematics_of(model).forward(home[None])[0][:3, 2], (0, 0, -1), atol=1e-9)
     assert (np.abs(home) <= 2.8).all()
-    assert robot_spec.OwnPairs(model).apart(home, {})
+    assert OwnPairs(model).apart(home, {})
 
 
 def fork(apart: float = 0.09) -> trimesh.Trimesh:
@@ -142,7 +143,7 @@ def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
     fork().export(tmp_path / "fork.stl")
     text = urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>')
     model = robot_spec.from_file(written(tmp_path, text)).compile()
-    own = robot_spec.OwnPairs(model)
+    own = OwnPairs(model)
     assert [model.geom(geom).name for geom in own.shapes.hollow] == ["link_4_0"]
     a, b = model.geom("link_4_0").id, model.geom("link_6_0").id
     data = mujoco.MjData(model)
@@ -169,7 +170,7 @@ def test_what_is_built_near_is_proven_apart(tmp_path: Path) -> None:
     nearest = 0.03 - 0.02 * np.sqrt(2)
     assert pair == "link_4 with link_6"
     assert 0.5 * nearest <= told / 1000 <= 0.002
-    own, bodies = robot_spec.OwnPairs(model), [model.body(name).id for name in ("link_4", "link_6")]
+    own, bodies = OwnPairs(model), [model.body(name).id for name in ("link_4", "link_6")]
     assert not keeps_apart(model, own.shapes, *bodies, 1.05 * nearest)
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
     assert not [pair for pair in MujocoCollisionChecker(world).contacts(Q) if "link_6 with link_4" in pair]
@@ -190,7 +191,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
 def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
     """Plates that the square's corners touch, looked at where it lies flat, so that no contact is seen: guarded."""
     path = forked(tmp_path, 0.0325)
-    own = robot_spec.OwnPairs(normalised(robot_file.read(path)).compile())
+    own = OwnPairs(normalised(robot_file.read(path)).compile())
     own.q = 0.01 * own.q
     found = own.relations()
     assert (found.joined, found.apart) == ([], [])
@@ -238,7 +239,7 @@ def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) ->
         model=world.model,
         entities=world.entities,
         clearance=world.clearance,
-        near=robot.kept_near(world.model),
+        near=told.kept_near(world.model),
         shapes=world.shapes,
     )
     assert not [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
@@ -354,7 +355,7 @@ def test_a_first_link_that_tips_is_kept_off_the_floor(tmp_path: Path, tip: float
 
 def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pair that touches at the first seeded pose alone is guarded by half of the largest distance seen."""
-    own = robot_spec.OwnPairs(robot_spec.from_file(written(tmp_path, urdf())).compile())
+    own = OwnPairs(robot_spec.from_file(written(tmp_path, urdf())).compile())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "nothing_known"))
     pair = next(iter(own.pairs))
     own.pairs = {pair: own.pairs[pair]}
