@@ -1,6 +1,7 @@
 """An arm from a URDF or an MJCF: what is read, what it becomes, which links are guarded, what a mistake is told as."""
 
 import json
+import os
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -183,6 +184,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
     widths = []
     for plates in (0.09, 0.11):
         fork(plates).export(tmp_path / "fork.stl")
+        os.utime(tmp_path / "fork.stl", (1e9 * plates, 1e9 * plates))  # MuJoCo keeps meshes by the second
         model = robot_spec.spec_of(of).compile()
         widths.append(np.ptp(mesh_of(model, model.geom("link_4_0").id).vertices[:, 1]))
     np.testing.assert_allclose(widths, (0.19, 0.23), atol=1e-6)
