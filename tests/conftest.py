@@ -62,6 +62,10 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+_SMALL_SETUPS = (
+    "--units", "mm", "--place", "1100,400,100", "--faces", "40", "--samples", "4", "--standoff", "250", "--seed", "3",
+    "--candidates", "optimal-scanning-zone", "--coverage", "0.97",
+)  # fmt: skip
 _SMALL_PLAN = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
     # Grown candidates take longer, and have tests of their own.
@@ -293,6 +297,20 @@ def planned(
         assert json.loads(done.stdout)["n_views"] > 1
 
     return made_once("planned", make) / "run"
+
+
+@pytest.fixture(scope="session")
+def made_setups(
+    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+) -> Path:
+    """Folder of the small part's set-ups, two of six that are offered; beside it what the command said."""
+
+    def make(folder: Path) -> None:
+        done = run_cell("setups", part_file, *_SMALL_SETUPS, "--offer", "6", "--out", "made", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "stdout").write_text(done.stdout)
+
+    return made_once("setups", make) / "made"
 
 
 @pytest.fixture(scope="session")

@@ -42,6 +42,27 @@ class SetupsCoverage(JsonTable):
     required: float = Field(default=0.0, description="of the whole surface: less is exit code 3")
 
 
+class PlannedOpen(JsonTable):
+    """What no view of any set-up measures, by the first reason that holds; fractions of the surface."""
+
+    not_asked: float = Field(description="a candidate of a set-up that was offered measures it: less was asked for")
+    in_contact: float = Field(description="a support touches it in every set-up that was chosen")
+    out_of_reach: float = Field(description="poses see it in a chosen set-up, and the arm takes up none of them")
+    other_poses: float = Field(description="the arm takes up a pose that measures it, and none of the candidates does")
+    out_of_sight: float = Field(description="no pose sees it past the part and what stands about it")
+    standard_error: float = Field(description="at most, of the last three: they are told of samples")
+
+
+class SharedSurface(JsonTable):
+    """What two set-ups both measure, by which their scans are held together."""
+
+    setups: tuple[int, int] = Field(description="their numbers")
+    share: float = Field(description="of the surface that both measure")
+    free: tuple[str, ...] = Field(
+        description="motions of one against the other that it leaves open although the part would show them; in words"
+    )
+
+
 class SetupsFile(JsonTable):
     """The file."""
 
@@ -54,16 +75,8 @@ class SetupsFile(JsonTable):
     views_bound: int = Field(description="no cover by so many of the set-ups offered has fewer views")
     chosen: tuple[ChosenSetup, ...] = Field(description="in the order in which they are numbered")
     offered: tuple[OfferedSetup, ...] = Field(description="all that were looked at")
-
-
-class SharedSurface(JsonTable):
-    """What two set-ups both measure, by which their scans are held together."""
-
-    setups: tuple[int, int] = Field(description="their numbers")
-    share: float = Field(description="of the surface that both measure")
-    free: tuple[str, ...] = Field(
-        description="motions of one against the other that it leaves open although the part would show them; in words"
-    )
+    shared: tuple[SharedSurface, ...] = Field(default=(), description="by pairs of chosen set-ups")
+    open: PlannedOpen | None = Field(default=None, description="what no view measures; older folders do not say it")
 
 
 class ScannedSetup(JsonTable):

@@ -1,10 +1,10 @@
 """What `cell scan` can be asked for, checked."""
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
 from cell.acquisition import SIMULATED
@@ -30,7 +30,7 @@ _SETUP_ERROR = Option(
     "How far off its place the part may stand in this set-up: a simulated one does, in a direction drawn by the seed, "
     "and all scans are matched to the model as one body, searched so far.",
     _ERRORS,
-    metavar="LENGTH,ANGLE",
+    metavar="LENGTHmm,ANGLEdeg",
     form="a length and an angle with their units",
     examples=("5mm,2deg",),
 )
@@ -160,7 +160,7 @@ class ScanOptions(Table):
         """How far the part is looked for about its place [m, rad]; None where it stands there."""
         if self.setup_error_mm == 0 == self.setup_error_deg:
             return None
-        return self.setup_error_mm / 1000, float(np.radians(self.setup_error_deg))
+        return self.setup_error_mm / 1000, math.radians(self.setup_error_deg)
 
     def kept(self) -> dict[str, JsonValue]:
         """For the manifest: all that a report made later needs, settled."""

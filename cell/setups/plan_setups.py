@@ -26,12 +26,14 @@ from cell.run.setups_json import ChosenSetup, OfferedSetup, SetupsCoverage, Setu
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene
 from cell.setups.joint import JointCover
+from cell.setups.left_open import left_open
 from cell.setups.measured import Setup, compiled_world, measured_setup
 from cell.setups.offered import Offer, given, proposed
 from cell.setups.report import page, status
 from cell.setups.search import Search
+from cell.setups.shared import apart, shared
 from planner.surface.decimate import decimate
-from planner.surface.sample import sample
+from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Bools
 from planner.viewpoints import growth
 
@@ -43,6 +45,7 @@ _FOREIGN = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share",
 PROPOSED = 24
 """Poses that are proposed where neither the scene nor the user says which."""
 
+_ASKED = 8  # stream of randomness, as of `cell.plan.steps`: what any pose would measure
 _SAME = 1e-5  # m, and entries of a rotation
 
 
@@ -121,6 +124,11 @@ def _steps(most: int | None, offer: int, scene_path: Path | None, narrator: Narr
     file = _file(run, job, setups, found, offers, tried, [(row, visible[row]) for row in order])
     run.folder.write_json("setups.json", file.as_json())
     run.folder.write_text("report.md", page(file))
+    for number in apart(file.shared, range(1, len(order) + 1)):
+        run.narrator.note(
+            f"what set-up {number} measures together with others leaves its scans free to move against theirs, and no "
+            "candidate helps: the reference alone will hold them together"
+        )
     missed = file.coverage.visible_of_coverable < file.coverage.asked < 1
     if missed:
         run.narrator.note(
@@ -210,7 +218,14 @@ def _file(
         views_bound=found.views_bound,
         chosen=tuple(chosen),
         offered=tuple(_told(offer, each) for offer, each in zip(offers, tried, strict=True)),
+        shared=shared({number: visible for number, (_, visible) in enumerate(used, start=1)}, _samples(setups)),
+        open=left_open(setups, [row for row, _ in used], seen, run.rng(_ASKED)),
     )
+
+
+def _samples(setups: Mapping[int, Setup]) -> SurfaceSamples:
+    """The held-out samples, which all set-ups have."""
+    return next(iter(setups.values())).prediction.samples
 
 
 def _told(offer: Offer, found: Setup | str) -> OfferedSetup:

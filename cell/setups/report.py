@@ -1,7 +1,15 @@
 """What is said of several set-ups: the page, and the rows of a terminal."""
 
-from cell.run.setups_json import SetupsFile
+from cell.run.setups_json import PlannedOpen, SetupsFile
 from cell.setups.joint import JointCover
+
+_WHY = {
+    "not_asked": "candidates measure it, and less was asked for (--coverage)",
+    "in_contact": "a support touches it in every set-up",
+    "out_of_reach": "the arm takes up no pose that sees it (another place, or [[setup]] poses of your own)",
+    "other_poses": "no candidate measures it, though other poses would (--candidates grown, --faces)",
+    "out_of_sight": "no pose sees it past the part and what stands about it",
+}
 
 
 def status(found: JointCover, offered: int, asked: float) -> str:
@@ -45,6 +53,8 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
         (setup.folder, f"{file.offered[setup.offered].name}: {setup.views} views, adds {_percent(setup.adds)}")
         for setup in file.chosen
     ]
+    if file.open is not None:
+        found += [("open", f"{_percent(share)}: {_WHY[name]}") for name, share in _reasons(file.open) if share >= 5e-5]
     best = max(each.coverable for each in file.offered)
     return [*found, ("best single set-up", f"{_percent(best)} of the surface can be measured in it")]
 
@@ -63,7 +73,18 @@ def page(file: SetupsFile) -> str:
             f"| {row} | {each.name} | {_list(each.placement_mm)} | {_list(each.placement_abc_deg)} | {each.reachable} "
             f"| {_percent(each.coverable)} | {_percent(each.in_contact)} | {each.left_out or use} |"
         )
+    if file.shared:
+        lines += ["", "## What set-ups share", "", "| set-ups | of the surface | leaves free |", "|---|---|---|"]
+        lines += [
+            f"| {pair.setups[0]} and {pair.setups[1]} | {_percent(pair.share)} | {'; '.join(pair.free)} |"
+            for pair in file.shared
+        ]
     return "\n".join([*lines, ""])
+
+
+def _reasons(found: PlannedOpen) -> list[tuple[str, float]]:
+    """Names and shares, the largest first."""
+    return sorted(((name, getattr(found, name)) for name in _WHY), key=lambda each: -each[1])
 
 
 def _percent(share: float) -> str:

@@ -19,6 +19,7 @@ from cell.rays.matrix import PartSurface
 from cell.setups.joint import JointCover, joint_cover
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
+from cell.setups.shared import joining
 from planner.cover import CoverStatus
 from planner.measurability.rows import add_rows
 from planner.surface.sample import pick_samples, sample
@@ -83,8 +84,9 @@ class Search:
             if plans is not None and self._lacks(better, plans) <= 0:
                 found, connected = better, plans
                 break
-        bound = max(thorough.views_bound, found.views_bound if moved is None else 1)
-        return replace(found, views_bound=min(bound, found.n_views)), connected
+        bound = min(max(thorough.views_bound, found.views_bound if moved is None else 1), found.n_views)
+        found, connected = self._held_together(found, connected)
+        return replace(found, views_bound=bound), connected
 
     @property
     def setups(self) -> Mapping[int, Setup]:
@@ -112,6 +114,21 @@ class Search:
             more = setup.measured.reached.reachable[len(self._usable[row]) :]
             self._usable[row] = np.concatenate([self._usable[row], more])
         return replace(found, views={rows.index(row): columns for row, columns in views.items()})
+
+    def _held_together(self, found: JointCover, connected: Connected) -> tuple[JointCover, Connected]:
+        """With the views without which what set-ups share would leave their scans free to move against each other."""
+        rows = list(self._setups)
+        for _ in range(_TRIES):
+            views = {rows[index]: columns for index, columns in found.views.items()}
+            if (more := joining(self._M, self._usable, views)) is None:
+                break
+            row, column = more
+            index = rows.index(row)
+            held = replace(found, views={**found.views, index: np.append(found.views[index], column)})
+            plans = self._connected(held)  # None: the candidate is usable no more, and another is tried
+            if plans is not None:
+                found, connected = held, plans
+        return found, connected
 
     def _connected(self, found: JointCover) -> Connected | None:
         """The plans of a cover's set-ups; None where a view cannot be connected, or arms leave less than was asked."""

@@ -18,22 +18,11 @@ from planner.values import Bools
 
 Cell = Callable[..., Any]
 
-SMALL = (
-    "--units", "mm", "--place", "1100,400,100", "--faces", "40", "--samples", "4", "--standoff", "250", "--seed", "3",
-    "--candidates", "optimal-scanning-zone", "--coverage", "0.97", "--offer", "6",
-)  # fmt: skip
 
-
-@pytest.fixture(scope="module")
-def made(made_once: Callable[..., Path], part_file: Path, run_cell: Cell) -> Path:
+@pytest.fixture
+def made(made_setups: Path) -> Path:
     """Folder of the small part's set-ups, of six that are offered; beside it what the command said."""
-
-    def make(folder: Path) -> None:
-        done = run_cell("setups", part_file, *SMALL, "--out", "made", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        (folder / "stdout").write_text(done.stdout)
-
-    return made_once("setups", make) / "made"
+    return made_setups
 
 
 def _seen(run: Path) -> Bools:
@@ -95,8 +84,66 @@ def test_what_cannot_be_is_said(
     options: tuple[str, ...], code: int, told: str, part_file: Path, run_cell: Cell, tmp_path: Path
 ) -> None:
     """One sentence and a code; no finished folder is left."""
-    small = [word for word in SMALL if word not in ("--coverage", "0.97", "--offer", "6")]
+    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "40", "--standoff", "250")
     done = run_cell("setups", part_file, *small, "--offer", "1", *options, "--out", "made", cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert told in done.stderr
     assert not (tmp_path / "made").exists()
+
+
+SCENE = """
+[part]
+path = "{part}"
+units = "mm"
+[placement]
+position_mm = [1100, 400, 100]
+[plan]
+faces = 40
+samples_per_face = 4
+seed = 3
+candidates = "optimal-scanning-zone"
+standoffs_mm = [250]
+coverage = 0.95
+[[setup]]
+name = "upright"
+position_mm = [1100, 400, 100]
+[[setup]]
+name = "over"
+position_mm = [1100, 400, 100]
+abc_deg = [0, 0, 180]
+fixtures = [{{ name = "vise", shape = "box", position_mm = [1100, 560, 0], size_mm = [60, 60, 60] }}]
+[[setup]]
+name = "{third}"
+position_mm = [1100, 400, 100]
+abc_deg = [0, 0, {angle}]
+fixtures = [{{ name = "{fixture}", shape = "box", position_mm = [1100, {y}, 0], size_mm = [60, 60, 260] }}]
+"""
+
+
+def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """None is proposed beside them; one in which the part stands in its fixture is left out, with the reason."""
+    scene = tmp_path / "cell.toml"
+    scene.write_text(SCENE.format(part=part_file, third="stuck", angle=90, fixture="block", y=400))
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
+    assert done.returncode in (0, 3), done.stderr
+    said = json.loads((tmp_path / "made" / "setups.json").read_text())
+    assert [each["name"] for each in said["offered"]] == ["upright", "over", "stuck"]
+    assert "block" in said["offered"][2]["left_out"]
+    assert "the set-up 'stuck' is left out: " in done.stderr
+    for setup in said["chosen"]:
+        run = open_run(tmp_path / "made" / setup["folder"])
+        names = [fixture.name for fixture in read_cell(run.record).scene.fixtures if not fixture.built_in]
+        assert names == (["vise"] if setup["offered"] == 1 else [])
+    done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "the scene gives 3 set-ups, and this plans one: give it to cell setups" in done.stderr
+
+
+def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """In one sentence that names both."""
+    scene = tmp_path / "cell.toml"
+    text = SCENE.format(part=part_file, third="again", angle=180, fixture="vise", y=560).replace("260]", "60]")
+    scene.write_text(text)
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "'over' and 'again' are equal; leave one of them out" in done.stderr

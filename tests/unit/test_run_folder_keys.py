@@ -14,7 +14,7 @@ from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
 from cell.run.report_json import Report
 from cell.run.scene_json import ResolvedScene
-from cell.run.setups_json import SetupsFile
+from cell.run.setups_json import ScannedSetups, SetupsFile
 from cell.run.why_json import WhyReport
 from cell.scene.plan_settings import PlanKeys
 
@@ -29,6 +29,7 @@ FILES = {
     "why/why.json": WhyReport,
     "explore.json of an exploration": ExploreFile,
     "setups.json of `cell setups`": SetupsFile,
+    "scanned/report.json of `cell scan SETUPS`": ScannedSetups,
 }
 
 

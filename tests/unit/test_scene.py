@@ -14,7 +14,7 @@ from cell.scene.devices import settled
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.regions import Region
-from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene, load_scene
+from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene, Setup, load_scene
 
 
 def _load(tmp_path: Path, text: str, **options: dict) -> Scene:
@@ -44,7 +44,12 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
     for name, section in zip(sections[1::2], sections[2::2], strict=True):
         documented[name] = documented.get(name, "") + section
     tables = {name: [type(table)] for name, table in Scene() if isinstance(table, BaseModel)}
-    tables |= {"": [Scene], "fixtures": [BoxFixture, CylinderFixture, MeshFixture], "region": [Region]}
+    tables |= {
+        "": [Scene],
+        "fixtures": [BoxFixture, CylinderFixture, MeshFixture],
+        "region": [Region],
+        "setup": [Setup],
+    }
     for name, classes in tables.items():
         lines = [line.lstrip("# ") for line in documented[name].splitlines()]
         for key, field in ((key, field) for table in classes for key, field in table.model_fields.items()):
@@ -52,7 +57,7 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
                 continue
             line = next((line for line in lines if line.startswith(f"{key} =")), None)
             assert line is not None, f"{name}.{key}"
-            if field.default is not None and name not in ("fixtures", "region"):
+            if field.default is not None and name not in ("fixtures", "region", "setup"):
                 stated = tomllib.loads(line)[key]
                 assert TypeAdapter(field.annotation).validate_python(stated) == field.default, f"{name}.{key}"
 
