@@ -131,9 +131,9 @@ def finish(
     with run.step("report"):
         report = plan_report(job, planning, problem, chosen, clearance, motion, further)
         report = report.model_copy(update=dict(told))
-        plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
+        plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates, problem.world)
         plan_files.write_report(run.folder, report)
-        finish_drawing(run.drawing, run.folder, report, plan_file, motion)
+        finish_drawing(run.drawing, run.folder, report, plan_file, motion, problem.world.T_base_object)
     return report
 
 

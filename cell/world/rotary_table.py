@@ -1,0 +1,63 @@
+"""The rotary table of a scene as the planner's external axis; where it stands when the scene does not say."""
+
+import numpy as np
+
+from cell.errors import SceneError
+from cell.scene.scene import Scene
+from planner.ports import Kinematics
+from planner.reach.rotary_table import ArmOnTable, RotaryTable
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+
+SHORTEST_POST_MM = 1.0
+HALF_A_TURN_DEG = -180.0, 180.0
+"""What is used of an endless axis: every angle, and nothing winds up."""
+
+
+def rotary_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> RotaryTable | None:
+    """The table of a scene; None where it has none.
+
+    Args:
+        scene: its placement is by the part's centre.
+        T_base_object: (4, 4) the part at angle 0 [m].
+        hull: the part's convex hull, object frame [m].
+
+    Raises:
+        SceneError: if the part reaches below the table's face, or is wider than the table carries.
+    """
+    asked = scene.table
+    if not asked.enabled:
+        return None
+    points, T = hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3], np.eye(4)
+    if asked.position_mm is None:
+        T[:3, 3] = *scene.placement.T[:2, 3], points[:, 2].min() - asked.post_mm / 1000.0
+    else:
+        T[:3, 3] = np.array(asked.position_mm) / 1000.0
+    on_face = points - T[:3, 3]
+    height, needed = 1000 * float(on_face[:, 2].min()), SHORTEST_POST_MM if scene.post.enabled else 0.0
+    if height < needed - 1e-6:
+        raise SceneError(
+            f"the part's lowest point is {height:.1f} mm above the face of the rotary table, and must be "
+            f"{needed:g} mm or more above it: raise placement.position_mm or lower table.position_mm"
+            + ("; a part that stands on the face itself needs post.enabled = false" if needed else "")
+        )
+    swing = 2000 * float(np.linalg.norm(on_face[:, :2], axis=1).max())
+    if swing > asked.swing_mm:
+        raise SceneError(
+            f"the part swings through a circle of {swing:.0f} mm, and the rotary table carries {asked.swing_mm:g} mm; "
+            "place it nearer to the axis, or give a larger table.swing_mm"
+        )
+    lower, upper = asked.limits_deg or HALF_A_TURN_DEG
+    rates = asked.velocity_deg_s, asked.acceleration_deg_s2, asked.jerk_deg_s3
+    return RotaryTable(T, *np.deg2rad([lower, upper, *rates]).tolist())
+
+
+def on_table(arm: Kinematics, table: RotaryTable | None, home: Floats, angles: int) -> Kinematics:
+    """Arm and table as one chain; the arm alone where there is no table."""
+    return arm if table is None else ArmOnTable(arm, table, home, angles)
+
+
+def height_above(table: RotaryTable, T_base_object: Floats, hull: TriangleMesh) -> float:
+    """How high above the table's face the part's lowest point is, T_base_object being its placement (4, 4) [m]."""
+    lowest = (hull.vertices @ T_base_object[2, :3]).min() + T_base_object[2, 3]
+    return float(lowest - table.T_base_table[2, 3])
