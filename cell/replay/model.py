@@ -18,10 +18,12 @@ from cell.errors import FileError
 from cell.replay.look import add_mesh, light, of_robot, paint, part_pieces, show_surface
 from cell.robot import model as robot
 from cell.run import reader as run_reader
+from cell.run.cell import table_of
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.view.rays import frustum
 from cell.world.gap import Shapes, is_convex, meshes_of
+from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, readonly
 
@@ -42,7 +44,7 @@ class Theatre:
 
     Attributes:
         model: compiled; the robot's joints are its only ones.
-        home: (6,) joint angles of the key `home` [rad].
+        home: (axes,) joint angles of the key `home`, a rotary table at 0 [rad].
         T_flange_scanner: (4, 4) the mount [m]; the scanner's frame is where frustum and TCP path are drawn.
         T_base_object: (4, 4) placement [m].
         centre: (3,) middle of the part's bounding box, base frame [m].
@@ -54,6 +56,7 @@ class Theatre:
         entities: for each geom, the name a reader knows ("link_4", "housing", "part").
         clearance: distance that a free configuration keeps [m].
         shapes: who measures distances, by true triangles where these were checked.
+        table: turns the part; None: it stands.
     """
 
     model: mujoco.MjModel
@@ -69,9 +72,10 @@ class Theatre:
     entities: tuple[str, ...]
     clearance: float
     shapes: Shapes
+    table: RotaryTable | None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "home", readonly("home", self.home, (6,)))
+        object.__setattr__(self, "home", readonly("home", self.home, (None,)))
         object.__setattr__(self, "centre", readonly("centre", self.centre, (3,)))
         object.__setattr__(self, "frustum_corners", readonly("frustum_corners", self.frustum_corners, (8, 3)))
         for name in ("T_flange_scanner", "T_base_object"):
@@ -128,7 +132,7 @@ def dress(
     mesh_of = {model.mesh(number).name: number for number in range(model.nmesh)}
     return Theatre(
         model=model,
-        home=robot.home(model),
+        home=np.append(robot.home(model), [] if scene.table is None else [0.0]),
         T_flange_scanner=scene.T_flange_scanner,
         T_base_object=scene.T_base_object,
         centre=centre,
@@ -140,6 +144,7 @@ def dress(
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
         shapes=Shapes(model, {**links, **checked}, hollow),
+        table=table_of(scene),
     )
 
 

@@ -379,6 +379,15 @@ class Scene(Table):
     region: Annotated[tuple[Region, ...], Field(strict=False)] = ()
     picture: Picture = Field(default_factory=Picture)
 
+    def require_fixed_part(self, what: str) -> None:
+        """Refuse a rotary table where it is not known yet.
+
+        Raises:
+            SceneError: naming what does not know it.
+        """
+        if self.table.enabled:
+            raise SceneError(f"{what} cannot have a rotary table yet; leave --table and [table] out")
+
     @field_validator("fixtures")
     @classmethod
     def _distinct(cls, fixtures: tuple[_Fixture, ...]) -> tuple[_Fixture, ...]:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.world.model import World
+from cell.world.rotary_table import Turner
 from cell.world.travel import TravelBound, swing
 from planner.errors import PlannerError
 from planner.ports import ARM_AXES
@@ -47,9 +48,7 @@ class MujocoCollisionChecker:
         self._grown: mujoco.MjData = world.data(T_base_object, world.grown)
         model = world.model
         self._travel = TravelBound(model, swing(model, self._data, world.table))
-        self._turns = [body for body in ("object", "post") if world.table is not None]
-        self._mocap = [int(model.body(body).mocapid[0]) for body in self._turns]
-        self._at_0 = np.array(self._data.mocap_pos[self._mocap]), np.array(self._data.mocap_quat[self._mocap])
+        self._turner = Turner(model, self._data, world.table)
         self._pairs = world.pairs
         self._radius = model.geom_rbound[self._pairs].sum(axis=1)
         moves = model.body_weldid[model.geom_bodyid] > 0
@@ -80,8 +79,7 @@ class MujocoCollisionChecker:
         free = np.ones(len(angles), dtype=np.bool_)
         for i, configuration in enumerate(angles):
             qpos[:] = configuration
-            if self._turns:
-                self._turn(data, q[i])
+            self._turner(data, q[i])
             kinematics(model, data)
             collision(model, data)
             if data.ncon:
@@ -212,20 +210,8 @@ class MujocoCollisionChecker:
         import mujoco
 
         self._data.qpos[:] = self._world.followers.qpos(configuration[:ARM_AXES])
-        if self._turns:
-            self._turn(self._data, configuration)
+        self._turner(self._data, configuration)
         mujoco.mj_kinematics(self._world.model, self._data)
-
-    def _turn(self, data: mujoco.MjData, q: Floats) -> None:
-        """Part and post where the table has turned them at (axes,) joint angles."""
-        import mujoco
-
-        T, turned = self._world.in_base(q, np.eye(4)), np.empty(4)
-        quaternion = np.array([np.cos(q[ARM_AXES] / 2), 0.0, 0.0, np.sin(q[ARM_AXES] / 2)])  # its axis is upright
-        for body, position, stood in zip(self._mocap, *self._at_0, strict=True):
-            data.mocap_pos[body] = T[:3, :3] @ position + T[:3, 3]
-            mujoco.mju_mulQuat(turned, quaternion, stood)
-            data.mocap_quat[body] = turned
 
     def _gap(self, pair: int, reach: float) -> float:
         """Distance of a guarded pair at the present configuration [m], `reach` where it is more."""

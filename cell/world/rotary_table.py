@@ -1,13 +1,20 @@
 """The rotary table of a scene as the planner's external axis; where it stands when the scene does not say."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from cell.errors import SceneError
 from cell.scene.scene import Scene
-from planner.ports import Kinematics
+from planner.ports import ARM_AXES, Kinematics
 from planner.reach.rotary_table import ArmOnTable, RotaryTable
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
+
+if TYPE_CHECKING:
+    import mujoco
 
 SHORTEST_POST_MM = 1.0
 HALF_A_TURN_DEG = -180.0, 180.0
@@ -61,3 +68,31 @@ def height_above(table: RotaryTable, T_base_object: Floats, hull: TriangleMesh) 
     """How high above the table's face the part's lowest point is, T_base_object being its placement (4, 4) [m]."""
     lowest = (hull.vertices @ T_base_object[2, :3]).min() + T_base_object[2, 3]
     return float(lowest - table.T_base_table[2, 3])
+
+
+class Turner:
+    """Puts part and post of states of a model where a table has turned them.
+
+    Args:
+        model: the cell.
+        data: a state with both at angle 0.
+        table: turns them; None: they stand.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> None:
+        self._table = table
+        self._mocap = [int(model.body(name).mocapid[0]) for name in ("object", "post")]
+        self._at_0 = np.array(data.mocap_pos[self._mocap]), np.array(data.mocap_quat[self._mocap])
+
+    def __call__(self, data: mujoco.MjData, q: Floats) -> None:
+        """Set both in a state, at (axes,) joint angles [rad]; nothing is done where they stand."""
+        if self._table is None:
+            return
+        import mujoco
+
+        T, turned = self._table.turn(q[ARM_AXES]), np.empty(4)
+        turn = np.array([np.cos(q[ARM_AXES] / 2), 0.0, 0.0, np.sin(q[ARM_AXES] / 2)])  # its axis is upright
+        for body, position, stood in zip(self._mocap, *self._at_0, strict=True):
+            data.mocap_pos[body] = T[:3, :3] @ position + T[:3, 3]
+            mujoco.mju_mulQuat(turned, turn, stood)
+            data.mocap_quat[body] = turned
