@@ -106,8 +106,8 @@ def open_run(folder: Path) -> RunRecord:
     if schema not in (SCHEMA, WITH_TABLE):
         if schema is not None and schema.startswith("scan-cell/run/"):
             raise FileError(
-                f"{folder} has the schema {schema}, and this version of scan-cell reads {SCHEMA} and {WITH_TABLE}; plan "
-                "again, or use the version that its manifest.json names"
+                f"{folder} has the schema {schema}, and this version of scan-cell reads {SCHEMA} and {WITH_TABLE}; "
+                "plan again, or use the version that its manifest.json names"
             )
         raise FileError(
             f"{folder} is not a run folder: its manifest.json is not of the schema {SCHEMA}; give the folder that "
