@@ -8,7 +8,7 @@ import numpy as np
 from drivers.commands import Move, Result
 from drivers.contract import Capabilities
 from drivers.errors import DriverError
-from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, frozen
+from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, axis_name, frozen
 
 _ROUNDING = 1e-3  # counts; a limit that is a count but for the rounding of its radians is that count
 
@@ -43,10 +43,10 @@ class Limits:
 
     Attributes:
         lower: (n,) smallest set-points, int32 counts of 1e-4 deg; a set-point on the limit is inside.
-        upper: (6,) largest set-points, counts.
-        velocity: (6,) axis speeds at speed fraction 1 [rad/s].
-        acceleration: (6,) axis accelerations at every speed fraction [rad/s^2].
-        max_step: (6,) largest change of an axis from one via point to the next, counts.
+        upper: (n,) largest set-points, counts.
+        velocity: (n,) axis speeds at speed fraction 1 [rad/s].
+        acceleration: (n,) axis accelerations at every speed fraction [rad/s^2].
+        max_step: (n,) largest change of an axis from one via point to the next, counts.
         max_speed: largest speed fraction, in (0, 1].
         max_via: most via points in one move; None: no bound.
         jerk: (n,) axis jerks at every speed fraction [rad/s^3]; inf: not limited. One number is that of every axis.
@@ -73,7 +73,8 @@ class Limits:
             object.__setattr__(self, name, frozen(values, kind))
         if not (self.lower <= self.upper).all():
             axis = int(np.argmax(self.lower > self.upper))
-            raise DriverError(f"the range of A{axis + 1} is empty; its lower limit must not be above its upper limit")
+            name = axis_name(axis)
+            raise DriverError(f"the range of {name} is empty; its lower limit must not be above its upper limit")
         for name in ("velocity", "acceleration"):
             values = getattr(self, name)
             if not ((values > 0) & (values < np.inf)).all():
@@ -106,7 +107,7 @@ def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple
 
     Args:
         move: what is asked for.
-        start: (6,) where the arm will stand when the move begins, counts.
+        start: (n,) where the arm will stand when the move begins, counts.
         bounds: what is allowed: a controller's limits, or what a driver says of them.
     """
     points = move.set_points
@@ -120,7 +121,7 @@ def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple
     if outside.any():
         row, axis = (int(k) for k in np.argwhere(outside)[0])
         return Result.LIMIT, (
-            f"via point {row} has A{axis + 1} at {points[row, axis] / PER_DEGREE:.4f} deg; it must lie in "
+            f"via point {row} has {axis_name(axis)} at {points[row, axis] / PER_DEGREE:.4f} deg; it must lie in "
             f"{bounds.lower[axis] / PER_DEGREE:.4f} to {bounds.upper[axis] / PER_DEGREE:.4f} deg"
         )
     if not 0 < move.speed <= bounds.max_speed:  # NaN too
@@ -132,7 +133,7 @@ def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple
     if (steps > bounds.max_step).any():
         row, axis = (int(k) for k in np.argwhere(steps > bounds.max_step)[0])
         return Result.STEP, (
-            f"via point {row} is a step of {steps[row, axis] / PER_DEGREE:.4f} deg on A{axis + 1}; it must be at most "
-            f"{bounds.max_step[axis] / PER_DEGREE:.4f} deg"
+            f"via point {row} is a step of {steps[row, axis] / PER_DEGREE:.4f} deg on {axis_name(axis)}; it must be at "
+            f"most {bounds.max_step[axis] / PER_DEGREE:.4f} deg"
         )
     return Result.OK, ""

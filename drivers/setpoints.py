@@ -21,6 +21,12 @@ PER_DEGREE = 10_000
 AXES = 6
 """Fewest axes of an arm; external axes follow A6."""
 
+
+def axis_name(axis: int) -> str:
+    """What a reader calls an axis by its number from 0: A1 to A6, then the external E1 on."""
+    return f"A{axis + 1}" if axis < AXES else f"E{axis + 1 - AXES}"
+
+
 _INT32 = np.iinfo(np.int32)
 
 
@@ -47,7 +53,7 @@ def from_rad(q: ArrayLike) -> SetPoints:
     if not (np.abs(counts) <= _INT32.max).all():
         axis = int(np.argwhere(~(np.abs(counts) <= _INT32.max))[0][-1])
         raise SetPointError(
-            f"a joint angle of A{axis + 1} is not finite or does not fit 32 bits; it must lie within "
+            f"a joint angle of {axis_name(axis)} is not finite or does not fit 32 bits; it must lie within "
             f"+-{_INT32.max / PER_DEGREE:.4f} deg"
         )
     return frozen(counts, np.int32)

@@ -97,7 +97,9 @@ class SimDriver(ControllerClient):
         plant = url.word("plant", "ideal", tuple(plants))
         realtime = url.flag("realtime")
         time_scale = url.number("time_scale", 0.0, above=0.0)
-        start = from_rad(np.radians(url.numbers("start", HOME_DEG)))
+        limits = context.limits
+        home = (*HOME_DEG, *[0.0] * (len(limits.lower) - len(HOME_DEG)))  # external axes stand at 0
+        start = from_rad(np.radians(url.numbers("start", home)))
         url.finish()
         if url.host or url.path not in ("", "/"):
             raise DriverUrlError(
@@ -109,10 +111,7 @@ class SimDriver(ControllerClient):
             raise DriverUrlError(
                 f"'{url.text}' has time_scale without realtime; add &realtime, or leave time_scale away"
             )
-        limits = context.limits
         if ((start < limits.lower) | (start > limits.upper)).any():
-            raise DriverUrlError(
-                f"'{url.text}' starts the arm outside the axis limits; start= takes A1 to A6 in degrees"
-            )
+            raise DriverUrlError(f"'{url.text}' starts the arm outside the axis limits; start= takes A1 on in degrees")
         clock = context.clock or (RealTimeClock(time_scale or 1.0) if realtime else SimulatedClock())
         return cls(Controller(plants[plant](to_rad(start)), limits, clock), clock, context.say)

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from planner.values import Bools, Floats, Ints32, Value
 from planner.worded import Worded
 
+ARM_AXES = 6
+"""Axes of the arm; those behind them in a joint vector are external ones."""
+
 Progress = Callable[[int, int], None]
 """Told `(done, total)` while something long goes on; what it raises ends the work."""
 
@@ -155,18 +158,23 @@ class JointLimits(Value):
     """What the axes can do; q in KUKA signs.
 
     Attributes:
-        lower: (6,) smallest joint angles [rad].
-        upper: (6,) largest joint angles [rad].
-        velocity: (6,) largest joint speeds [rad/s].
-        acceleration: (6,) largest joint accelerations [rad/s^2].
-        jerk: (6,) largest joint jerks [rad/s^3]; inf: no limit.
+        lower: (axes,) smallest joint angles [rad].
+        upper: (axes,) largest joint angles [rad].
+        velocity: (axes,) largest joint speeds [rad/s].
+        acceleration: (axes,) largest joint accelerations [rad/s^2].
+        jerk: (axes,) largest joint jerks [rad/s^3]; inf: no limit.
     """
 
-    lower: Annotated[Floats, "6"]
-    upper: Annotated[Floats, "6"]
-    velocity: Annotated[Floats, "6"]
-    acceleration: Annotated[Floats, "6"]
-    jerk: Annotated[Floats, "6"] = field(default_factory=lambda: np.full(6, np.inf))
+    lower: Annotated[Floats, "axes"]
+    upper: Annotated[Floats, "axes"]
+    velocity: Annotated[Floats, "axes"]
+    acceleration: Annotated[Floats, "axes"]
+    jerk: Annotated[Floats, "axes"] = field(default_factory=lambda: np.full(ARM_AXES, np.inf))
+
+
+def axis_name(axis: int) -> str:
+    """What a reader calls an axis by its number from 0: A1 to A6 are the arm's, E1 is the table's."""
+    return f"A{axis + 1}" if axis < ARM_AXES else f"E{axis + 1 - ARM_AXES}"
 
 
 class Kinematics(Protocol):
@@ -181,7 +189,7 @@ class Kinematics(Protocol):
         """Flange poses.
 
         Args:
-            q: (N, 6) joint angles [rad], KUKA signs.
+            q: (N, axes) joint angles [rad], KUKA signs.
 
         Returns:
             (N, 4, 4) T_base_flange [m].
@@ -189,13 +197,14 @@ class Kinematics(Protocol):
         ...
 
     def inverse(self, T_base_flange: Floats) -> Floats:
-        """All eight branches of each pose, not limited to the joint range.
+        """All branches of each pose, not limited to the joint range: eight of the arm, at each angle of a table.
 
         Args:
             T_base_flange: (N, 4, 4) [m].
 
         Returns:
-            (N, 8, 6) joint angles [rad] in (-pi, pi]; NaN where a branch has no real solution.
+            (N, branches, axes) joint angles [rad], those of the arm in (-pi, pi]; NaN where a branch has no real
+            solution.
         """
         ...
 
@@ -212,7 +221,7 @@ class CollisionChecker(Protocol):
         """Whether every guarded pair is at least the clearance apart.
 
         Args:
-            q: (N, 6) joint angles [rad].
+            q: (N, axes) joint angles [rad].
 
         Returns:
             (N,) True where the configuration is free.
@@ -223,7 +232,7 @@ class CollisionChecker(Protocol):
         """Names of what is nearer than the clearance at one configuration, nearest first ("housing with part").
 
         Args:
-            q: (6,) joint angles [rad].
+            q: (axes,) joint angles [rad].
         """
         ...
 
@@ -231,7 +240,7 @@ class CollisionChecker(Protocol):
         """Smallest distance of any guarded pair, and which pair.
 
         Args:
-            q: (N, 6) joint angles [rad].
+            q: (N, axes) joint angles [rad].
 
         Returns:
             (N,) distance [m] (negative in contact) and N names such as "housing with part".
@@ -242,8 +251,8 @@ class CollisionChecker(Protocol):
         """An upper bound on how far any point of arm or tool moves along the straight joint segment.
 
         Args:
-            q_from: (N, 6) [rad].
-            q_to: (N, 6) [rad].
+            q_from: (N, axes) [rad].
+            q_to: (N, axes) [rad].
 
         Returns:
             (N,) length [m], a bound in proportion: between two configurations of the segment that are a share f of it

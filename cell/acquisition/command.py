@@ -12,6 +12,7 @@ from cell.acquisition import point_files
 from cell.acquisition.files import frame_and_units
 from cell.acquisition.sources import Acquired, Context, View
 from cell.errors import FileError, UsageError
+from planner.ports import ARM_AXES
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +85,8 @@ def _described(view: View) -> dict[str, object]:
         "view": view.stop,
         "candidate": view.candidate,
         "units": "m, deg",
-        "q_deg": np.rad2deg(view.q).tolist(),
+        "q_deg": np.rad2deg(view.q[:ARM_AXES]).tolist(),
+        **({"e_deg": np.rad2deg(view.q[ARM_AXES:]).tolist()} if len(view.q) > ARM_AXES else {}),
         "T_base_flange": view.T_base_flange.tolist(),
         "T_base_scanner": T_base_scanner.tolist(),
         "T_object_scanner": view.T_object_scanner.tolist(),

@@ -36,7 +36,7 @@ class View(Value):
     Attributes:
         stop: number of the view, from 1 in visiting order.
         candidate: its row of viewpoints.npz.
-        q: (K, 6) joint angles [rad], KUKA signs, in driving order as all poses.
+        q: (K, axes) joint angles [rad], KUKA signs, in driving order as all poses.
         T_base_flange: (K, 4, 4) [m].
         T_object_scanner: (K, 4, 4) [m].
         T_base_object: (4, 4) the placement [m].
@@ -45,7 +45,7 @@ class View(Value):
 
     stop: int
     candidate: int
-    q: Annotated[Floats, "K 6"]
+    q: Annotated[Floats, "K axes"]
     T_base_flange: Annotated[Floats, "K 4 4"]
     T_object_scanner: Annotated[Floats, "K 4 4"]
     T_base_object: Annotated[Floats, "4 4"]

@@ -54,7 +54,7 @@ def _home_outside_limits(world: World) -> list[str]:
     return [
         f"robot.home_deg has {axis} at {angle:g} deg; it must be from {low:g} to {high:g}"
         for axis, angle, low, high in zip(
-            AXES, world.scene.robot.settled_home_deg, lower.round(6), upper.round(6), strict=True
+            AXES, world.scene.robot.settled_home_deg, lower.round(6), upper.round(6), strict=False
         )
         if not low - 1e-9 <= angle <= high + 1e-9
     ]
@@ -84,7 +84,7 @@ def _part_out_of_room(world: World) -> list[str]:
             f"the part reaches {1000 * depth:.1f} mm below the floor, which is at z = {1000 * world.floor:g} mm; "
             f"{move(world, 'part', np.array([0.0, 0.0, depth]))}"
         )
-    if world.scene.post.enabled and top[2] - world.floor > cell_shapes.POST_LENGTH:
+    if world.table is None and world.scene.post.enabled and top[2] - world.floor > cell_shapes.POST_LENGTH:
         problems.append(
             f"the part stands {top[2] - world.floor:.1f} m above the floor; a post is at most "
             f"{cell_shapes.POST_LENGTH:g} m long: lower placement.position_mm, or set post.enabled = false"
@@ -95,6 +95,7 @@ def _part_out_of_room(world: World) -> list[str]:
 def _in_what_stands(world: World, solids: dict[str, Solid]) -> list[str]:
     """The part in a fixture; part, post and fixtures in what does not move. A table may be bolted to the pedestal."""
     fixtures = [fixture.name for fixture in world.scene.fixtures]
+    fixtures += [] if world.table is None else [cell_shapes.TABLE]
     pairs = [("part", name) for name in (*fixtures, *_STILL)]
     pairs += [("post", name) for name in _STILL] + [(name, "base") for name in fixtures]
     problems: list[str] = []
@@ -119,7 +120,7 @@ def _in_the_robot(world: World, solids: dict[str, Solid]) -> list[str]:
     data, geoms = world.data(), _geoms(world)
     moving = [name for name in arm(world) if name in geoms and name != "base"]
     problems = []
-    for name in ("part", "post", *(fixture.name for fixture in world.scene.fixtures)):
+    for name in ("part", "post", cell_shapes.TABLE, *(fixture.name for fixture in world.scene.fixtures)):
         gaps = {piece: _gap(world, data, geoms, piece, name) for piece in reversed(moving)} if name in solids else {}
         piece = min(gaps, key=lambda each: gaps[each], default="")
         if not piece or gaps[piece] >= world.clearance - 1e-9:

@@ -5,6 +5,7 @@ import numpy as np
 from cell.checks.solid import Solid, way_out
 from cell.checks.standing import OWN, arm
 from cell.world.model import World
+from cell.world.shapes import TABLE
 from planner.values import Floats
 
 _ROUNDING = 0.02  # of a tenth of a millimetre: what a sum of coordinates is off is no reason to go a tenth farther
@@ -14,7 +15,7 @@ def called(world: World, name: str) -> str:
     """A piece of the cell as a sentence names it."""
     if name in arm(world):
         return f"the {name}" if name in ("housing", "bracket") else f"the robot's {name}"
-    return f"the {name}" if name in ("part", *OWN) else f"the fixture '{name}'"
+    return f"the {name}" if name in ("part", TABLE, *OWN) else f"the fixture '{name}'"
 
 
 def move(world: World, name: str, way: Floats) -> str:
@@ -24,6 +25,8 @@ def move(world: World, name: str, way: Floats) -> str:
     way = way * (tenths / length) if length > 0 else way
     if name in ("part", "post"):
         return moved("placement.position_mm", (world.T_base_object @ world.T_object_centre)[:3, 3], way)
+    if name == TABLE and world.table is not None:
+        return moved("table.position_mm", world.table.T_base_table[:3, 3], way)
     fixtures = world.scene.fixtures
     index = [fixture.name for fixture in fixtures].index(name)
     if fixtures[index].attached_to == "object":

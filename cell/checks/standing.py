@@ -34,9 +34,11 @@ def standing(world: World) -> dict[str, Solid]:
             found[name] = Solid(name, mesh.vertices, mesh.faces, frame[:3, :3].T, T=frame, hull=hull)
         elif name == "post":
             top = world.post_top(T)
-            if top[2] > world.floor:  # no longer than to the floor, unlike its collision shape
-                vertices, faces = prism(float(world.model.geom_size[geoms[0]][0]), float(top[2] - world.floor), _SIDES)
-                found[name] = Solid(name, vertices + np.array([*top[:2], (top[2] + world.floor) / 2]), faces)
+            radius, half = (float(size) for size in world.model.geom_size[geoms[0]][:2])
+            foot = max(world.floor, float(top[2]) - 2 * half)  # no longer than to the floor, unlike its collision shape
+            if top[2] > foot:
+                vertices, faces = prism(radius, float(top[2] - foot), _SIDES)
+                found[name] = Solid(name, vertices + np.array([*top[:2], (top[2] + foot) / 2]), faces)
         else:
             sides = {} if name in of_robot else {"sides": _SIDES}
             pieces = [shape_triangles(world.model, data, geom, **sides) for geom in geoms]

@@ -51,7 +51,7 @@ def page(
         sides(canvas, a != b, 1)[0],
     )  # fmt: skip
     if B.execution is None:
-        play = plan_play(B.run.report, B.run.plan.views, B.run.motion)
+        play = plan_play(B.run.report, B.run.plan.views, B.run.motion, scene.T_base_object)
     else:
         recorded = read_execution(B.run.record, B.folder.name)
         play = execution_play(B.run.record, recorded, B.execution, cell)

@@ -77,6 +77,7 @@ def edit(
             the way.
         FileError: if the run is damaged, or the new folder cannot be written.
     """
+    reader.require_fixed_part(run.record, "cell edit")
     if wanted.repair and scene_of_run(run.record).plan.max_views is not None:
         raise UsageError(
             f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "

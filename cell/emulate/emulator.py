@@ -12,6 +12,7 @@ from cell.errors import DriverFailureError, UsageError
 from cell.plant import factory
 from cell.robot import model as robot
 from cell.run import reader as run_reader
+from cell.run.cell import table_of
 from cell.run.record import open_run
 from drivers.clock import RealTimeClock
 from drivers.contract import Fault
@@ -35,7 +36,7 @@ class Arm:
 
     Attributes:
         limits: the controller's.
-        home: (6,) where it stands on the first start, where nothing else is said [rad].
+        home: (axes,) where it stands on the first start, where nothing else is said [rad].
         plant: makes it.
     """
 
@@ -105,7 +106,10 @@ def arm_of(run_folder: Path | None, plant: str) -> Arm:
     if plant not in plants:
         raise UsageError(f"--plant {plant} must be one of: {', '.join(plants)}")
     model = robot.load() if run is None else run_reader.cell_model(run)
-    return Arm(Limits.from_rad(robot.limits(model)), robot.home(model), plants[plant])
+    limits, home = robot.limits(model), robot.home(model)
+    if run is not None and (table := table_of(run_reader.scene(run))) is not None:
+        limits, home = table.limits(limits), np.append(home, 0.0)
+    return Arm(Limits.from_rad(limits), home, plants[plant])
 
 
 def _line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:

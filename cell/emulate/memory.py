@@ -88,7 +88,7 @@ def _read(path: Path) -> tuple[SetPoints, int, bool]:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         axes = np.array(content["axes"], dtype=np.int32)
         boot, in_order = int(content["boot"]), bool(content["ended_in_order"])
-        if content["schema"] != SCHEMA or axes.shape != (AXES,) or not 0 <= boot <= 65535:
+        if content["schema"] != SCHEMA or axes.ndim != 1 or len(axes) < AXES or not 0 <= boot <= 65535:
             raise ValueError("it is none")
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}") from error

@@ -132,6 +132,7 @@ def prepared(
         UsageError: if the cylinder is not known, or what was asked for cannot be explored with.
     """
     _require_plain(scene)
+    scene.require_fixed_part("an exploration")
     part = hidden = None
     if scanning.acquire == SIMULATED:
         with narrator.stage("load the part"):

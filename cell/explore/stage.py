@@ -212,5 +212,5 @@ def _finish(run: Run, job: Job, surface: PartSurface, problem: Problem, chosen: 
     with run.step("report"):
         further = Further(steps.what_is_lost(run, problem, chosen))
         report = plan_report(job, surface.planning, problem, chosen, clearance, motion, further)
-        plan_files.write_plan(run.folder, report, chosen, problem.candidates)
+        plan_files.write_plan(run.folder, report, chosen, problem.candidates, problem.world)
         plan_files.write_report(run.folder, report)

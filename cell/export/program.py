@@ -149,6 +149,7 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
     if name is not None:
         check_name(name)
     proven = prove(run_folder)
+    run_reader.require_fixed_part(proven.run, "cell export")
     scene_now.require_same(proven, now, narrator, wire=False)
     scene = proven.scene
     clearance, between = run_reader.nearest(proven.run)

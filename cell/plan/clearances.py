@@ -5,6 +5,7 @@ import numpy as np
 from cell.run.plan_json import Clearance, SegmentClearance, Tightest
 from cell.world.clearance import MotionClearance, moment
 from planner.errors import PlannerError
+from planner.ports import ARM_AXES
 from planner.timing.motion import Motion
 
 
@@ -17,6 +18,7 @@ def clearance_of(measured: MotionClearance, motion: Motion, collision: str) -> C
         collision: what stood for the part: hull or exact.
     """
     tightest = measured.tightest
+    angles = [] if tightest is None else np.degrees(tightest.q).round(6).tolist()
     return Clearance(
         collision=collision,
         segments=[
@@ -31,7 +33,8 @@ def clearance_of(measured: MotionClearance, motion: Motion, collision: str) -> C
             distance_mm=_mm(tightest.distance),
             between=tightest.between,
             points_in_base_mm=(1000 * tightest.points).round(4).tolist(),
-            q_deg=np.degrees(tightest.q).round(6).tolist(),
+            q_deg=angles[:ARM_AXES],
+            e_deg=angles[ARM_AXES:] or None,
         ),
     )
 

@@ -37,13 +37,13 @@ def draw_views(
         seen=chosen.seen,
     )
     via, steps = chosen.tour.via, np.linspace(0, 1, _STEPS)[None, :, None]
-    way_q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, 6)
+    way_q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, via.shape[1])
     drawing.send(
         "cell_with_arm",
         folder.path / "cell.png",
         q=chosen.tour.q,
         T_base_scanner=chosen.T_base_scanner,
-        way=(problem.kinematics.forward(way_q) @ world.T_flange_scanner)[:, :3, 3],
+        way=(world.in_base(way_q, problem.kinematics.forward(way_q)) @ world.T_flange_scanner)[:, :3, 3],
         camera_deg=picture.camera_deg or (),
         hide=picture.hide,
     )
@@ -81,13 +81,15 @@ def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
     )
 
 
-def finish_drawing(drawing: Drawing, folder: RunFolder, report: Report, plan: PlanFile, motion: Motion) -> None:
+def finish_drawing(
+    drawing: Drawing, folder: RunFolder, report: Report, plan: PlanFile, motion: Motion, T_base_object: Floats
+) -> None:
     """Wait for all pictures, and add to the page what is known at the end: views, motion, numbers."""
     # What draws is kept out of the start-up.
     from cell.view.contents import HALF_PAGE, NAME, plan_play
     from cell.view.page import second_half
 
-    rest = second_half(plan_play(report, plan.views, motion))
+    rest = second_half(plan_play(report, plan.views, motion, T_base_object))
     drawing.finish(folder)
     half = folder.path / HALF_PAGE
     folder.write_text(NAME, half.read_text(encoding="utf-8") + rest)

@@ -14,7 +14,18 @@ from cell.plan.report import markdown
 from cell.plan.view_plan import ConnectedPlan
 from cell.robot import model as robot
 from cell.robot.mesh_paths import mesh_files
-from cell.run.described import degrees, fixture_file, limits_deg, mm, resolved_robot, standing_fixtures, sweep_of
+from cell.run.axes import apart
+from cell.run.described import (
+    degrees,
+    fixture_file,
+    limits_deg,
+    mm,
+    resolved_robot,
+    resolved_table,
+    standing_fixtures,
+    sweep_of,
+    turned_at,
+)
 from cell.run.folder import RunFolder
 from cell.run.manifest_json import NamedFile
 from cell.run.plan_json import PlanFile, PlanView
@@ -34,6 +45,7 @@ from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.model import World
 from planner.measurability.matrix import Measurability
+from planner.ports import ARM_AXES
 from planner.reach.reach import Reach
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
@@ -42,7 +54,8 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
     """sha256 of what the plan depends on: the part and everything that the scene says (paths by their content)."""
-    content = scene.model_dump(mode="json", exclude={key for key in ("region", "setup") if not getattr(scene, key)})
+    there = {"region": scene.region, "setup": scene.setup, "table": scene.table.enabled}
+    content = scene.model_dump(mode="json", exclude={key for key, given in there.items() if not given})
     for region in content.get("region", ()):
         if region["painted"] is not None:
             region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()
@@ -130,6 +143,7 @@ def write_cell(
             bracket_diameter_mm=scene.housing.bracket_mm,
         ),
         robot=resolved_robot(scene),
+        table=resolved_table(scene, world),
         fixtures=standing_fixtures(scene, world),
         home_deg=world.scene.robot.settled_home_deg,
         **limits_deg(world.limits),
@@ -160,7 +174,7 @@ def write_reach(folder: RunFolder, reached: Reach) -> None:
     folder.write_arrays(
         "reach.npz",
         verdict=reached.verdict,
-        q=reached.q,
+        **apart(q=reached.q),
         offsets=reached.offsets,
         blocker=np.array(reached.blocker, dtype=np.str_),
     )
@@ -188,16 +202,14 @@ def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -
     """`motion.npz`: via points, samples, the limits used and the clearance of each segment."""
     folder.write_arrays(
         "motion.npz",
-        via_q=motion.via_q,
+        **apart(via_q=motion.via_q),
         segment=motion.segment,
         view=motion.view,
         pose=motion.pose,
         line=motion.line,
         via_t=motion.via_t,
         t=motion.t,
-        q=motion.q,
-        qd=motion.qd,
-        qdd=motion.qdd,
+        **apart(q=motion.q, qd=motion.qd, qdd=motion.qdd),
         segment_of_sample=motion.segment_of_sample,
         limit_lower=motion.limits.lower,
         limit_upper=motion.limits.upper,
@@ -210,7 +222,9 @@ def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -
     )
 
 
-def write_plan(folder: RunFolder, report: Report, chosen: ConnectedPlan, candidates: Viewpoints) -> PlanFile:
+def write_plan(
+    folder: RunFolder, report: Report, chosen: ConnectedPlan, candidates: Viewpoints, world: World
+) -> PlanFile:
     """`plan.json`: the views in visiting order, with what is known about the selection; returns its content."""
     views = [
         PlanView(
@@ -219,7 +233,8 @@ def write_plan(folder: RunFolder, report: Report, chosen: ConnectedPlan, candida
             T_object_scanner=chosen.T_object_scanner[stop],
             T_base_scanner=chosen.T_base_scanner[stop],
             T_base_flange=chosen.T_base_flange[stop],
-            q_deg=degrees(chosen.tour.q[stop]),
+            q_deg=degrees(chosen.tour.q[stop][:ARM_AXES]),
+            **turned_at(world, chosen.tour.q[stop]),
             sweep=sweep_of(chosen.T_object_poses[stop], chosen.sweeps[stop]) if chosen.sweeps else None,
         )
         for stop, candidate in enumerate(chosen.candidate.tolist())

@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cell.view.palette import AXES, BETWEEN, BLUE, ORANGE, PURPLE, VERMILION
+from planner.ports import ARM_AXES, axis_name
 from planner.reach.reach import Verdict
 from planner.values import Floats
 
@@ -102,22 +103,23 @@ def joint_motion(path: Path, *, t: Floats, q: Floats, qd: Floats, limit: Floats,
     Args:
         path: PNG to write.
         t: (M,) [s].
-        q: (M, 6) [rad].
-        qd: (M, 6) [rad/s].
-        limit: (6,) speeds that are drawn as 100 % [rad/s].
+        q: (M, axes) [rad].
+        qd: (M, axes) [rad/s].
+        limit: (axes,) speeds that are drawn as 100 % [rad/s].
         stops: (n,) times at which the arm stands at a view [s].
     """
     figure = _figure(10.5, 6.0, left=0.75, bottom=0.55, top=0.4)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    for joint in range(6):
-        upper.plot(t, np.degrees(q[:, joint]), lw=1.2, color=AXES[joint], label=f"A{joint + 1}")
-        lower.plot(t, 100.0 * qd[:, joint] / limit[joint], lw=1.0, color=AXES[joint])
+    for joint in range(q.shape[1]):
+        colour = AXES[joint % len(AXES)] if joint < ARM_AXES else "#444444"
+        upper.plot(t, np.degrees(q[:, joint]), lw=1.2, color=colour, label=axis_name(joint))
+        lower.plot(t, 100.0 * qd[:, joint] / limit[joint], lw=1.0, color=colour)
     for axes in (upper, lower):
         for stop in stops:
             axes.axvline(stop, color="#bbbbbb", lw=0.8, zorder=0)
         axes.grid(alpha=0.25)
     upper.set_ylabel("joint angle [deg]")
-    upper.legend(ncols=6, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.14), frameon=False)
+    upper.legend(ncols=q.shape[1], fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.14), frameon=False)
     lower.set(ylabel="joint speed [% of limit]", xlabel="time [s]", ylim=(-108, 108))
     _save(figure, path)
 

@@ -26,7 +26,7 @@ from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
 from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import ConnectedPlan
-from cell.run.folder import RunFolder
+from cell.run.folder import SCHEMA, WITH_TABLE, RunFolder
 from cell.run.report_json import Report
 from cell.scene import devices, doubts
 from cell.scene.part_regions import with_regions
@@ -84,7 +84,8 @@ def plan(
         scene = devices.by_part(scene, part)
         settings = resolve(scene, part)
         inputs = plan_files.input_hashes(scene, part)
-        folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC))
+        schema = WITH_TABLE if scene.table.enabled else SCHEMA
+        folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC), schema)
         run = Run(folder, narrator, drawing, scene.plan.seed, use_cache)
         with folder.kept_on_failure(), _logged(folder.path / "run.log"):
             plan_files.write_scene(folder, scene_path)
@@ -92,6 +93,8 @@ def plan(
             scanner = scanners.make(scene.scanner.type, settings.scanner)
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
             require_attainable(scene, scanner)
+            if hasattr(scanner, "T_view_scanner"):
+                scene.require_fixed_part("a scanner that sweeps")
             exit_code = (steps_of or _steps)(run, Job(scene, part, settings, scanner))
             if (folder.path / "plan.json").is_file():  # of several set-ups each has its own folder and digest
                 folder.seal()
@@ -127,9 +130,9 @@ def finish(
     with run.step("report"):
         report = plan_report(job, planning, problem, chosen, clearance, motion, further)
         report = report.model_copy(update=dict(told))
-        plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates)
+        plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates, problem.world)
         plan_files.write_report(run.folder, report)
-        finish_drawing(run.drawing, run.folder, report, plan_file, motion)
+        finish_drawing(run.drawing, run.folder, report, plan_file, motion, problem.world.T_base_object)
     return report
 
 

@@ -144,10 +144,11 @@ def _facts(report: Report) -> list[str]:
 
 def _views(report: Report) -> list[str]:
     """The section on the views."""
+    axes = "A1 .. A6, E1" if any(view.e_deg for view in report.views) else "A1 .. A6"
     lines = [
         "## Views in visiting order",
         "",
-        "| stop | candidate | adds % of surface | source in base x, y, z mm | A1 .. A6 deg | roll deg "
+        f"| stop | candidate | adds % of surface | source in base x, y, z mm | {axes} deg | roll deg "
         "| clearance on the way mm |",
         "|---|---|---|---|---|---|---|",
     ]
@@ -155,7 +156,8 @@ def _views(report: Report) -> list[str]:
         clearance = view.clearance_on_the_way_mm
         lines.append(
             f"| {stop} | {view.id} | {100 * view.adds:.2f} | {_list(view.source_in_base_mm)} | "
-            f"{_list(view.q_deg)} | {view.roll_deg:g} | {'' if clearance is None else f'{clearance:.1f}'} |"
+            f"{_list((*view.q_deg, *(view.e_deg or ())))} | {view.roll_deg:g} | "
+            f"{'' if clearance is None else f'{clearance:.1f}'} |"
         )
     return lines
 

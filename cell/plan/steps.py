@@ -29,7 +29,6 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import Prediction, held_out
-from cell.robot.arm import kinematics_of
 from cell.run.folder import RunFolder
 from cell.run.report_json import Attainable
 from cell.scanners import ScannerPlugin
@@ -151,7 +150,7 @@ def compile_cell(run: Run, job: Job, surface: PartSurface, *, believed: bool = F
         described = scanners.described(job.scene.scanner.type, job.scanner)
         faces = len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
-        return Cell(world, MujocoCollisionChecker(world), kinematics_of(world.model))
+        return Cell(world, MujocoCollisionChecker(world), world.kinematics)
 
 
 def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> Reach:

@@ -29,6 +29,7 @@ from cell.scene.regions import complete
 from cell.world.clearance import MotionClearance
 from planner.measurability import coverage
 from planner.measurability.quality import best_sigma, best_spacing
+from planner.ports import ARM_AXES
 from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, jerk_free_duration
 
@@ -144,7 +145,8 @@ def _views(problem: Problem, chosen: ConnectedPlan, clearance: MotionClearance) 
             id=candidate,
             adds=float(adds[stop]),
             source_in_base_mm=(chosen.T_base_scanner[stop, :3, 3] * 1000).round(3).tolist(),
-            q_deg=degrees(tour.q[stop]),
+            q_deg=degrees(tour.q[stop][:ARM_AXES]),
+            e_deg=degrees(tour.q[stop][ARM_AXES:]) or None,
             roll_deg=np.degrees(problem.candidates.roll[candidate]).round(9),
             clearance_on_the_way_mm=_mm(clearance.distance[stop]),
         )

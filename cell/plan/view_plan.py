@@ -263,7 +263,8 @@ def _plan(
     if problem.request.costs is not None:
         cover = _priced(problem, selected, cover, motion)
     driven = views.driven(cover.views, motion)
-    T_base_flange = problem.kinematics.forward(motion.q)
+    T_part_flange = problem.kinematics.forward(motion.q)  # with a table turned back
+    T_base_flange = problem.world.in_base(motion.q, T_part_flange)
     T_base_scanner = T_base_flange @ problem.world.T_flange_scanner
     return ConnectedPlan(
         cover=cover,
@@ -271,7 +272,7 @@ def _plan(
         matrix=views.M,
         tour=motion,
         candidate=cover.views[motion.order],
-        T_object_scanner=np.linalg.inv(problem.world.T_base_object) @ T_base_flange @ problem.world.T_flange_scanner,
+        T_object_scanner=np.linalg.inv(problem.world.T_base_object) @ T_part_flange @ problem.world.T_flange_scanner,
         T_base_scanner=T_base_scanner,
         T_base_flange=T_base_flange,
         T_object_poses=driven.T_object_poses,

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord
+from drivers.errors import DriverError
 from drivers.plant import Plant, PlantFactory
+from planner.ports import ARM_AXES
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, Pla
         from cell.plant.mujoco_plant import MujocoPlant
         from cell.robot import model as robot
 
+        if len(start) > ARM_AXES:
+            raise DriverError("the plant 'mujoco' moves the arm alone, and this plan turns a table; use plant=ideal")
         return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), observer=observer, spec=robot.spec())
 
     return {"mujoco": mujoco}

@@ -15,11 +15,12 @@ from cell.proof.compare import difference
 from cell.robot import model as robot
 from cell.run import reader
 from cell.run.cell import scene_of_run, world_of
-from cell.run.described import limits_deg, standing_fixtures
+from cell.run.described import limits_deg, resolved_table, standing_fixtures
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene
 from cell.world.model import World
 from cell.world.shapes import quaternion
+from planner.ports import ARM_AXES
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def compiled(run: RunRecord, resolved: ResolvedScene) -> World:
                 "T_flange_scanner": world.T_flange_scanner,
                 "housing": resolved.housing.model_copy(update={"T_flange_housing": world.T_flange_housing}),
                 "fixtures": tuple(standing),
+                "table": resolved_table(scene, world),
                 "joint_limits_deg": tuple((low, high) for low, high in limits_deg(world.limits)["joint_limits_deg"]),
             }
         )
@@ -100,7 +102,7 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
         if not same:
             return f"the shape '{two.name}' has another place or size"
     home = checked.key("home").qpos
-    return "home is elsewhere" if _apart(home, world.followers.qpos(world.home)) else ""
+    return "home is elsewhere" if _apart(home, world.followers.qpos(world.home[:ARM_AXES])) else ""
 
 
 def _apart(one: Floats, two: Floats, near: float = _NEAR) -> bool:

@@ -7,10 +7,11 @@ import numpy as np
 from cell.proof.artefacts import refuse
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
+from cell.world.model import World
 from planner.path.certified_edge import certify_many
 from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import DrivenSweep
-from planner.ports import CollisionChecker, JointLimits, Kinematics
+from planner.ports import ARM_AXES, CollisionChecker, JointLimits, Kinematics
 from planner.reach.setpoints import from_steps, to_steps
 from planner.timing.motion import Motion, check_inside, retime
 from planner.values import Floats
@@ -20,21 +21,22 @@ _TIMED = ("via_t", "t", "q", "qd", "qdd", "segment_of_sample")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")
 
 
-def limits_of(resolved: ResolvedScene, model: JointLimits) -> JointLimits:
+def limits_of(resolved: ResolvedScene, world: World) -> JointLimits:
     """The limits at full speed: the model's ranges, and what the scene says of speeds, accelerations and jerks [rad].
 
     Args:
         resolved: of the plan; its speeds are known to be none above the model's.
-        model: of the robot.
+        world: the cell, compiled again; a rotary table's limits are those of the scene.
     """
-    jerks = resolved.joint_jerk_limits_deg_s3 or (None,) * 6
-    return JointLimits(
-        model.lower,
-        model.upper,
+    jerks = resolved.joint_jerk_limits_deg_s3 or (None,) * ARM_AXES
+    arm = JointLimits(
+        world.limits.lower[:ARM_AXES],
+        world.limits.upper[:ARM_AXES],
         np.radians(resolved.joint_velocity_limits_deg_s),
         np.radians(resolved.joint_acceleration_limits_deg_s2),
         np.radians([np.inf if jerk is None else jerk for jerk in jerks]),
     )
+    return arm if world.table is None else world.table.limits(arm)
 
 
 def require_timed(
@@ -80,7 +82,7 @@ def require_free(via: Floats, checker: CollisionChecker, limits: JointLimits) ->
     """Whether a way keeps inside the joint range and is certified free of collision, every segment of it.
 
     Args:
-        via: (N, 6) via points [rad], joined by straight joint moves.
+        via: (N, axes) via points [rad], joined by straight joint moves.
         checker: of the cell.
         limits: of the model.
 

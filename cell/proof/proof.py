@@ -16,12 +16,9 @@ A way that is planned on the spot passes 5, and the limits, before its first mov
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from cell.errors import FileError
 from cell.proof import cell_again, motion_again, views_again
 from cell.proof.artefacts import refuse, whole
-from cell.robot.arm import kinematics_of
 from cell.run import reader
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, arrays, open_finished, understood
@@ -92,15 +89,15 @@ def prove(folder: Path) -> Proven:
     world = cell_again.compiled(run, resolved)
     if resolved.plan.collision != world.collision:
         refuse(run.folder / "scene.resolved.json", "contradicts itself at plan.collision")
-    kinematics, checker = kinematics_of(world.model), MujocoCollisionChecker(world)
+    kinematics, checker = world.kinematics, MujocoCollisionChecker(world)
     with understood(run.folder / "motion.npz"):
         views_again.require_same_views(run, plan, motion, candidates, world, kinematics)
         views_again.require_same_clearance(run, plan, motion, stored, world.collision)
-        full = motion_again.limits_of(resolved, world.limits)
+        full = motion_again.limits_of(resolved, world)
         limits = scaled(full, resolved.speed_scaling, resolved.acceleration_scaling)
         sweeps = views_again.sweeps_again(run, plan, motion, candidates, world, kinematics, checker, limits, full)
         motion_again.require_timed(run, motion, limits, sweeps, world.T_flange_scanner, kinematics)
-        if (to_steps(motion.via_q[[0, -1]]) != to_steps(np.radians(resolved.home_deg))).any():
+        if (to_steps(motion.via_q[[0, -1]]) != to_steps(world.home)).any():
             refuse(run.folder / "motion.npz", "does not begin and end at home_deg of scene.resolved.json")
         if wrong := motion_again.require_free(motion.via_q, checker, limits):
             refuse(run.folder / "motion.npz", wrong)

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from cell.proof.artefacts import refuse
 from cell.proof.compare import difference
-from cell.run.described import degrees, sweep_of
+from cell.run.described import degrees, sweep_of, turned_at
 from cell.run.plan_json import Clearance, PlanFile, PlanView
 from cell.run.record import RunRecord
 from cell.world.model import World
 from planner.path.sweeps.line import DEFAULT_SPEED
 from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.path import SweepPath
-from planner.ports import CollisionChecker, JointLimits, Kinematics
+from planner.ports import ARM_AXES, CollisionChecker, JointLimits, Kinematics
 from planner.reach.setpoints import to_steps
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints
@@ -59,13 +59,14 @@ def require_same_views(
 
 
 def _view(view: PlanView, q: Floats, candidates: Viewpoints, world: World, kinematics: Kinematics) -> PlanView:
-    """What plan.json must say of a view that is taken at set-points (K, 6) in the order of its column [rad].
+    """What plan.json must say of a view that is taken at set-points (K, axes) in the order of its column [rad].
 
     A candidate that is not there, or stands elsewhere, leaves NaN, which is like no number of a file.
     """
-    T_base_flange = kinematics.forward(q)
+    T_part_flange = kinematics.forward(q)  # with a table turned back
+    T_base_flange = world.in_base(q, T_part_flange)
     T_base_scanner = T_base_flange @ world.T_flange_scanner
-    T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_scanner
+    T_object_scanner = np.linalg.inv(world.T_base_object) @ T_part_flange @ world.T_flange_scanner
     middle = len(q) // 2
     there = 0 <= view.id < len(candidates.roll)
     here = there and np.allclose(candidates.T_object_scanner[view.id], T_object_scanner, rtol=0.0, atol=_OFF)
@@ -78,7 +79,8 @@ def _view(view: PlanView, q: Floats, candidates: Viewpoints, world: World, kinem
             "T_object_scanner": T_object_scanner[middle],
             "T_base_scanner": T_base_scanner[middle],
             "T_base_flange": T_base_flange[middle],
-            "q_deg": tuple(degrees(q[middle])),
+            "q_deg": tuple(degrees(q[middle][:ARM_AXES])),
+            **turned_at(world, q[middle]),
             "sweep": sweep,
         }
     )

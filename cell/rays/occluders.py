@@ -17,6 +17,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
 from cell.world.gap import mesh_of
 from cell.world.model import World
+from planner.ports import ARM_AXES
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
 
@@ -54,13 +55,40 @@ class Occluder(Value):
 def occluder_triangles(world: World, T_base_object: ArrayLike | None = None) -> tuple[Occluder, ...]:
     """Post, pedestal, floor and the fixtures that occlude, object frame.
 
+    Where a rotary table turns the part, only what turns with it, the table and the floor, which look the same at every
+    angle; what else stands hides differently at each (`standing_beside`).
+
     Args:
         world: the compiled scene.
         T_base_object: (4, 4) placement [m]; None is the scene's.
     """
     T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
     glass = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
-    return standing_triangles(world.data(T), T, world.fixture_meshes, glass)
+    pieces = standing_triangles(world.data(T), T, world.fixture_meshes, glass)
+    beside = _beside(world)
+    return tuple(piece for piece in pieces if piece.name not in beside)
+
+
+def _beside(world: World) -> set[str]:
+    """Names of what stands beside a rotary table and looks different from each of its angles."""
+    fixtures = {fixture.name for fixture in world.scene.fixtures if fixture.attached_to == "base"}
+    return set() if world.table is None else {"pedestal"} | fixtures
+
+
+def standing_beside(world: World) -> tuple[Occluder, ...]:
+    """What stands beside a rotary table, base frame: pedestal and the base's fixtures that occlude; else nothing."""
+    beside = _beside(world)
+    if not beside:
+        return ()
+    glass = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
+    data = world.data()
+    pieces = standing_triangles(data, world.T_base_object, world.fixture_meshes, glass)
+    T = world.T_base_object
+    return tuple(
+        Occluder(piece.name, piece.vertices @ T[:3, :3].T + T[:3, 3], piece.faces)
+        for piece in pieces
+        if piece.name in beside
+    )
 
 
 def standing_triangles(
@@ -81,9 +109,11 @@ def standing_triangles(
     floor = float(model.geom("floor").pos[2])
     top = data.body("post").xpos
     if model.body("post").geomnum[0] and top[2] > floor:
-        # No longer than to the floor, unlike its collision shape.
-        vertices, faces = prism(float(model.geom("post").size[0]), float(top[2] - floor))
-        pieces.append(("post", vertices + np.array([top[0], top[1], (top[2] + floor) / 2]), faces))
+        # No longer than to the floor, unlike its collision shape; that of a rotary table ends on it.
+        radius, half = (float(size) for size in model.geom("post").size[:2])
+        foot = max(floor, float(top[2]) - 2 * half)
+        vertices, faces = prism(radius, float(top[2] - foot))
+        pieces.append(("post", vertices + np.array([top[0], top[1], (top[2] + foot) / 2]), faces))
     part = model.body("object").id
     for geom in np.flatnonzero((model.geom_bodyid == 0) | (model.geom_bodyid == part)):
         name = model.geom(geom).name
@@ -126,7 +156,7 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
 
     Args:
         world: the compiled scene.
-        q: (6,) joint angles [rad], KUKA signs.
+        q: (axes,) joint angles [rad], KUKA signs.
         ends: (n, 3) where legs begin [m], scanner frame: source and sensor. A shape in or on which one of them stands
             has a window there and is left out; the housing is one of the shapes then. With its front face in the plane
             of the source (its default) no leg comes near it. None leaves the housing out and nothing else.
@@ -134,7 +164,7 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     import mujoco
 
     data = world.data()
-    data.qpos[:] = world.followers.qpos(readonly("q", q, (6,)))
+    data.qpos[:] = world.followers.qpos(readonly("q", q, (len(world.home),))[:ARM_AXES])
     mujoco.mj_kinematics(world.model, data)
     links = robot.bodies(world.model)
     names = (*links, "bracket") if ends is None else (*links, "bracket", "housing")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import arm_triangles, caster_of
+from cell.rays.occluders import arm_triangles, caster_of, standing_beside
 from cell.rays.prediction import Prediction
 from cell.world.model import World
 from planner.measurability.matrix import Measurability, measured
@@ -69,7 +69,7 @@ class OwnArm:
         self._targets = Targets.of(M.features.points, M.features.normals, M.features.region)
 
     def configurations(self, view: int) -> Floats:
-        """(m, 6) joint solutions of a candidate that are left [rad]."""
+        """(m, axes) joint solutions of a candidate that are left [rad]."""
         return self._left.get(view, self._reached.q_of(view))
 
     def look(self, views: NDArray[np.int64], q: Floats) -> Look:
@@ -77,7 +77,7 @@ class OwnArm:
 
         Args:
             views: (n,) candidates of a plan.
-            q: (n, 6) their joint angles [rad].
+            q: (n, axes) their joint angles [rad].
         """
         columns = self.M.matrix().tocsc()
         areas = self.M.features.areas
@@ -126,12 +126,13 @@ class OwnArm:
     def _hidden_by(self, view: int, q: Floats, rows: Ints) -> tuple[str, ...]:
         """Names of the arm's shapes that hide any of the samples."""
         pieces = arm_triangles(self._world, q, _ends(self._scanner))
-        to_object = np.linalg.inv(self._world.T_base_object)
+        pieces += standing_beside(self._world)
+        to_object = np.linalg.inv(self._world.T_base_part(q))
         hiding = [p.name for p in pieces if not self._past(view, caster_of([p], to_object), rows).all()]
         return tuple(dict.fromkeys(hiding))  # a link may have several shapes
 
     def _free(self, view: int, q: Floats, rows: Ints) -> NDArray[np.bool_]:
-        """(n,) which samples the arm at (6,) joint angles [rad] does not hide from a view."""
+        """(n,) which samples the arm at (axes,) joint angles [rad] does not hide from a view."""
         arm = arm_caster(self._world, q, self._candidates.T_object_scanner[view, 0], self._scanner)
         return np.ones(len(rows), dtype=np.bool_) if arm is None else self._past(view, arm, rows)
 
@@ -149,7 +150,7 @@ def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scann
 
     Args:
         world: arm, part and placement.
-        q: (6,) joint angles [rad].
+        q: (axes,) joint angles [rad].
         T_object_scanner: (4, 4) pose of the view [m].
         scanner: where source and sensor are.
     """
@@ -157,13 +158,14 @@ def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scann
     R, t = T_object_scanner[:3, :3], T_object_scanner[:3, 3]
     legs = np.concatenate([ends, (world.part_hull.vertices - t) @ R])
     low, high = legs.min(axis=0) - _MARGIN, legs.max(axis=0) + _MARGIN
-    to_scanner = np.linalg.inv(world.T_base_object @ T_object_scanner)
+    T_base_part = world.T_base_part(q)
+    to_scanner = np.linalg.inv(T_base_part @ T_object_scanner)
     near = []
-    for piece in arm_triangles(world, q, ends):
+    for piece in (*arm_triangles(world, q, ends), *standing_beside(world)):
         corners = (piece.vertices @ to_scanner[:3, :3].T + to_scanner[:3, 3])[piece.faces]
         if ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1).any():
             near.append(piece)
-    return caster_of(near, np.linalg.inv(world.T_base_object)) if near else None
+    return caster_of(near, np.linalg.inv(T_base_part)) if near else None
 
 
 def visible_with_arm(

@@ -126,12 +126,16 @@ def add_label(scene: mujoco.MjvScene, position: Floats, text: str) -> None:
         geom.label = text
 
 
-def add_clouds(scene: mujoco.MjvScene, theatre: Theatre, shown: Sequence[int], fresh: int | None) -> None:
-    """Points of the scans taken so far, those of the newest brighter."""
+def add_clouds(
+    scene: mujoco.MjvScene, theatre: Theatre, shown: Sequence[int], fresh: int | None, data: mujoco.MjData
+) -> None:
+    """Points of the scans taken so far, where the part is in a state; those of the newest brighter."""
+    part, T = data.body("object"), np.eye(4)
+    T[:3, :3], T[:3, 3] = part.xmat.reshape(3, 3), part.xpos
     for scan in shown:
         mesh = theatre.cloud_mesh[scan]
         if mesh >= 0:
-            add_mesh(scene, theatre.model, mesh, theatre.T_base_object, FRESH if scan == fresh else EARLIER)
+            add_mesh(scene, theatre.model, mesh, T, FRESH if scan == fresh else EARLIER)
 
 
 def add_touches(scene: mujoco.MjvScene, found: Sequence[Touch]) -> None:

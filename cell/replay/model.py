@@ -19,10 +19,12 @@ from cell.replay.look import add_mesh, light, of_robot, paint, part_pieces, show
 from cell.robot import model as robot
 from cell.robot import told
 from cell.run import reader as run_reader
+from cell.run.cell import table_of
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.view.rays import frustum
 from cell.world.gap import Shapes, is_convex, meshes_of
+from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, readonly
 
@@ -43,7 +45,7 @@ class Theatre:
 
     Attributes:
         model: compiled; the robot's joints are its only ones.
-        home: (6,) joint angles of the key `home` [rad].
+        home: (axes,) joint angles of the key `home`, a rotary table at 0 [rad].
         T_flange_scanner: (4, 4) the mount [m]; the scanner's frame is where frustum and TCP path are drawn.
         T_base_object: (4, 4) placement [m].
         centre: (3,) middle of the part's bounding box, base frame [m].
@@ -56,6 +58,7 @@ class Theatre:
         clearance: distance that a free configuration keeps [m].
         near: what pairs of geoms keep that are guarded by less [m].
         shapes: who measures distances, by true triangles where these were checked.
+        table: turns the part; None: it stands.
     """
 
     model: mujoco.MjModel
@@ -72,9 +75,10 @@ class Theatre:
     clearance: float
     near: Mapping[tuple[int, int], float]
     shapes: Shapes
+    table: RotaryTable | None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "home", readonly("home", self.home, (6,)))
+        object.__setattr__(self, "home", readonly("home", self.home, (None,)))
         object.__setattr__(self, "centre", readonly("centre", self.centre, (3,)))
         object.__setattr__(self, "frustum_corners", readonly("frustum_corners", self.frustum_corners, (8, 3)))
         for name in ("T_flange_scanner", "T_base_object"):
@@ -131,7 +135,7 @@ def dress(
     mesh_of = {model.mesh(number).name: number for number in range(model.nmesh)}
     return Theatre(
         model=model,
-        home=robot.home(model),
+        home=np.append(robot.home(model), [] if scene.table is None else [0.0]),
         T_flange_scanner=scene.T_flange_scanner,
         T_base_object=scene.T_base_object,
         centre=centre,
@@ -144,6 +148,7 @@ def dress(
         clearance=scene.clearance_mm / 1000,
         near=told.kept_near(model),
         shapes=Shapes(model, {**links, **checked}, hollow),
+        table=table_of(scene),
     )
 
 

@@ -11,6 +11,8 @@ from cell.replay.closest import Closest, add_closest
 from cell.replay.model import Theatre
 from cell.robot import model as robot
 from cell.run.timeline import Timeline
+from cell.world.rotary_table import Turner
+from planner.ports import ARM_AXES
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
@@ -56,6 +58,7 @@ class Show:
         self.theatre, self.timeline = theatre, timeline
         self.data = mujoco.MjData(theatre.model)
         self._followers = robot.Followers.of(theatre.model)
+        self._turner = Turner(theatre.model, self.data, theatre.table)
         self._flange = theatre.model.site(robot.FLANGE).id
         self.T_base_scanner = readonly(
             "T_base_scanner",
@@ -75,7 +78,7 @@ class Show:
         """Bring the arm to where it is at a time of the show [s]."""
         import mujoco
 
-        self.data.qpos[:] = self._followers.qpos(self.timeline.at(t))
+        self._set(self.timeline.at(t))
         mujoco.mj_kinematics(self.theatre.model, self.data)
         mujoco.mj_comPos(self.theatre.model, self.data)
         mujoco.mj_camlight(self.theatre.model, self.data)
@@ -100,7 +103,7 @@ class Show:
         row = self._row_at(t)
         taken = self.timeline.reached(t)
         if self.theatre.cloud_mesh:
-            marks.add_clouds(scene, self.theatre, range(taken), row)
+            marks.add_clouds(scene, self.theatre, range(taken), row, self.data)
         if row is not None:
             marks.add_frustum(scene, self.theatre, self.T_base_scanner[row])
         elif self.timeline.stops:
@@ -134,9 +137,13 @@ class Show:
         """(4, 4) pose of the scanner at joint angles [m]."""
         import mujoco
 
-        self.data.qpos[:] = self._followers.qpos(np.asarray(q))
+        self._set(q)
         mujoco.mj_kinematics(self.theatre.model, self.data)
         return self._scanner_now()
+
+    def _set(self, q: Floats) -> None:
+        self.data.qpos[:] = self._followers.qpos(q[:ARM_AXES])
+        self._turner(self.data, q)
 
     def _scanner_now(self) -> Floats:
         T = np.eye(4)

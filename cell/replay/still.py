@@ -75,7 +75,7 @@ def write_picture(
     if closest is not None and camera_deg is None:
         show.pose(moment)
         camera = near_camera(show.theatre.model, show.data, closest, size)
-    points = _points(still, len(still.clouds), None)
+    points = _points(still, moment, len(still.clouds), None)
     rays.save(_drawn(still, moment, size, camera, points, closest, hide)[0], path)
 
 
@@ -118,7 +118,7 @@ def write_frames(
         show.pose(t)
         touching, stop = show.touches(), timeline.stop_at(t)
         fresh = None if stop is None else timeline.stops.index(stop)
-        points = _points(still, timeline.reached(t), fresh)
+        points = _points(still, t, timeline.reached(t), fresh)
         closest = show.closest if show.closest is not None and show.closest.shown_at(t) else None
         drawn, seen = _drawn(still, t, size, camera, points, closest)
         places = np.array([touch.position for touch in touching]).reshape(-1, 3)
@@ -183,9 +183,9 @@ def _drawn(
     return drawn, seen
 
 
-def _points(still: Still, taken: int, fresh: int | None) -> list[Piece]:
-    """The points of the scans taken so far as specks, those of the newest brighter."""
-    T, radius = still.cell.T_base_object, still.part.diagonal / 2
+def _points(still: Still, t: float, taken: int, fresh: int | None) -> list[Piece]:
+    """The points of the scans taken until a moment [s] as specks, those of the newest brighter."""
+    T, radius = still.cell.turn(still.show.timeline.at(t)) @ still.cell.T_base_object, still.part.diagonal / 2
     found = []
     for scan, points in enumerate(still.clouds[:taken]):
         if len(points):

@@ -30,8 +30,10 @@ from cell.scene.regions import Region, limited
 from cell.scene.scene import Scene
 from cell.world import shapes
 from cell.world.model import World, compile_world
-from cell.world.travel import TravelBound
-from planner.ports import Kinematics, Scanner
+from cell.world.rotary_table import HALF_A_TURN_DEG, on_table
+from cell.world.travel import TravelBound, swing
+from planner.ports import ARM_AXES, Kinematics, Scanner
+from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -54,6 +56,7 @@ class RunCell:
         scanner_keys: what defines it.
         kinematics: of the arm.
         travel: how far any point of arm or tool moves between two configurations, at most.
+        table: turns the part; None: it stands.
     """
 
     scene: ResolvedScene
@@ -66,6 +69,11 @@ class RunCell:
     scanner_keys: ScannerKeys
     kinematics: Kinematics
     travel: TravelBound
+    table: RotaryTable | None
+
+    def in_base(self, q: Floats, T_part: Floats) -> Floats:
+        """(..., 4, 4) poses in base as the part sees them, turned as the table at (..., axes) joint angles [m, rad]."""
+        return T_part if self.table is None else self.table.turn(q[..., ARM_AXES]) @ T_part
 
     @property
     def arrival(self) -> float:
@@ -74,9 +82,9 @@ class RunCell:
         return (min(1.0, self.scene.clearance_mm / 10) if allowed is None else allowed) / 1000
 
     def scanner_pose(self, q: Floats) -> Floats:
-        """(4, 4) T_object_scanner [m] at (6,) joint angles [rad]."""
-        T_base_scanner = self.kinematics.forward(np.asarray(q)[None])[0] @ self.scene.T_flange_scanner
-        T: Floats = np.linalg.inv(self.scene.T_base_object) @ T_base_scanner
+        """(4, 4) T_object_scanner [m] at (axes,) joint angles [rad]."""
+        T_part_scanner = self.kinematics.forward(np.asarray(q)[None])[0] @ self.scene.T_flange_scanner
+        T: Floats = np.linalg.inv(self.scene.T_base_object) @ T_part_scanner
         return T
 
     def about_part(self, T: Floats) -> RunCell:
@@ -124,8 +132,9 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
             raise
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
     with understood(run.folder / "cell.xml"):
-        kinematics = kinematics_of(model)
-        occluders = _occluders(run, scene, model)
+        table, home = table_of(scene), np.append(np.radians(scene.home_deg), 0.0)
+        kinematics = on_table(kinematics_of(model), table, home, 0 if scene.table is None else scene.table.angles)
+        occluders, radius = _surroundings(run, scene, model, table)
     return RunCell(
         scene=scene,
         reference=reference,
@@ -136,8 +145,19 @@ def read_cell(run: RunRecord, resolution_deg: float | None = None) -> RunCell:
         scanner=scanner,
         scanner_keys=keys,
         kinematics=kinematics,
-        travel=TravelBound(model),
+        travel=TravelBound(model, radius),
+        table=table,
     )
+
+
+def table_of(scene: ResolvedScene) -> RotaryTable | None:
+    """The rotary table of a run; None where the part stands."""
+    said = scene.table
+    if said is None:
+        return None
+    limits = said.limits_deg or HALF_A_TURN_DEG
+    rates = said.velocity_deg_s, said.acceleration_deg_s2, said.jerk_deg_s3
+    return RotaryTable(said.T_base_table, *np.deg2rad([*limits, *rates]).tolist())
 
 
 def scanner_of(scene: ResolvedScene, keys: ScannerKeys) -> Scanner:
@@ -149,15 +169,30 @@ def scanner_of(scene: ResolvedScene, keys: ScannerKeys) -> Scanner:
     return limited(scanners.make(keys.type, keys.own), scene.plan.max_sigma_mm, scene.regions or ())
 
 
-def _occluders(run: RunRecord, scene: ResolvedScene, model: mujoco.MjModel) -> tuple[Occluder, ...]:
-    """Those that were planned with: bit for bit, but for mesh fixtures, which the folder holds in millimetres."""
+def beside_table(fixture: StandingFixture) -> bool:
+    """Whether a thing hides differently at each angle of a table: it stands beside it, and is not round about its axis.
+
+    As in `cell.rays.occluders`.
+    """
+    return fixture.attached_to == "base" and (not fixture.built_in or fixture.name == "pedestal")
+
+
+def _surroundings(
+    run: RunRecord, scene: ResolvedScene, model: mujoco.MjModel, table: RotaryTable | None
+) -> tuple[tuple[Occluder, ...], float]:
+    """The occluders that were planned with, and the radius about a table's axis of what it turns [m].
+
+    Bit for bit, but for mesh fixtures, which the folder holds in millimetres.
+    """
     import mujoco
 
     data, T = mujoco.MjData(model), scene.T_base_object
     data.mocap_quat[model.body("object").mocapid] = shapes.quaternion(T[:3, :3])
     mujoco.mj_kinematics(model, data)
     meshes = {each.name: run_reader.mesh(run, each.file) for each in scene.fixtures if each.file is not None}
-    return standing_triangles(data, T, meshes, [each.name for each in scene.fixtures if not each.occludes])
+    pieces = standing_triangles(data, T, meshes, [each.name for each in scene.fixtures if not each.occludes])
+    beside = set() if table is None else {each.name for each in scene.fixtures if beside_table(each)}
+    return tuple(piece for piece in pieces if piece.name not in beside), swing(model, data, table)
 
 
 def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = ()) -> World:
@@ -213,6 +248,7 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
                 "part": _part(run, resolved),
                 "placement": _pose(resolved.T_base_object @ resolved.T_object_centre),
                 "post": {"enabled": False} if post is None else {"diameter_mm": post.size_mm[0]},
+                "table": _table(resolved),
                 "fixtures": [
                     {**fixture.model_dump(include={"name", "shape", "attached_to", "occludes"}), **_place(run, fixture)}
                     for fixture in left
@@ -264,6 +300,14 @@ def _robot(run: RunRecord, resolved: ResolvedScene) -> dict[str, object]:
         model = str((run.folder / model).absolute())
     upright = np.array_equal(resolved.robot.T_base, np.eye(4))
     return {"model": model, **({} if upright else {"base": _pose(resolved.robot.T_base)})}
+
+
+def _table(resolved: ResolvedScene) -> Mapping[str, object]:
+    """The keys of `[table]`; none where the part stands."""
+    if resolved.table is None:
+        return {}
+    said = resolved.table.model_dump(exclude={"T_base_table"})
+    return {**said, "position_mm": _pose(resolved.table.T_base_table)["position_mm"]}
 
 
 def _limits(resolved: ResolvedScene) -> dict[str, object]:

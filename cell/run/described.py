@@ -11,11 +11,12 @@ import numpy as np
 
 from cell.robot.model import KR16
 from cell.run.plan_json import Sweep
-from cell.run.scene_json import ResolvedRobot, StandingFixture
+from cell.run.scene_json import ResolvedRobot, ResolvedTable, StandingFixture
 from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.model import World
+from cell.world.shapes import TABLE
 from planner.path.sweeps.path import SweepPath
-from planner.ports import JointLimits
+from planner.ports import ARM_AXES, JointLimits
 from planner.values import Floats
 
 
@@ -29,13 +30,16 @@ class LimitsDeg(TypedDict):
 
 
 def limits_deg(limits: JointLimits) -> LimitsDeg:
-    """Limits of the axes [rad] in degrees, without the dust of the conversion."""
+    """Limits of the arm's axes [rad] in degrees, without the dust of the conversion."""
+    lower, upper, velocity, acceleration, jerks = (
+        values[:ARM_AXES] for values in (limits.lower, limits.upper, limits.velocity, limits.acceleration, limits.jerk)
+    )
     return {
-        "joint_limits_deg": np.degrees(np.stack([limits.lower, limits.upper], axis=1)).round(9).tolist(),
-        "joint_velocity_limits_deg_s": np.degrees(limits.velocity).round(9).tolist(),
-        "joint_acceleration_limits_deg_s2": np.degrees(limits.acceleration).round(9).tolist(),
+        "joint_limits_deg": np.degrees(np.stack([lower, upper], axis=1)).round(9).tolist(),
+        "joint_velocity_limits_deg_s": np.degrees(velocity).round(9).tolist(),
+        "joint_acceleration_limits_deg_s2": np.degrees(acceleration).round(9).tolist(),
         "joint_jerk_limits_deg_s3": [
-            round(float(jerk), 9) if np.isfinite(jerk) else None for jerk in np.degrees(limits.jerk)
+            round(float(jerk), 9) if np.isfinite(jerk) else None for jerk in np.degrees(jerks)
         ],
     }
 
@@ -53,6 +57,28 @@ def resolved_robot(scene: Scene) -> ResolvedRobot | None:
     return ResolvedRobot(
         model="kr16" if model == KR16 else "robot.xml", name=Path(model).name, T_base=scene.robot.T_base
     )
+
+
+def resolved_table(scene: Scene, world: World) -> ResolvedTable | None:
+    """The rotary table of a scene; None where it has none."""
+    if world.table is None:
+        return None
+    said = scene.table.model_dump(include=set(ResolvedTable.model_fields))
+    return ResolvedTable(T_base_table=world.table.T_base_table, **said)
+
+
+class Turned(TypedDict, total=False):
+    """The keys of a view that a rotary table adds."""
+
+    e_deg: tuple[float, ...]
+    T_base_object: Floats
+
+
+def turned_at(world: World, q: Floats) -> Turned:
+    """What a view at (axes,) joint angles [rad] says of the table; nothing where there is none."""
+    if world.table is None:
+        return {}
+    return {"e_deg": tuple(degrees(q[ARM_AXES:])), "T_base_object": world.T_base_part(q)}
 
 
 def sweep_of(T_object_poses: Floats, path: SweepPath) -> Sweep:
@@ -98,8 +124,13 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
     listed = []
     if scene.post.enabled:
         x, y, top = (mm(value) for value in world.post_top(world.T_base_object))
-        height = top - floor_mm
-        listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], [x, y, floor_mm + height / 2]))
+        foot = floor_mm if world.table is None else mm(world.table.T_base_table[2, 3])
+        height = top - foot
+        listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], [x, y, foot + height / 2]))
+    if world.table is not None:
+        x, y, top = (mm(value) for value in world.table.T_base_table[:3, 3])
+        size_mm = [scene.table.diameter_mm, scene.table.height_mm]
+        listed.append(standing(TABLE, "cylinder", size_mm, [x, y, top - size_mm[1] / 2]))
     if scene.robot.pedestal_mm is not None:
         size, middle = scene.robot.pedestal_mm
         listed.append(standing("pedestal", "box", list(size), list(middle)))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
+from cell.run.axes import joined
 from cell.run.manifest_json import Manifest
 from cell.run.reader import motion_of
 from cell.run.record import RunRecord, file_bytes, npz, read_manifest, understood
@@ -30,8 +31,8 @@ class RecordedScan:
     Attributes:
         name: file name.
         view: candidate that was scanned.
-        q_commanded: (6,) set-points sent [rad], KUKA signs.
-        q_reported: (6,) joint angles that the controller reported at the stop [rad].
+        q_commanded: (axes,) set-points sent [rad], KUKA signs.
+        q_reported: (axes,) joint angles that the controller reported at the stop [rad].
         points: (P, 3) [m], object frame.
         stored: every array of the file by name.
     """
@@ -45,7 +46,7 @@ class RecordedScan:
 
     def __post_init__(self) -> None:
         for name in ("q_commanded", "q_reported"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (6,)))
+            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,)))
         object.__setattr__(self, "points", readonly("points", self.points, (None, 3)))
         for name in ("q_commanded", "q_reported", "points"):
             if not np.isfinite(getattr(self, name)).all():
@@ -130,5 +131,10 @@ def read_scan(path: Path) -> RecordedScan:
     stored = npz(path, file_bytes(path))
     with understood(path):
         return RecordedScan(
-            path.name, int(stored["view"]), stored["q_commanded"], stored["q_reported"], stored["points"], stored
+            path.name,
+            int(stored["view"]),
+            joined(stored, "q_commanded"),
+            joined(stored, "q_reported"),
+            stored["points"],
+            stored,
         )

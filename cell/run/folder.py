@@ -29,8 +29,9 @@ from cell.run.manifest_json import Manifest, NamedFile
 from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
 
-SCHEMA = "scan-cell/run/1"
-"""Version of the layout; it changes together with a line in CHANGELOG.md."""
+SCHEMA, WITH_TABLE = "scan-cell/run/1", "scan-cell/run/2"
+"""Versions of the layout: that of every plan whose part stands, and that of one whose part a rotary table turns. They
+change together with a line in CHANGELOG.md."""
 
 _VERSIONS_OF = (
     "scan-cell", "numpy", "scipy", "mujoco", "embreex", "trimesh", "fast-simplification", "libigl", "networkx",
@@ -54,7 +55,13 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls, out: Path | None, argv: list[str], seed: int, inputs: Mapping[str, str], now: datetime
+        cls,
+        out: Path | None,
+        argv: list[str],
+        seed: int,
+        inputs: Mapping[str, str],
+        now: datetime,
+        schema: str = SCHEMA,
     ) -> "RunFolder":
         """Make the folder.
 
@@ -64,6 +71,7 @@ class RunFolder:
             seed: seed of every random choice.
             inputs: sha256 per input (part, scene, settings).
             now: time of the start (UTC).
+            schema: of its files.
 
         Raises:
             FileError: if it exists already or cannot be made.
@@ -89,7 +97,7 @@ class RunFolder:
             target,
             path,
             Manifest(
-                schema=SCHEMA,
+                schema=schema,
                 status="running",
                 stage="start",
                 started=now.isoformat(timespec="seconds"),
@@ -138,7 +146,7 @@ class RunFolder:
 
     def write_json(self, name: str, content: Mapping[str, JsonValue]) -> None:
         """Write a JSON artefact; `schema` is put in front."""
-        self.write_text(name, json_text({"schema": SCHEMA, **content}))
+        self.write_text(name, json_text({"schema": self.manifest.schema_version, **content}))
 
     def write_arrays(self, name: str, **arrays: NDArray[Any]) -> None:
         """Write a compressed .npz without pickled objects."""

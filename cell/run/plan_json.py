@@ -73,6 +73,7 @@ class Tightest(JsonTable):
     between: str = Field(description="what they are")
     points_in_base_mm: tuple[Triple, Triple] = Field(description="the nearest points, of the first and of the second")
     q_deg: JointAngles = Field(description="joint angles there")
+    e_deg: tuple[float, ...] | None = optional("angles of the external axes there")
 
 
 class Clearance(JsonTable):
@@ -193,12 +194,14 @@ class PlanView(JsonTable):
     T_base_scanner: Transform = Field(description="the same in base")
     T_base_flange: Transform = Field(description="the flange there")
     q_deg: JointAngles = Field(description="set-points A1 to A6, multiples of 1e-4")
+    e_deg: tuple[float, ...] | None = optional("set-points of the external axes, likewise: the rotary table's angle")
+    T_base_object: Transform | None = optional("where the rotary table has turned the part to")
     sweep: Sweep | None = optional()
 
     @property
     def q(self) -> Floats:
-        """(6,) set-points [rad], KUKA signs."""
-        return np.radians(self.q_deg)
+        """(axes,) set-points [rad], KUKA signs."""
+        return np.radians([*self.q_deg, *(self.e_deg or ())])
 
     @property
     def T_object_poses(self) -> Floats:

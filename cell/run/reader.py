@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError
+from cell.errors import FileError, UsageError
 from cell.run import ply
+from cell.run.axes import joined
 from cell.run.json_table import parsed
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, arrays, artefact, understood
@@ -49,6 +49,17 @@ def scene(run: RunRecord) -> ResolvedScene:
     return parsed(ResolvedScene, artefact(run, "scene.resolved.json"), run.folder / "scene.resolved.json")
 
 
+def require_fixed_part(run: RunRecord, what: str) -> None:
+    """Refuse a plan whose part is turned, where that is not known yet.
+
+    Raises:
+        UsageError: naming what does not know it.
+        FileError: if scene.resolved.json is missing, changed or damaged.
+    """
+    if scene(run).table is not None:
+        raise UsageError(f"{run.folder} turns its part on a rotary table, which {what} does not know yet")
+
+
 def motion(run: RunRecord) -> Motion:
     """The timed motion of the plan."""
     return motion_of(arrays(run, "motion.npz"), run.folder / "motion.npz")
@@ -76,9 +87,11 @@ def motion_of(stored: Mapping[str, NDArray[Any]], path: Path) -> Motion:
         FileError: if an array is missing or has the wrong shape.
     """
     with understood(path):
-        limits = JointLimits(*(stored[f"limit_{name}"] for name in ("lower", "upper", "velocity", "acceleration")))
-        if "limit_jerk" in stored:  # motions of earlier versions were timed without a limit of jerk
-            limits = replace(limits, jerk=stored["limit_jerk"])
+        names = ("lower", "upper", "velocity", "acceleration")
+        # Motions of earlier versions were timed without a limit of jerk.
+        jerk = stored.get("limit_jerk", np.full_like(stored["limit_lower"], np.inf))
+        limits = JointLimits(**{name: stored[f"limit_{name}"] for name in names}, jerk=jerk)
+        stored = {**stored, **{name: joined(stored, name) for name in ("via_q", "q", "qd", "qdd")}}
         fields = ["via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample"]
         fields += [name for name in ("pose", "line") if name in stored]  # motions of earlier versions do not sweep
         return Motion(**{name: stored[name] for name in fields}, duration=float(stored["via_t"][-1]), limits=limits)
@@ -95,7 +108,7 @@ def reached(run: RunRecord) -> Reach:
     """Verdicts and joint solutions of the candidates."""
     stored = arrays(run, "reach.npz")
     with understood(run.folder / "reach.npz"):
-        return Reach(stored["verdict"], stored["q"], stored["offsets"], tuple(stored["blocker"].tolist()))
+        return Reach(stored["verdict"], joined(stored, "q"), stored["offsets"], tuple(stored["blocker"].tolist()))
 
 
 def measurability(run: RunRecord) -> Measurability:

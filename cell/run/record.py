@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError
-from cell.run.folder import SCHEMA
+from cell.run.folder import SCHEMA, WITH_TABLE
 from cell.run.json_table import parsed
 from cell.run.manifest_json import Manifest
 from planner.errors import PlannerError
@@ -102,11 +102,11 @@ def open_run(folder: Path) -> RunRecord:
         raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
     manifest = read_manifest(path)
     schema = manifest.schema_version
-    if schema != SCHEMA:
+    if schema not in (SCHEMA, WITH_TABLE):
         if schema is not None and schema.startswith("scan-cell/run/"):
             raise FileError(
-                f"{folder} has the schema {schema}, and this version of scan-cell reads {SCHEMA}; plan again, or use "
-                "the version that its manifest.json names"
+                f"{folder} has the schema {schema}, and this version of scan-cell reads {SCHEMA} and {WITH_TABLE}; "
+                "plan again, or use the version that its manifest.json names"
             )
         raise FileError(
             f"{folder} is not a run folder: its manifest.json is not of the schema {SCHEMA}; give the folder that "

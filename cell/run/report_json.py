@@ -123,6 +123,7 @@ class ReportView(JsonTable):
     adds: float = Field(description="what it measures that the views before it do not, fraction of the surface")
     source_in_base_mm: Triple = Field(description="place of the laser source")
     q_deg: JointAngles = Field(description="set-points A1 to A6, multiples of 1e-4")
+    e_deg: tuple[float, ...] | None = optional("set-points of the external axes, likewise: the rotary table's angle")
     roll_deg: float = Field(description="about the viewing axis")
     clearance_on_the_way_mm: float | None = Field(description="on the segment that leads to it")
 

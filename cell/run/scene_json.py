@@ -45,6 +45,20 @@ class ResolvedRobot(JsonTable):
     T_base: Transform = Field(description="where its base stands in the cell's frame")
 
 
+class ResolvedTable(JsonTable):
+    """The rotary table that turns the part, an upright cylinder below its face; E1 is its angle, 0 the placement."""
+
+    T_base_table: Transform = Field(description="the middle of its face; it turns about z, right-handed")
+    diameter_mm: float = Field(description="of the cylinder")
+    height_mm: float = Field(description="of the cylinder")
+    swing_mm: float = Field(description="diameter of the circle that the part may swing through")
+    limits_deg: tuple[float, float] | None = Field(description="smallest and largest angle; null: endless")
+    velocity_deg_s: float = Field(description="at full speed")
+    acceleration_deg_s2: float = Field(description="at full acceleration")
+    jerk_deg_s3: float = Field(description="at full acceleration")
+    angles: int = Field(description="over a turn, at which views were looked for")
+
+
 class ResolvedHousing(JsonTable):
     """The scanner's body and the bracket between it and the flange."""
 
@@ -102,6 +116,7 @@ class ResolvedScene(JsonTable):
     robot: ResolvedRobot | None = optional(
         "which robot, and where its base stands; else the built-in one in the origin"
     )
+    table: ResolvedTable | None = optional("turns part, post and the part's fixtures")
     fixtures: tuple[StandingFixture, ...] = Field(description="of the scene, and post, pedestal and floor")
     # The built-in home is whole numbers, and the file keeps what the scene has.
     home_deg: tuple[int | float, ...] = Field(description="joint angles at which the motion begins and ends")

@@ -46,7 +46,7 @@ class Timeline:
 
     Attributes:
         t: (M,) increasing from 0 [s].
-        q: (M, 6) [rad]; straight between samples.
+        q: (M, axes) [rad]; straight between samples.
         stops: in visiting order.
         notes: sentences about what is not as recorded.
         n_views: of the plan, as far as it is known: the largest number that a stop can have.
@@ -60,7 +60,7 @@ class Timeline:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", readonly("t", self.t, (None,)))
-        object.__setattr__(self, "q", readonly("q", self.q, (len(self.t), 6)))
+        object.__setattr__(self, "q", readonly("q", self.q, (len(self.t), None)))
 
     @property
     def duration(self) -> float:
@@ -68,8 +68,8 @@ class Timeline:
         return float(self.t[-1])
 
     def at(self, t: float) -> Floats:
-        """(6,) joint angles at a time [rad]; the first and the last hold before and after."""
-        return np.array([np.interp(t, self.t, self.q[:, axis]) for axis in range(6)])
+        """(axes,) joint angles at a time [rad]; the first and the last hold before and after."""
+        return np.array([np.interp(t, self.t, self.q[:, axis]) for axis in range(self.q.shape[1])])
 
     def stop_at(self, t: float) -> Stop | None:
         """The stop at which the show rests at a time."""
@@ -110,7 +110,7 @@ def of_execution(execution: RecordedExecution, planned: Motion | None, home: Flo
     Args:
         execution: its scans, in the order in which they were taken.
         planned: the plan's motion; None where the run has none.
-        home: (6,) joint angles at which the show starts where no motion does [rad].
+        home: (axes,) joint angles at which the show starts where no motion does [rad].
         rest: at each stop [s].
     """
     source = execution.motion if execution.motion is not None else planned
@@ -118,7 +118,7 @@ def of_execution(execution: RecordedExecution, planned: Motion | None, home: Flo
     straight: list[str] = []
     before: RecordedScan | None = None
     for scan in execution.scans:
-        off_before = np.zeros(6) if before is None else before.q_reported - before.q_commanded
+        off_before = np.zeros_like(scan.q_reported) if before is None else before.q_reported - before.q_commanded
         off_here = scan.q_reported - scan.q_commanded
         leg = None if source is None else _leg(source, -1 if before is None else before.view, scan.view)
         if leg is None:
@@ -151,7 +151,7 @@ def of_home(home: Floats) -> Timeline:
 
 
 def _leg(motion: Motion, view_from: int, view_to: int) -> tuple[Floats, Floats] | None:
-    """Times from 0 (m,) and angles (m, 6) between two views that follow each other; -1 is home. None if they do not."""
+    """Times from 0 (m,) and angles (m, axes) between two views that follow each other, -1 is home; None if none do."""
     stops = np.concatenate([[0], motion.stops, [len(motion.view) - 1]])
     names = np.concatenate([[-1], motion.view[motion.stops], [-1]])
     for k in range(len(stops) - 1):

@@ -79,7 +79,7 @@ def _T_object(scan: ExecutedScan, frame: str, cell: RunCell) -> Floats:
     T: Floats = {
         "scanner": scan.T_reported,
         "flange": scan.T_reported @ np.linalg.inv(cell.scene.T_flange_scanner),
-        "base": np.linalg.inv(cell.scene.T_base_object),
+        "base": np.linalg.inv(cell.in_base(scan.q_reported, cell.scene.T_base_object)),
         "object": np.eye(4),
     }[frame]
     return T

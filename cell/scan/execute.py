@@ -17,6 +17,7 @@ import numpy as np
 from cell import signals
 from cell.acquisition.sources import Acquisition, View
 from cell.errors import DriverFailureError, FileError
+from cell.run.axes import apart
 from cell.run.cell import RunCell
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import Leg, Legs
@@ -120,8 +121,8 @@ def scan_and_write(
     """Scan from where the arm stands and put the scan on disk.
 
     Args:
-        looks: the view's leg, or those of all poses of its sweep in driving order, and the (6,) joint angles that the
-            controller reported at the end of each [rad].
+        looks: the view's leg, or those of all poses of its sweep in driving order, and the (axes,) joint angles that
+            the controller reported at the end of each [rad].
         cell: part, surroundings and scanner.
         acquisition: gives the points.
         folder: where the scan goes.
@@ -134,8 +135,8 @@ def scan_and_write(
     leg, reported = looks[0][0], np.stack([q for _, q in looks])
     commanded = np.stack([to_rad(each.set_points[-1]) for each, _ in looks])
     view = View(
-        leg.stop, leg.view, reported, cell.kinematics.forward(reported),
-        np.stack([cell.scanner_pose(q) for q in reported]), np.asarray(cell.scene.T_base_object),
+        leg.stop, leg.view, reported, cell.in_base(reported, cell.kinematics.forward(reported)),
+        np.stack([cell.scanner_pose(q) for q in reported]), cell.in_base(reported[0], cell.scene.T_base_object),
         np.argsort([each.pose for each, _ in looks]),
     )  # fmt: skip
     acquired = acquisition.take(view)
@@ -155,8 +156,7 @@ def scan_and_write(
         view=np.array(leg.view),
         source=np.array(acquisition.source),
         frame=np.array(acquired.frame),
-        q_commanded=commanded[view.middle],
-        q_reported=reported[view.middle],
+        **apart(q_commanded=commanded[view.middle], q_reported=reported[view.middle]),
         T_object_scanner=view.T_object_scanner[view.middle],
         points=points,
         **acquired.kept,
@@ -201,7 +201,7 @@ def require_drivable(legs: Legs, driver: Driver, speed: float) -> None:
 
 
 def stands_at(q: Floats, state: RobotState) -> bool:
-    """Whether the arm stands at joint angles (6,) [rad], to a hundredth of a degree."""
+    """Whether the arm stands at joint angles (axes,) [rad], to a hundredth of a degree."""
     return int(np.abs(from_rad(q).astype(np.int64) - state.axes).max()) <= _AT_START
 
 

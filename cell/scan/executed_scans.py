@@ -21,8 +21,8 @@ class ExecutedScan:
     Attributes:
         stop: number of the view, from 1 in visiting order.
         view: its candidate, row of viewpoints.npz.
-        q_commanded: (6,) [rad].
-        q_reported: (6,) [rad].
+        q_commanded: (axes,) [rad].
+        q_reported: (axes,) [rad].
         T_reported: (4, 4) T_object_scanner by the controller's report [m].
         T_reported_poses: (K, 4, 4) all poses of a sweep [m], of which `T_reported` is the middle one; at rest it alone.
         T_true: (4, 4) from where the rays were traced [m]; None where the points are not simulated.

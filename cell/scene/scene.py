@@ -252,6 +252,44 @@ class Post(Table):
     diameter_mm: Positive = 40.0
 
 
+class Turntable(Table):
+    """The rotary table on which the post stands: it turns part, post and the part's fixtures about its z.
+
+    Its axis is upright. `position_mm` is the middle of its face; None stands it under the part's centre, its face
+    `post_mm` below the part's lowest point; else the post is as long as the part stands above the face. A table of the
+    scene file is there unless it says `enabled = false`. Without limits it is endless, and used half a turn to either
+    side of 0, where motions begin and end.
+    """
+
+    enabled: Annotated[
+        bool, Option("Turn the part on the rotary table that [table] of the scene describes.", PART, name="table")
+    ] = False
+    position_mm: Triple | None = None
+    diameter_mm: Positive = 400.0
+    height_mm: Positive = 250.0
+    post_mm: Positive = 300.0
+    swing_mm: Positive = 1000.0
+    limits_deg: Annotated[tuple[float, float], Field(strict=False)] | None = None
+    velocity_deg_s: Positive = 120.0
+    acceleration_deg_s2: Positive = 240.0
+    jerk_deg_s3: Positive = 2400.0
+    angles: Annotated[int, Field(ge=1, le=360)] = 36
+
+    @model_validator(mode="before")
+    @classmethod
+    def _there(cls, table: Any) -> Any:
+        return {"enabled": True, **table} if isinstance(table, dict) and table else table
+
+    @field_validator("limits_deg")
+    @classmethod
+    def _about_home(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        if limits is not None and not limits[0] <= 0.0 <= limits[1]:
+            raise ValueError(
+                f"is {list(limits)}; it must be [min, max] with 0, where motions begin and end, in between"
+            )
+        return limits
+
+
 class Picture(Table):
     """How the report shows the cell (cell.png); nothing that is planned depends on it."""
 
@@ -344,11 +382,21 @@ class Scene(Table):
     part: Part = Field(default_factory=Part)
     placement: Placement = Field(default_factory=Placement)
     post: Post = Field(default_factory=Post)
+    table: Turntable = Field(default_factory=Turntable)
     fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
     plan: PlanSettings = Field(default_factory=PlanSettings)
     region: Annotated[tuple[Region, ...], Field(strict=False)] = ()
     setup: Annotated[tuple[Setup, ...], Field(strict=False)] = ()
     picture: Picture = Field(default_factory=Picture)
+
+    def require_fixed_part(self, what: str) -> None:
+        """Refuse a rotary table where it is not known yet.
+
+        Raises:
+            SceneError: naming what does not know it.
+        """
+        if self.table.enabled:
+            raise SceneError(f"{what} cannot have a rotary table yet; leave --table and [table] out")
 
     @field_validator("fixtures")
     @classmethod

@@ -90,6 +90,7 @@ class Bench:
 
     def __init__(self, scene: Scene, *, samples: int = coverage.SAMPLES) -> None:
         require_no_wishes(scene.region)
+        scene.require_fixed_part("a study of placements or settings")
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
         self.scene = scene = devices.by_part(scene, self.part)
         settings = resolve(scene, self.part)

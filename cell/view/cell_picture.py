@@ -56,7 +56,7 @@ def draw_cell(
     Args:
         cell: robot and surroundings.
         part: object frame.
-        q: (6,) joint angles [rad].
+        q: (axes,) joint angles [rad].
         views: (n, 4, 4) T_base_scanner of every view.
         way: (M, 3) places of the scanner's source.
         size: (width, height) [pixels].
@@ -71,7 +71,7 @@ def draw_cell(
     Raises:
         UsageError: if a name is none of the cell's.
     """
-    T, links = cell.T_base_object, cell.arm.links(q)
+    T, links = cell.turn(q) @ cell.T_base_object, cell.arm.links(q)
     stands = Piece("part", 0, part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, np.array(LOOKS["surface"]))
     pieces = [*placed(cell.pieces, links), stands, *extra]
     _require_known(hide, [piece.name for piece in pieces])
@@ -117,7 +117,7 @@ def tour_camera(
     Args:
         cell: robot and surroundings.
         part: object frame.
-        poses: (6,) joint angles of each [rad].
+        poses: (axes,) joint angles of each [rad].
         way: (M, 3) places of the scanner's source.
         size: (width, height) [pixels].
         half: tangent of half its smaller opening; None is that of pictures.

@@ -29,6 +29,7 @@ from cell.view.palette import MEASURED, REASONS
 from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, Surface, canvas_of, sides, surface_of
+from planner.ports import ARM_AXES
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -59,7 +60,7 @@ def run_page(run: RunRecord) -> str:
     canvas, surface = measured(run, read_cell(run), [view.T_object_poses for view in plan.views])
     cell = beside(cell, canvas.mesh, canvas.aside)
     stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface, regions=scene.regions)])
-    return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run)))
+    return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), scene.T_base_object))
 
 
 def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[tuple[Ints, str]]) -> str:
@@ -78,7 +79,9 @@ def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[
     part, cell = part_of(canvas, surface, [why], scene.regions), cell_of_run(run, scene)
     toward = sides(canvas, number > 0, 1)[0]
     stage = Stage(f"Why {scene.part.name} stays open", beside(cell, canvas.mesh, canvas.aside), [part], toward)
-    return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), inside=1))
+    return html_of(
+        stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), scene.T_base_object, inside=1)
+    )
 
 
 def named_layer(title: str, which: Ints, named: Iterable[tuple[str, str]], canvas: Canvas) -> Layer:
@@ -173,22 +176,26 @@ def part_of(
     return Shown("part", canvas.counted, layers)
 
 
-def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside: int = 0) -> Play:
+def plan_play(
+    report: Report, views: Sequence[PlanView], motion: Motion, T_base_object: Floats, inside: int = 0
+) -> Play:
     """Views, motion and numbers of a plan.
 
     Args:
         report: report.json.
         views: in visiting order.
         motion: the plan's.
+        T_base_object: (4, 4) placement, where a rotary table at 0 has the part [m].
         inside: as in `Play`.
     """
     timeline = timelines.of_plan(motion, rest=0.0)
     at = {stop.candidate: stop.begin for stop in timeline.stops}
     said = [
-        View(str(number), view.T_base_scanner, at.get(view.id), [
+        View(str(number), _beside_part(view, T_base_object), at.get(view.id), [
             ("view", f"{number}, candidate {view.id}"),
             ("adds", f"{_percent(own.adds)} of the surface"),
             ("A1 to A6", f"{', '.join(f'{angle:g}' for angle in view.q_deg)} deg"),
+            *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
             ("clearance", _mm(own.clearance_on_the_way_mm) + " on the way"),
         ], _commands(number, view.T_base_scanner))
@@ -209,6 +216,11 @@ def plan_play(report: Report, views: Sequence[PlanView], motion: Motion, inside:
     return Play(said, (timeline.t, timeline.q), rows=rows, next=then, inside=inside)
 
 
+def _beside_part(view: PlanView, T_base_object: Floats) -> Floats:
+    """(4, 4) pose of a view [m], base frame with a rotary table turned back to 0."""
+    return view.T_base_scanner if view.T_base_object is None else T_base_object @ view.T_object_scanner
+
+
 def _commands(number: int, T_base_scanner: Floats) -> list[str]:
     """What can be done with a view of a plan, to be pasted; the pose is the one that it has."""
     position, abc = kuka_abc_from_pose(T_base_scanner)
@@ -225,11 +237,14 @@ def execution_play(run: RunRecord, recorded: RecordedExecution, done: ExecutedRu
     of_stop = {view.stop: view for view in report.views}
     said = []
     for stop, scan in zip(timeline.stops, recorded.scans, strict=True):
-        pose, own = cell.arm.links(scan.q_reported)[6] @ cell.arm.T_link_scanner, of_stop.get(stop.number)
+        pose = cell.arm.links(scan.q_reported)[6] @ cell.arm.T_link_scanner
+        pose, own = np.linalg.inv(cell.turn(scan.q_reported)) @ pose, of_stop.get(stop.number)
         told = [("view", f"{stop.number}, candidate {stop.candidate}")]
         if own is not None:
             told += [("adds", f"{_percent(own.adds)} of the surface"), ("points", f"{own.points:,}")]
-        told.append(("A1 to A6", f"{', '.join(f'{angle:.4f}' for angle in np.degrees(scan.q_reported))} deg"))
+        angles = [f"{angle:.4f}" for angle in np.degrees(scan.q_reported)]
+        told.append(("A1 to A6", f"{', '.join(angles[:ARM_AXES])} deg"))
+        told += [("E1", f"{angle} deg") for angle in angles[ARM_AXES:]]
         replayed = f"cell replay RUN --execution EXECUTION --view {stop.number}"
         said.append(View(str(stop.number), pose, stop.begin, told, [replayed]))
     rows = [

@@ -112,6 +112,8 @@ for (const piece of data.pieces) {
 
 // ---- surfaces and their colours ------------------------------------------------------------------------------------
 const T_base_object = matrix(data.T_base_object);
+const onPart = fixed(matrix(data.T_turns_base));  // what turns with the part, in base with a rotary table at 0
+links[data.turns].add(onPart);
 const palette = Object.fromEntries(Object.entries(data.palette).map(([name, colours]) => [name, colours.map(rgb)]));
 const surfaces = data.surfaces.map((surface) => {
   const geometry = new THREE.BufferGeometry();
@@ -123,7 +125,7 @@ const surfaces = data.surfaces.map((surface) => {
   const material = new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide });
   const group = fixed(T_base_object);
   group.add(new THREE.Mesh(geometry, material));
-  scene.add(group);
+  onPart.add(group);
   register(surface.name, group, [material]);
   const layers = surface.layers.map((layer) => ({ ...layer, values: numbers(layer.values), colours: layer.named.map((each) => rgb(each[1])) }));
   return { name: surface.name, colours, layers, count: colours.count };
@@ -236,14 +238,14 @@ function sprite(text, place) {
 const signs = data.views.map((view, k) => sprite(String(view.number), sources[k]));
 const crowded = signs.length > 60;
 signs.forEach((sign) => { sign.visible = !crowded; marks.add(sign); });
-if (data.views.length) { scene.add(marks, beam); register("views", marks, []); }
+if (data.views.length) { onPart.add(marks, beam); register("views", marks, []); }
 if (data.cloud) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(places(data.cloud), 3));
   const material = new THREE.PointsMaterial({ color: data.palette.cloud[0], size: 1.6, sizeAttenuation: false });
   const group = fixed(T_base_object);
   group.add(new THREE.Points(geometry, material));
-  scene.add(group);
+  onPart.add(group);
   register("points", group, [material]);
   shown.get("points").visible = false;
 }
@@ -268,13 +270,14 @@ function select(view, go = true) {
 
 // ---- motion --------------------------------------------------------------------------------------------------------
 const motion = data.motion && { t: numbers(data.motion.t), q: numbers(data.motion.q) };
+const n = motion && motion.q.length / motion.t.length;
 let now = 0, playing = false, last = 0;
 function moment(t, free = true) {
   now = Math.min(Math.max(t, 0), motion.t[motion.t.length - 1]);
   let high = motion.t.findIndex((value) => value >= now);
   if (high < 1) high = Math.max(1, Math.min(motion.t.length - 1, high < 0 ? motion.t.length - 1 : 1));
   const share = (now - motion.t[high - 1]) / Math.max(motion.t[high] - motion.t[high - 1], 1e-9), q = [];
-  for (let k = 0; k < 6; k++) q.push(motion.q[6 * high - 6 + k] + share * (motion.q[6 * high + k] - motion.q[6 * high - 6 + k]));
+  for (let k = 0; k < n; k++) q.push(motion.q[n * high - n + k] + share * (motion.q[n * high + k] - motion.q[n * high - n + k]));
   pose(q);
   byId("time").value = now;
   const at = data.views.findIndex((view) => view.time !== null && Math.abs(view.time - now) < 0.02);
@@ -361,7 +364,7 @@ function pick(event) {
   poses.forEach((T, k) => {
     const middle = new THREE.Vector3(0, 0, 0.5 * data.glyph * frustum[0].z).applyMatrix4(T);
     for (const place of [sources[k], middle]) {
-      const [x, y, depth] = onScreen(place), off = Math.hypot(x - event.offsetX, y - event.offsetY);
+      const [x, y, depth] = onScreen(place.clone().applyMatrix4(onPart.matrixWorld)), off = Math.hypot(x - event.offsetX, y - event.offsetY);
       if (depth < 1 && off < least) { least = off; best = k; }
     }
   });
@@ -391,7 +394,7 @@ function draw() {
   renderer.render(scene, camera);
   if (chosen < 0) return;
   // The source looks along +z with +x to the right of the sensor; a camera looks along -z.
-  const T = poses[chosen], across = frustum[1].x / frustum[1].z, up = frustum[2].y / frustum[2].z;
+  const T = onPart.matrixWorld.clone().multiply(poses[chosen]), across = frustum[1].x / frustum[1].z, up = frustum[2].y / frustum[2].z;
   const size = Math.min(240, canvas.clientWidth / 4), width = size * Math.min(1, Math.max(across / up, 0.2)), height = size * Math.min(1, up / across);
   const box = byId("inset"), area = canvas.getBoundingClientRect();
   box.style.width = `${width}px`; box.style.height = `${height}px`;
@@ -403,7 +406,7 @@ function draw() {
   const hidden = ["robot", "scanner", "views"].flatMap((name) => shown.get(name)?.objects ?? []), were = hidden.map((each) => each.visible);
   hidden.forEach((each) => { each.visible = false; });
   beam.visible = false;
-  lamp.position.copy(sources[chosen]);
+  lamp.position.copy(sources[chosen]).applyMatrix4(onPart.matrixWorld);
   renderer.setScissorTest(true);
   const corner = [place.left - area.left, area.bottom - place.bottom, place.width, place.height];
   renderer.setScissor(...corner); renderer.setViewport(...corner);

@@ -127,7 +127,7 @@ def _nothing() -> Cell:
         T_link_scanner=np.eye(4),
         home=np.zeros(6),
     )
-    return Cell((), still, np.eye(4), np.zeros((4, 3)))
+    return Cell((), still, np.eye(4), np.zeros((4, 3)), 0, np.eye(4))
 
 
 def _numbers(values: Floats, digits: int) -> str:

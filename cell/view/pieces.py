@@ -22,6 +22,7 @@ from cell.view.palette import LOOKS, Look, look_of
 from cell.view.rays import frustum
 from cell.world.model import World
 from cell.world.shapes import quaternion
+from planner.ports import ARM_AXES
 from planner.surface.mesh import TriangleMesh
 from planner.values import Bools, Floats, Ints, Value
 
@@ -40,7 +41,7 @@ class Piece(Value):
 
     Attributes:
         name: what a reader calls it ("robot", "scanner", "post", a fixture's name); pieces of one name hide together.
-        link: in whose frame it is: 0 the cell's, 1 to 6 the links, then what these drive along.
+        link: in whose frame it is: 0 the cell's, 1 to 6 the links, then what these drive along, then a rotary table.
         vertices: (V, 3) [m].
         faces: (F, 3) int32, outward.
         rgb: (3,) from 0 to 1.
@@ -55,17 +56,17 @@ class Piece(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm(Value):
-    """The chain of the arm, enough to place its links: link_1 to link_6, then what these drive along.
+    """The chain of the arm, enough to place its links: link_1 to link_6, what these drive along, a rotary table.
 
     Attributes:
         T_parent_link: (k, 4, 4) of each in its parent [m] at the model's reference angles.
         parent: (k,) number of the parent: 0 the cell's frame, 1 to 6 the links, then the others.
-        driver: (k,) which of the six angles turns it.
+        driver: (k,) which of the joint angles turns it.
         ratio: (k,) by how much of it.
         reference: (k,) its own angle in the reference [rad].
         axis: (k, 3) of the joint, in the link's frame and through its origin.
         T_link_scanner: (4, 4) of the scanner in link_6 [m].
-        home: (6,) [rad].
+        home: (axes,) [rad].
     """
 
     T_parent_link: Annotated[Floats, "k 4 4"]
@@ -75,10 +76,10 @@ class Arm(Value):
     reference: Annotated[Floats, "k"]
     axis: Annotated[Floats, "k 3"]
     T_link_scanner: Annotated[Floats, "4 4"]
-    home: Annotated[Floats, "6"]
+    home: Annotated[Floats, "_"]
 
     def links(self, q: Floats) -> Floats:
-        """(1 + k, 4, 4) the cell's frame, and each link in it [m], at (6,) joint angles [rad]."""
+        """(1 + k, 4, 4) the cell's frame, and each link in it [m], at (axes,) joint angles [rad]."""
         from scipy.spatial.transform import Rotation
 
         turns = np.tile(np.eye(4), (len(self.axis), 1, 1))
@@ -99,12 +100,21 @@ class Cell:
         arm: the chain.
         T_base_object: (4, 4) placement [m].
         frustum: (4, 3) far corners of what the scanner sees, its source at the origin, scanner frame [m].
+        turns: link that the part is on: that of a rotary table; 0: it stands.
+        T_turns_base: (4, 4) base in that link at angle 0 [m].
     """
 
     pieces: tuple[Piece, ...]
     arm: Arm
     T_base_object: Floats
     frustum: Floats
+    turns: int
+    T_turns_base: Floats
+
+    def turn(self, q: Floats) -> Floats:
+        """(4, 4) what a rotary table does to what stands on it [m], base frame, at (axes,) joint angles [rad]."""
+        turned: Floats = self.arm.links(q)[self.turns] @ self.T_turns_base
+        return turned
 
 
 def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
@@ -122,7 +132,8 @@ def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
         data.mocap_quat[model.body("object").mocapid] = quaternion(T[:3, :3])
         data.qpos[:] = robot.Followers.of(model).qpos(np.radians(scene.home_deg))
         mujoco.mj_kinematics(model, data)
-        return _cell(model, data, T, meshes, scene.T_flange_scanner, _seen_by(scene.scanner))
+        table = None if scene.table is None else scene.table.T_base_table
+        return _cell(model, data, T, meshes, (scene.T_flange_scanner, table), _seen_by(scene.scanner))
 
 
 def cell_of_world(world: World, scanner: ScannerKeys) -> Cell:
@@ -132,8 +143,8 @@ def cell_of_world(world: World, scanner: ScannerKeys) -> Cell:
         world: the compiled scene.
         scanner: what defines it.
     """
-    fixtures, T_flange_scanner = world.fixture_meshes, world.T_flange_scanner
-    return _cell(world.model, world.data(), world.T_base_object, fixtures, T_flange_scanner, _seen_by(scanner))
+    frames = world.T_flange_scanner, None if world.table is None else world.table.T_base_table
+    return _cell(world.model, world.data(), world.T_base_object, world.fixture_meshes, frames, _seen_by(scanner))
 
 
 def _seen_by(scanner: ScannerKeys) -> Floats:
@@ -153,8 +164,9 @@ def beside(cell: Cell, part: TriangleMesh, aside: Bools | None) -> Cell:
         return cell
     T = cell.T_base_object
     used, faces = np.unique(part.faces[aside], return_inverse=True)
+    T = cell.T_turns_base @ T
     vertices = part.vertices[used] @ T[:3, :3].T + T[:3, 3]
-    piece = Piece(ASIDE, 0, vertices, faces.reshape(-1, 3).astype(np.int32), _rgb("surface"))
+    piece = Piece(ASIDE, cell.turns, vertices, faces.reshape(-1, 3).astype(np.int32), _rgb("surface"))
     return replace(cell, pieces=(*cell.pieces, piece))
 
 
@@ -177,18 +189,27 @@ def _cell(
     data: mujoco.MjData,
     T_base_object: Floats,
     meshes: Mapping[str, TriangleMesh],
-    T_flange_scanner: Floats,
+    frames: tuple[Floats, Floats | None],
     frustum: Floats,
 ) -> Cell:
-    """The cell of a compiled model whose state has part and post at the placement and the arm at home."""
+    """The cell of a compiled model whose state has part and post at the placement and the arm at home.
+
+    `frames` are T_flange_scanner and, where a rotary table turns the part, T_base_table.
+    """
+    T_flange_scanner, T_base_table = frames
     names = robot.bodies(model)  # the base does not move: what is on it is given in the cell's frame
     links = np.tile(np.eye(4), (len(names), 1, 1))
     for number, name in enumerate(names[1:], 1):
         links[number, :3, :3], links[number, :3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
-    pieces = []
+    pieces, table = [], 0 if T_base_table is None else len(names)
+    turned = {model.body(name).id for name in ("object", "post")}
+    T_turns_base: Floats = np.linalg.inv(np.eye(4) if T_base_table is None else T_base_table).astype(np.float64)
     for occluder in standing_triangles(data, T_base_object, meshes, ()):
-        vertices = occluder.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3]
-        pieces.append(Piece(occluder.name, 0, vertices, occluder.faces, _rgb(look_of(occluder.name, of_robot=False))))
+        link = table if int(model.geom(occluder.name).bodyid[0]) in turned else 0
+        T = T_turns_base @ T_base_object if link else T_base_object
+        vertices = occluder.vertices @ T[:3, :3].T + T[:3, 3]
+        rgb = _rgb(look_of(occluder.name, of_robot=False))
+        pieces.append(Piece(occluder.name, link, vertices, occluder.faces, rgb))
     for geom in range(model.ngeom):
         body = model.body(model.geom_bodyid[geom]).name
         if body not in (*names, *_TOOL):
@@ -201,11 +222,23 @@ def _cell(
         pieces.append(Piece(name, link, vertices @ T[:3, :3].T + T[:3, 3], faces, _rgb(look)))
     flange = np.eye(4)
     flange[:3, :3], flange[:3, 3] = data.site(FLANGE).xmat.reshape(3, 3), data.site(FLANGE).xpos
-    return Cell(
-        tuple(pieces),
-        _arm(model, data, np.linalg.inv(links[6]) @ flange @ T_flange_scanner),
-        np.asarray(T_base_object),
-        frustum,
+    arm = _arm(model, data, np.linalg.inv(links[6]) @ flange @ T_flange_scanner)
+    if T_base_table is not None:
+        arm = _with_table(arm, T_base_table)
+    return Cell(tuple(pieces), arm, np.asarray(T_base_object), frustum, table, T_turns_base)
+
+
+def _with_table(arm: Arm, T_base_table: Floats) -> Arm:
+    """The chain with a rotary table as its last link, which E1 turns about z."""
+    return replace(
+        arm,
+        T_parent_link=np.concatenate([arm.T_parent_link, T_base_table[None]]),
+        parent=np.append(arm.parent, 0),
+        driver=np.append(arm.driver, ARM_AXES),
+        ratio=np.append(arm.ratio, 1.0),
+        reference=np.append(arm.reference, 0.0),
+        axis=np.concatenate([arm.axis, [[0.0, 0.0, 1.0]]]),
+        home=np.append(arm.home, 0.0),
     )
 
 

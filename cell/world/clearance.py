@@ -37,14 +37,14 @@ class Tightest(Value):
 
     Attributes:
         segment: of the motion.
-        q: (6,) joint angles there [rad].
+        q: (axes,) joint angles there [rad].
         distance: between the two [m].
         between: what they are, "housing with part".
         points: (2, 3) the nearest points, of the first and of the second [m], base frame.
     """
 
     segment: int
-    q: Annotated[Floats, "6"]
+    q: Annotated[Floats, "axes"]
     distance: float
     between: str
     points: Annotated[Floats, "2 3"]
@@ -80,7 +80,7 @@ def of_motion(
 
     Args:
         checker: at the motion's placement.
-        via: (N, 6) via points, joined by straight joint moves [rad].
+        via: (N, axes) via points, joined by straight joint moves [rad].
         segment: (N,) segment that ends at or passes each via point; 0 for the first.
         segments: how many there are; one without a move is measured where it stands.
         progress: called with (segments done, segments in all).
@@ -110,7 +110,7 @@ def of_motion(
 
 
 def tightest_at(checker: MujocoCollisionChecker, q: Floats, segment: int = 0) -> Tightest | None:
-    """What is nearest at one configuration (6,) [rad]; None beyond the cap."""
+    """What is nearest at one configuration (axes,) [rad]; None beyond the cap."""
     pair, distance = checker.nearest(q, DISTANCE_CAP)
     if pair < 0:
         return None
@@ -125,7 +125,7 @@ class _Search:
         best: smallest distance seen [m].
         at_least: no configuration looked along is nearer [m].
         pair: number of the guarded pair that is nearest, -1 before one is seen.
-        q: (6,) configuration at which it is.
+        q: (axes,) configuration at which it is.
         checks: configurations measured.
     """
 
@@ -137,7 +137,7 @@ class _Search:
         self.checks = 0
 
     def look_along(self, q_from: Floats, q_to: Floats) -> None:
-        """Search the straight move between two configurations (6,) [rad]."""
+        """Search the straight move between two configurations (axes,) [rad]."""
         whole = float(self._checker.travel(q_from[None], q_to[None])[0])
         ends = (0.0, self._measure(q_from, DISTANCE_CAP)), (1.0, self._measure(q_to, DISTANCE_CAP))
         open_intervals = [(_bound(*ends, whole), *ends)]

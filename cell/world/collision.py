@@ -21,8 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.world.model import World
-from cell.world.travel import TravelBound
+from cell.world.rotary_table import Turner
+from cell.world.travel import TravelBound, swing
 from planner.errors import PlannerError
+from planner.ports import ARM_AXES
 from planner.values import Floats, Ints
 
 if TYPE_CHECKING:
@@ -44,8 +46,9 @@ class MujocoCollisionChecker:
         self._world = world
         self._data: mujoco.MjData = world.data(T_base_object)
         self._grown: mujoco.MjData = world.data(T_base_object, world.grown)
-        self._travel = TravelBound(world.model)
         model = world.model
+        self._travel = TravelBound(model, swing(model, self._data, world.table))
+        self._turner = Turner(model, self._data, world.table)
         self._pairs = world.pairs
         self._radius = model.geom_rbound[self._pairs].sum(axis=1)
         moves = model.body_weldid[model.geom_bodyid] > 0
@@ -62,30 +65,32 @@ class MujocoCollisionChecker:
         """Whether every guarded pair is at least the clearance apart.
 
         Args:
-            q: (N, 6) joint angles [rad], KUKA signs.
+            q: (N, axes) joint angles [rad], KUKA signs.
 
         Returns:
             (N,) True where the configuration is free.
         """
         import mujoco
 
-        angles = self._world.followers.qpos(_configurations(q))
+        q = self._configurations(q)
+        angles = self._world.followers.qpos(q[:, :ARM_AXES])
         model, data = self._world.grown, self._grown
         kinematics, collision, qpos = mujoco.mj_kinematics, mujoco.mj_collision, data.qpos
         free = np.ones(len(angles), dtype=np.bool_)
         for i, configuration in enumerate(angles):
             qpos[:] = configuration
+            self._turner(data, q[i])
             kinematics(model, data)
             collision(model, data)
             if data.ncon:
-                free[i] = self._clear_after_all(configuration)
+                free[i] = self._clear_after_all(q[i])
         return free
 
     def contacts(self, q: Floats) -> tuple[str, ...]:
         """Names of what is nearer than the clearance at one configuration, nearest first ("housing with part").
 
         Args:
-            q: (6,) joint angles [rad], KUKA signs.
+            q: (axes,) joint angles [rad], KUKA signs.
         """
         return tuple(name for name, _ in self.near(q))
 
@@ -93,12 +98,12 @@ class MujocoCollisionChecker:
         """What is nearer than the clearance at one configuration, with its distance, nearest first.
 
         Args:
-            q: (6,) joint angles [rad], KUKA signs.
+            q: (axes,) joint angles [rad], KUKA signs.
 
         Returns:
             Name of the pair and distance [m], negative in contact; the nearest shapes of each pair.
         """
-        self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
+        self._set(self._configurations(np.asarray(q, dtype=np.float64)[None])[0])
         nearest: dict[str, float] = {}
         for pair in self._candidates(self.clearance)[1]:
             distance = self._gap(pair, self.clearance)
@@ -111,13 +116,13 @@ class MujocoCollisionChecker:
         """Smallest distance of any guarded pair, and which pair.
 
         Args:
-            q: (N, 6) joint angles [rad], KUKA signs.
+            q: (N, axes) joint angles [rad], KUKA signs.
 
         Returns:
             (N,) distance [m], negative in contact, at most `DISTANCE_CAP`; N names such as "housing with part", empty
             where nothing is nearer than the cap.
         """
-        angles = _configurations(q)
+        angles = self._configurations(q)
         distances = np.full(len(angles), DISTANCE_CAP)
         names = []
         for i, configuration in enumerate(angles):
@@ -129,13 +134,13 @@ class MujocoCollisionChecker:
         """The nearest guarded pair at one configuration.
 
         Args:
-            q: (6,) joint angles [rad], KUKA signs.
+            q: (axes,) joint angles [rad], KUKA signs.
             reach: nothing beyond is looked for [m].
 
         Returns:
             Number of the pair and its distance [m]; -1 and `reach` where everything is farther.
         """
-        self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
+        self._set(self._configurations(np.asarray(q, dtype=np.float64)[None])[0])
         best, distance = -1, reach
         for bound, pair in zip(*self._candidates(reach), strict=True):
             if bound >= distance:
@@ -149,10 +154,10 @@ class MujocoCollisionChecker:
         """The same for the pairs of a moving and a standing body, and for those of two moving ones.
 
         Args:
-            q: (6,) joint angles [rad], KUKA signs.
+            q: (axes,) joint angles [rad], KUKA signs.
             reach: nothing beyond is looked for [m].
         """
-        self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
+        self._set(self._configurations(np.asarray(q, dtype=np.float64)[None])[0])
         best, distance = [-1, -1], [reach, reach]
         for bound, pair in zip(*self._candidates(reach), strict=True):
             kind = int(self._both_move[pair])
@@ -169,31 +174,43 @@ class MujocoCollisionChecker:
         return self._world.pair_name(*self._pairs[pair])
 
     def witness(self, q: Floats, pair: int) -> Floats:
-        """(2, 3) the nearest points of a guarded pair at one configuration (6,), as `pair_name` orders them [m]."""
-        self._set(_configurations(np.asarray(q, dtype=np.float64)[None])[0])
+        """(2, 3) the nearest points of a guarded pair at one configuration (axes,), as `pair_name` orders them [m]."""
+        self._set(self._configurations(np.asarray(q, dtype=np.float64)[None])[0])
         a, b = (int(geom) for geom in self._pairs[pair])
         points = np.zeros((2, 3))
         self._world.distance(self._data, a, b, 10.0, points=points)
         return points if self._world.pair_name(a, b).startswith(self._world.entities[a] + " with ") else points[::-1]
 
     def travel(self, q_from: Floats, q_to: Floats) -> Floats:
-        """An upper bound on how far any point of arm or tool moves along the straight joint segment.
+        """An upper bound on how far any point of arm or tool moves along the straight joint segment, beside the part.
+
+        Where a table turns the part, what the arm and what the part moves are added: seen from the part, only the arm
+        moves, by no more than both.
 
         Args:
-            q_from: (N, 6) [rad].
-            q_to: (N, 6) [rad].
+            q_from: (N, axes) [rad].
+            q_to: (N, axes) [rad].
 
         Returns:
             (N,) length [m], never smaller than the true displacement; see `cell.world.travel`. Longer where two links
             that can touch are guarded by less than the clearance, so that what is certified by it is so for them too.
         """
-        return self._world.finer * self._travel(_configurations(q_from), _configurations(q_to))
+        return self._world.finer * self._travel(self._configurations(q_from), self._configurations(q_to))
+
+    def _configurations(self, q: ArrayLike) -> Floats:
+        angles, axes = np.asarray(q, dtype=np.float64), len(self._world.home)
+        if angles.ndim != 2 or angles.shape[1] != axes:
+            raise PlannerError(f"q has shape {angles.shape}; it must be (N, {axes}) joint angles in rad")
+        if not np.isfinite(angles).all():
+            raise PlannerError("q holds a value that is not finite; every joint angle must be a number in rad")
+        return angles
 
     def _set(self, configuration: Floats) -> None:
-        """The state at (6,) angles of the axes, or at all joint values."""
+        """The state at (axes,) joint angles."""
         import mujoco
 
-        self._data.qpos[:] = configuration if len(configuration) > 6 else self._world.followers.qpos(configuration)
+        self._data.qpos[:] = self._world.followers.qpos(configuration[:ARM_AXES])
+        self._turner(self._data, configuration)
         mujoco.mj_kinematics(self._world.model, self._data)
 
     def _gap(self, pair: int, reach: float) -> float:
@@ -218,12 +235,3 @@ class MujocoCollisionChecker:
         near = np.flatnonzero(lower < reach)
         order = near[np.argsort(lower[near], kind="stable")]
         return lower[order], order
-
-
-def _configurations(q: ArrayLike) -> Floats:
-    angles = np.asarray(q, dtype=np.float64)
-    if angles.ndim != 2 or angles.shape[1] != 6:
-        raise PlannerError(f"q has shape {angles.shape}; it must be (N, 6) joint angles in rad")
-    if not np.isfinite(angles).all():
-        raise PlannerError("q holds a value that is not finite; every joint angle must be a number in rad")
-    return angles

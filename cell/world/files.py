@@ -19,6 +19,7 @@ from cell.robot.model import KR16
 from cell.world.model import World
 from cell.world.robot_spec import place, spec_of
 from cell.world.shapes import quaternion
+from planner.ports import ARM_AXES
 from planner.values import readonly
 
 FILE_NAME = "cell.xml"
@@ -45,7 +46,7 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
     spec.body("post").pos = world.post_top(T)
     _for_the_eye(spec, world)
     home = spec.key("home")
-    home.qpos = world.followers.qpos(world.home)
+    home.qpos = world.followers.qpos(world.home[:ARM_AXES])
     home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
     _write(spec, folder / FILE_NAME)
     if world.scene.robot.model == KR16:
@@ -79,7 +80,7 @@ def _for_the_eye(spec: Any, world: World) -> None:
     spec.worldbody.add_light(
         name="lamp", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 4], dir=[0.3, 0.4, -0.87]
     )
-    qpos = world.followers.qpos(world.home)
+    qpos = world.followers.qpos(world.home[:ARM_AXES])
     for joint in spec.joints:
         angle = qpos[world.model.joint(joint.name).qposadr[0]]
         # The body is given as it stands at the reference angle: turned about its own joint.

@@ -17,14 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 from cell.errors import SceneError
 from cell.robot import joint_limits, told
 from cell.robot import model as robot
+from cell.robot.arm import kinematics_of
 from cell.scene import devices
 from cell.scene.scene import Scene
 from cell.world import guarded, wrist
 from cell.world import shapes as cell_shapes
 from cell.world.gap import Shapes, is_convex, meshes_of
 from cell.world.robot_spec import spec_of
+from cell.world.rotary_table import height_above, on_table, rotary_table
 from cell.world.solid_hull import solid_hull
-from planner.ports import JointLimits
+from planner.ports import ARM_AXES, JointLimits, Kinematics
+from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
 
@@ -48,8 +51,9 @@ class World(Value):
         T_flange_scanner: (4, 4) the mount [m].
         T_flange_housing: (4, 4) middle of the housing [m].
         baseline: from source to sensor [m].
-        home: (6,) joint angles [rad].
+        home: (axes,) joint angles [rad], the table's behind the arm's.
         limits: of the axes, at full speed and acceleration.
+        table: turns part, post and the part's fixtures; None: they stand.
         clearance: distance that a free configuration keeps [m].
         part_hull: convex hull of the part, object frame [m].
         part_mesh: its triangles, object frame [m]; its hull where vertices alone were given.
@@ -74,8 +78,9 @@ class World(Value):
     T_flange_scanner: Annotated[Floats, "4 4"]
     T_flange_housing: Annotated[Floats, "4 4"]
     baseline: float
-    home: Annotated[Floats, "6"]
+    home: Annotated[Floats, "axes"]
     limits: JointLimits
+    table: RotaryTable | None
     clearance: float
     part_hull: TriangleMesh
     part_mesh: TriangleMesh
@@ -92,6 +97,19 @@ class World(Value):
     def floor(self) -> float:
         """Height of the floor [m], base frame."""
         return -self.scene.robot.pedestal_height_mm / 1000.0
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """Of the arm; of arm and table as one chain, see `planner.reach.rotary_table`."""
+        return on_table(kinematics_of(self.model), self.table, self.home, self.scene.table.angles)
+
+    def T_base_part(self, q: Floats) -> Floats:
+        """(..., 4, 4) T_base_object [m] at (..., axes) joint angles: the scene's placement, turned by the table."""
+        return self.in_base(q, self.T_base_object)
+
+    def in_base(self, q: Floats, T_part: Floats) -> Floats:
+        """(..., 4, 4) poses in base as the part sees them, turned as the table at (..., axes) joint angles [m, rad]."""
+        return T_part if self.table is None else self.table.turn(q[..., ARM_AXES]) @ T_part
 
     def placed(self, T_base_centre: ArrayLike) -> Floats:
         """T_base_object (4, 4) that puts the part's centre at `T_base_centre` (4, 4) [m]."""
@@ -120,7 +138,7 @@ class World(Value):
         data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
         data.mocap_quat[model.body("object").mocapid] = cell_shapes.quaternion(T[:3, :3])
         data.mocap_pos[model.body("post").mocapid] = self.post_top(T)
-        data.qpos[:] = self.followers.qpos(self.home)
+        data.qpos[:] = self.followers.qpos(self.home[:ARM_AXES])
         mujoco.mj_kinematics(model, data)
         return data
 
@@ -196,26 +214,30 @@ def compile_world(
     cell_shapes.add_tool(spec, scene, T_flange_housing)
     clearance, arm = scene.clearance_mm / 1000.0, _compiled(spec)
     wrist.settle_pairs(spec, arm, _shapes(arm, entities, {}), clearance, by_hand=scene.robot.model == robot.KR16)
-    fixture_meshes = _add_what_stands(spec, scene, hull)
+    T_base_object = scene.placement.T @ np.linalg.inv(T_object_centre)
+    table = rotary_table(scene, T_base_object, hull)
+    fixture_meshes = _add_what_stands(spec, scene, hull, T_base_object, table)
     for geom in spec.geoms:
         geom.margin = clearance / 2  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
+    limits = joint_limits.given(
+        robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
+    )
     near = {pair: keep for pair, keep in told.kept_near(model).items() if keep < clearance}
     return World(
         scene=scene,
         model=model,
         grown=_compiled(_grown(spec, clearance / 2)),
         spec=spec,
-        T_base_object=scene.placement.T @ np.linalg.inv(T_object_centre),
+        T_base_object=T_base_object,
         T_object_centre=T_object_centre,
         T_flange_scanner=T_flange_scanner,
         T_flange_housing=T_flange_housing,
         baseline=baseline_mm / 1000.0,
-        home=np.deg2rad(scene.robot.settled_home_deg),
-        limits=joint_limits.given(
-            robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
-        ),
+        home=np.append(np.deg2rad(scene.robot.settled_home_deg), [] if table is None else [0.0]),
+        limits=limits if table is None else table.limits(limits),
+        table=table,
         clearance=clearance,
         part_hull=hull,
         part_mesh=part.get("part", hull),
@@ -240,8 +262,10 @@ def _with_device(scene: Scene, vertices: Floats, baseline_mm: float | None) -> t
     return scene, baseline
 
 
-def _add_what_stands(spec: mujoco.MjSpec, scene: Scene, hull: TriangleMesh) -> dict[str, TriangleMesh]:
-    """Ground, part, post and fixtures; returns the true triangles of the mesh fixtures by name.
+def _add_what_stands(
+    spec: mujoco.MjSpec, scene: Scene, hull: TriangleMesh, T_base_object: Floats, table: RotaryTable | None
+) -> dict[str, TriangleMesh]:
+    """Ground, table, part, post and fixtures; returns the true triangles of the mesh fixtures by name.
 
     Raises:
         SceneError: if a fixture is called as a shape of the cell's own.
@@ -250,15 +274,21 @@ def _add_what_stands(spec: mujoco.MjSpec, scene: Scene, hull: TriangleMesh) -> d
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
     post_body = spec.worldbody.add_body(name="post", mocap=True)
     cell_shapes.add_mesh(spec, placed_body, "part", hull)
+    if table is not None:
+        cell_shapes.add_table(spec, scene, table)
     if scene.post.enabled:
+        length = cell_shapes.POST_LENGTH if table is None else height_above(table, T_base_object, hull)
         middle = np.eye(4)
-        middle[2, 3] = -cell_shapes.POST_LENGTH / 2
-        cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, cell_shapes.POST_LENGTH, middle)
+        middle[2, 3] = -length / 2
+        cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, length, middle)
     taken = {geom.name for geom in spec.geoms}
     for i, fixture in enumerate(scene.fixtures):
         if fixture.name in taken:
             raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
-    return cell_shapes.add_fixtures(spec, scene, placed_body)
+    fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
+    if table is not None:
+        cell_shapes.guard_what_turns(spec)
+    return fixture_meshes
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -13,6 +13,7 @@ Which pairs are guarded, and why the others are not:
 | bracket with link_5 of the KR 16 | no: bolted to link_6, it only turns about its own end against link_5 |
 | bracket with link_5 of another arm | likewise where it touches at all wrist angles; else as the housing |
 | bracket, housing, link_6 among themselves | no: one rigid piece |
+| part and its fixtures on a rotary table with base, pedestal, floor, fixtures of the base | yes |
 
 Every pair is guarded with the same margin, the scene's clearance; MuJoCo 4 *adds* the margins of two shapes, so each
 carries half.
@@ -32,17 +33,20 @@ from cell.part.workpiece import UNITS
 from cell.robot import model as robot
 from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene
 from cell.world.solid_hull import solid_hull
+from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
 
+TABLE = "rotary table"
+
 POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""
 
 # Collision classes: two shapes are a candidate pair when one's type meets the other's affinity.
-_CELL, _GROUND, _TOOL = 2, 4, 8  # the links' own class among themselves, 1, is that of models/kr16.xml
+_CELL, _GROUND, _TOOL, _TURNS = 2, 4, 8, 16  # the links' own class among themselves, 1, is that of models/kr16.xml
 _LINK_MEETS = {
     "base": _TOOL,
     "link_1": _CELL | _TOOL,
@@ -133,6 +137,27 @@ def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:
             rgba=[0.4, 0.42, 0.45, 1],
             **ground,
         )
+
+
+def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
+    """The rotary table: a cylinder below its face. It looks the same however it has turned, so it stands."""
+    middle = np.eye(4)
+    middle[2, 3] = -scene.table.height_mm / 2000.0
+    T = table.T_base_table @ middle
+    add_cylinder(spec.worldbody, TABLE, scene.table.diameter_mm / 2000.0, scene.table.height_mm / 1000.0, T)
+
+
+def guard_what_turns(spec: mujoco.MjSpec) -> None:
+    """Let the part and the fixtures on it meet what stands: robot's base, pedestal, floor and the base's fixtures.
+
+    The post and the table carry them, and touch them.
+    """
+    for body in spec.bodies:
+        for geom in body.geoms:
+            if body.name == "object":
+                geom.contype |= _TURNS
+            elif body.name == "base" or (body.name == "world" and geom.name != TABLE):
+                geom.conaffinity |= _TURNS
 
 
 def add_fixtures(spec: mujoco.MjSpec, scene: Scene, placed_body: mujoco.MjsBody) -> dict[str, TriangleMesh]:

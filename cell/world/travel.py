@@ -31,6 +31,7 @@ import numpy as np
 
 from cell.robot.model import AXES, Followers
 from cell.world.gap import mesh_of
+from planner.reach.rotary_table import RotaryTable
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -42,10 +43,18 @@ _CHUNK = 512  # configurations a pass, so that its arrays stay in the processor'
 
 
 class TravelBound:
-    """The bound for one compiled cell; call it with (N, 6) and (N, 6) joint angles [rad], get (N,) lengths [m]."""
+    """The bound for one compiled cell; call it with (N, axes) and (N, axes) joint angles [rad], get (N,) lengths [m].
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    Args:
+        model: the cell.
+        swing: radius about a rotary table's axis within which everything is that it turns [m]; what is there goes that
+            far by each radian, and is added.
+    """
+
+    def __init__(self, model: mujoco.MjModel, swing: float = 0.0) -> None:
         import mujoco
+
+        self._swing = swing
 
         data = mujoco.MjData(model)
         data.qpos[:] = 0.0  # a cell.xml opens at home
@@ -89,12 +98,14 @@ class TravelBound:
         self._caps = self._chain_caps()
 
     def __call__(self, q_from: Floats, q_to: Floats) -> Floats:
-        """(N,) upper bound on the displacement [m] of any point, for (N, 6) configurations [rad]."""
+        """(N,) upper bound on the displacement [m] of any point, for (N, axes) configurations [rad]."""
+        external = self._swing * np.abs(q_to[:, _N:] - q_from[:, _N:]).sum(axis=1)
+        q_from, q_to = q_from[:, :_N], q_to[:, :_N]
         pieces = [
             self._bound(q_from[start : start + _CHUNK], q_to[start : start + _CHUNK])
             for start in range(0, len(q_from), _CHUNK)
         ]
-        return np.concatenate(pieces) if pieces else np.zeros(0)
+        return np.concatenate(pieces) + external if pieces else np.zeros(0)
 
     def _bound(self, q_from: Floats, q_to: Floats) -> Floats:
         count = len(q_from)
@@ -149,6 +160,23 @@ class TravelBound:
                 caps[i, k] = np.linalg.norm(np.cross(step, self._axes[i])) + beyond
                 beyond += np.linalg.norm(step)
         return caps
+
+
+def swing(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> float:
+    """Radius about the table's axis within which everything is that it turns [m]; 0 where there is no table.
+
+    Args:
+        model: the cell.
+        data: with part and post at angle 0, kinematics up to date.
+        table: None where nothing turns.
+    """
+    if table is None:
+        return 0.0
+    turned, farthest, middle = {model.body("object").id, model.body("post").id}, 0.0, table.T_base_table[:2, 3]
+    for geom in np.flatnonzero([int(body) in turned for body in model.geom_bodyid]):
+        points, radius = enclosing_points(model, data, int(geom))
+        farthest = max(farthest, float(np.linalg.norm(points[:, :2] - middle, axis=1).max()) + radius)
+    return farthest
 
 
 def _link_of(model: mujoco.MjModel, body: int, bodies: list[int]) -> int | None:

@@ -44,7 +44,7 @@ class Exchange(Value):
         duration_before: time of straight moves over the views given [s].
         duration: time of straight moves over `views` [s]; not longer.
         visited: (n,) `views` in visiting order.
-        stops: (n + 2, 6) joint angles of that tour, home at both ends [rad].
+        stops: (n + 2, axes) joint angles of that tour, home at both ends [rad].
         orderings: orderings computed.
     """
 
@@ -53,7 +53,7 @@ class Exchange(Value):
     duration_before: float
     duration: float
     visited: Annotated[Ints, "n"]
-    stops: Annotated[Floats, "n+2 6"]
+    stops: Annotated[Floats, "n+2 axes"]
     orderings: int
 
     def __post_init__(self) -> None:
@@ -109,8 +109,8 @@ def exchange(
     Args:
         matrix: what each candidate measures, and which may be used.
         views: (n,) chosen candidates, each with a joint solution.
-        configurations: (m, 6) joint solutions of a candidate [rad]; m may be 0.
-        home: (6,) joint angles at both ends [rad].
+        configurations: (m, axes) joint solutions of a candidate [rad]; m may be 0.
+        home: (axes,) joint angles at both ends [rad].
         limits: limits of the axes.
         rng: source of the search's randomness.
         pinned: views that must stay.
@@ -144,7 +144,7 @@ def needed(matrix: Matrix, views: Ints, required: Ints) -> list[Ints]:
 
 
 class _Tour(NamedTuple):
-    """A tour over n groups: time [s], candidate picked of each; groups and joint angles (n, 6) [rad] as visited."""
+    """A tour over n groups: time [s], candidate picked of each; groups and joint angles (n, axes) [rad] as visited."""
 
     cost: float
     picks: Ints

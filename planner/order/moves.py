@@ -22,7 +22,7 @@ class Moves(Value):
     """Home and the joint solutions of n views, N nodes together, and the times of the moves between them.
 
     Attributes:
-        q: (N, 6) joint angles of the nodes [rad].
+        q: (N, axes) joint angles of the nodes [rad].
         offsets: (n + 1,) first node of each view, and the number of nodes.
         times: (N, N) time of the move from node to node [s]; inf where it cannot be driven.
         leave: (N,) node of the same view at which the arm leaves when it arrived at each: a sweep ends where its
@@ -30,7 +30,7 @@ class Moves(Value):
         stays: (N,) time between arriving and leaving [s], part of a tour's duration.
     """
 
-    q: Annotated[Floats, "N 6"]
+    q: Annotated[Floats, "N axes"]
     offsets: Annotated[Ints, "n+1"]
     times: Annotated[Floats, "N N"]
     leave: Annotated[Ints, "N"]
@@ -50,17 +50,19 @@ class Moves(Value):
         """Straight moves between views at which the arm stands still and that take no time.
 
         Args:
-            configurations: per view, (n_i, 6) collision-free joint solutions [rad]; at least one each.
-            home: (6,) joint angles at which the tour begins and ends [rad].
+            configurations: per view, (n_i, axes) collision-free joint solutions [rad]; at least one each.
+            home: (axes,) joint angles at which the tour begins and ends [rad].
             limits: limits of the axes.
 
         Raises:
             PlannerError: if a view has no joint solution, or a joint angle is outside its range.
         """
-        solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(configurations)]
+        start = readonly("home", home, (None,))[None]
+        solutions = [
+            readonly(f"configurations of view {k}", q, (None, start.shape[1])) for k, q in enumerate(configurations)
+        ]
         for k, q in enumerate(solutions):
             check_inside(f"joint solution of view {k}: number", q, limits)
-        start = readonly("home", home, (6,))[None]
         check_inside("home: number", start, limits)
         q = np.concatenate([start, *solutions])
         times = move_time(q[:, None], q, limits)

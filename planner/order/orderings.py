@@ -35,7 +35,7 @@ class Sequence(Value):
     Attributes:
         order: (n,) views, as indices into the configurations.
         choice: (n,) joint solution taken for each view of `order`, as an index into that view's configurations.
-        q: (n, 6) joint angles in visiting order [rad].
+        q: (n, axes) joint angles in visiting order [rad].
         duration: time of all moves [s], standstill not counted; inf where `status` is NO_TOUR.
         baseline_duration: time along the Christofides tour with its best joint solutions [s]; inf if it cannot be
             driven.
@@ -46,7 +46,7 @@ class Sequence(Value):
 
     order: Annotated[Ints, "n"]
     choice: Annotated[Ints, "n"]
-    q: Annotated[Floats, "n 6"]
+    q: Annotated[Floats, "n axes"]
     duration: float
     baseline_duration: float
     lower_bound: float

@@ -94,7 +94,7 @@ class Roadmap:
         return bool(self.blocked.any())
 
     def path(self, a: int, b: int) -> Floats | None:
-        """(m, 6) certified via points from node a to node b [rad]; None where the edge is not real yet."""
+        """(m, axes) certified via points from node a to node b [rad]; None where the edge is not real yet."""
         found = self._paths.get((min(a, b), max(a, b)))
         return found if found is None or a <= b else found[::-1]
 

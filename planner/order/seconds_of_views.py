@@ -22,9 +22,9 @@ def least_moves(q: Floats, offsets: Ints, home: Floats, limits: JointLimits) -> 
     """(V,) half of the two shortest moves at each candidate in any tour from home and back [s].
 
     Args:
-        q: (N, 6) joint solutions [rad], candidate by candidate.
+        q: (N, axes) joint solutions [rad], candidate by candidate.
         offsets: (V + 1,) candidate v owns the rows offsets[v] to offsets[v + 1]; it gets 0 where it has none.
-        home: (6,) joint angles [rad]; both moves may lead there, as in a tour of one view.
+        home: (axes,) joint angles [rad]; both moves may lead there, as in a tour of one view.
         limits: of the axes.
     """
     from scipy.spatial import KDTree  # half of what the start-up of a plan would take
@@ -50,7 +50,7 @@ def least_moves(q: Floats, offsets: Ints, home: Floats, limits: JointLimits) -> 
 
 
 def home_share(q: Floats, home: Floats, limits: JointLimits) -> float:
-    """Half of the two shortest moves at home in any tour over one or more of (N, 6) joint solutions [s].
+    """Half of the two shortest moves at home in any tour over one or more of (N, axes) joint solutions [s].
 
     Both may lead to the same one, so it is the shortest move.
     """
@@ -61,9 +61,9 @@ def moves_in(stops: Floats, views: Iterable[int], q: Floats, offsets: Ints, limi
     """(V,) how much longer a tour is for each candidate [s]: it would be added to it, or is left out.
 
     Args:
-        stops: (n + 2, 6) joint angles of the tour, home at both ends [rad].
+        stops: (n + 2, axes) joint angles of the tour, home at both ends [rad].
         views: n candidates in visiting order.
-        q: (N, 6) joint solutions [rad], candidate by candidate.
+        q: (N, axes) joint solutions [rad], candidate by candidate.
         offsets: (V + 1,) as in `least_moves`; a candidate without joint solutions gets inf.
         limits: of the axes.
     """

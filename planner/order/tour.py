@@ -63,9 +63,10 @@ class Tour(Value):
     Attributes:
         order: (n,) visited views, as indices into the configurations.
         choice: (n,) joint solution of each visited view, as an index into that view's configurations.
-        q: (n, 6) joint angles at the views, in visiting order [rad], multiples of 1e-4 deg; of a sweep at its middle
+        q: (n, axes) joint angles at the views, in visiting order [rad], multiples of 1e-4 deg; of a sweep at its middle
             pose.
-        via: (N, 6) via points from home to home [rad]; one row (home) without views, none where home is in collision.
+        via: (N, axes) via points from home to home [rad]; one row (home) without views, none where home
+            is in collision.
         segment: (N,) leg that ends at or passes the via point; 0 for the first.
         view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
         pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
@@ -83,8 +84,8 @@ class Tour(Value):
 
     order: Annotated[Ints, "n"]
     choice: Annotated[Ints, "n"]
-    q: Annotated[Floats, "n 6"]
-    via: Annotated[Floats, "N 6"]
+    q: Annotated[Floats, "n axes"]
+    via: Annotated[Floats, "N axes"]
     segment: Annotated[Ints, "N"]
     view: Annotated[Ints, "N"]
     pose: Annotated[Ints, "N"]
@@ -142,7 +143,7 @@ def plan_motion(
         none = np.zeros(0, dtype=np.int64)
         return replace(
             _tour(roadmap, [], search, everything),
-            via=np.zeros((0, 6)),
+            via=np.zeros((0, roadmap.q.shape[1])),
             segment=none,
             view=none,
             pose=none,
@@ -194,7 +195,7 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
     return Tour(
         order=np.array(views, dtype=np.int64),
         choice=visited - roadmap.offsets[views] if views else visited,
-        q=np.array([here.middle for here in stands]).reshape(-1, 6),
+        q=np.array([here.middle for here in stands]).reshape(-1, roadmap.q.shape[1]),
         via=np.concatenate(via),
         segment=np.array(segment),
         view=np.array(view),

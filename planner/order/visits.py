@@ -17,21 +17,24 @@ class Visits(Value):
     """n views that are to be visited, and home, at which the motion begins and ends.
 
     Attributes:
-        configurations: per view, (n_i, 6) joint solutions [rad], multiples of 1e-4 deg; there may be none.
-        home: (6,) joint angles [rad].
+        configurations: per view, (n_i, axes) joint solutions [rad], multiples of 1e-4 deg; there may be none.
+        home: (axes,) joint angles [rad].
         T_base_scanner: (n, 4, 4) scanner pose of each view [m], base frame; starts the ordering.
         T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
         passages: per view, one for each of its joint solutions, beginning there; None: the arm stands and measures.
     """
 
     configurations: Sequence[Floats]
-    home: Annotated[Floats, "6"]
+    home: Annotated[Floats, "axes"]
     T_base_scanner: Annotated[Floats, "n 4 4"]
     T_base_home: Annotated[Floats, "4 4"] | None = None
     passages: Sequence[Sequence[Passage]] | None = None
 
     def __post_init__(self) -> None:
-        solutions = [readonly(f"configurations of view {k}", q, (None, 6)) for k, q in enumerate(self.configurations)]
+        solutions = [
+            readonly(f"configurations of view {k}", q, (None, len(self.home)))
+            for k, q in enumerate(self.configurations)
+        ]
         object.__setattr__(self, "configurations", tuple(solutions))
         freeze(self, n=len(solutions))
         if self.passages is not None:
@@ -40,7 +43,7 @@ class Visits(Value):
 
     @property
     def q(self) -> Floats:
-        """(N, 6) joint angles of the nodes [rad]: home, then the joint solutions view by view."""
+        """(N, axes) joint angles of the nodes [rad]: home, then the joint solutions view by view."""
         return np.concatenate([self.home[None], *self.configurations])
 
     @property

@@ -38,10 +38,10 @@ def quantise(q: ArrayLike) -> Floats:
     """Round joint angles to multiples of 1e-4 deg, the integers on every wire; idempotent.
 
     Args:
-        q: (..., 6) joint angles [rad].
+        q: (..., axes) joint angles [rad].
 
     Returns:
-        (..., 6) joint angles [rad].
+        (..., axes) joint angles [rad].
     """
     return from_steps(to_steps(q))
 
@@ -50,11 +50,11 @@ def quantise_inside(q: ArrayLike, limits: JointLimits) -> Floats:
     """Quantise, and move what rounding or the caller put outside the joint range to the last multiple inside.
 
     Args:
-        q: (..., 6) joint angles [rad].
+        q: (..., axes) joint angles [rad].
         limits: limits of the axes.
 
     Returns:
-        (..., 6) joint angles [rad] inside the range.
+        (..., axes) joint angles [rad] inside the range.
     """
     return np.clip(from_steps(np.clip(to_steps(q), *range_in_steps(limits))), limits.lower, limits.upper)
 
@@ -63,12 +63,12 @@ def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats
     """The configurations of a straight segment whose freedom certifies all of it (see the module's argument).
 
     Args:
-        q_from: (6,) [rad].
-        q_to: (6,) [rad].
+        q_from: (axes,) [rad].
+        q_to: (axes,) [rad].
         checker: gives clearance and travel.
 
     Returns:
-        (n + 1, 6) evenly spaced configurations, both ends included; (1, 6) where the ends are equal.
+        (n + 1, axes) evenly spaced configurations, both ends included; (1, axes) where the ends are equal.
 
     Raises:
         PlannerError: if the checker keeps no clearance, without which nothing between two checks is known.
@@ -77,7 +77,7 @@ def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats
 
 
 def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[bool, int]:
-    """`certify_many` for one segment (6,) [rad]."""
+    """`certify_many` for one segment (axes,) [rad]."""
     certified, checks = certify_many(q_from[None], q_to[None], checker)
     return bool(certified[0]), checks
 
@@ -88,8 +88,8 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
     The checks run in bisection order in growing batches; of a segment they stop at the first batch with a collision.
 
     Args:
-        q_from: (N, 6) [rad], free configurations.
-        q_to: (N, 6) [rad], free configurations.
+        q_from: (N, axes) [rad], free configurations.
+        q_to: (N, axes) [rad], free configurations.
         checker: the collision checker.
 
     Returns:
@@ -113,7 +113,7 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
 
 
 def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> list[Floats]:
-    """`subdivide` for (N, 6) and (N, 6) ends, with one call for all travels."""
+    """`subdivide` for (N, axes) and (N, axes) ends, with one call for all travels."""
     allowed = STEP * checker.clearance
     if not allowed > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")

@@ -36,14 +36,14 @@ class PathResult(Value):
     """A certified path, or why there is none.
 
     Attributes:
-        via: (m, 6) via points with both ends [rad], multiples of 1e-4 deg, consecutive ones joined by straight joint
+        via: (m, axes) via points with both ends [rad], multiples of 1e-4 deg, consecutive ones joined by straight joint
             segments; None where no path was found.
         status: how the connection ended.
         checks: configurations checked.
         duration: time of the moves [s]; inf without a path.
     """
 
-    via: Annotated[Floats, "m 6"] | None
+    via: Annotated[Floats, "m axes"] | None
     status: PathStatus
     checks: int
     duration: float
@@ -60,8 +60,8 @@ def connect(
     """Connect two configurations by a path that is certified free.
 
     Args:
-        q_from: (6,) start [rad], inside the joint range; taken to the nearest multiple of 1e-4 deg.
-        q_to: (6,) goal [rad], likewise.
+        q_from: (axes,) start [rad], inside the joint range; taken to the nearest multiple of 1e-4 deg.
+        q_to: (axes,) goal [rad], likewise.
         checker: the collision checker; its clearance must be above 0.
         limits: the joint range that is searched, and the speeds that rate a detour.
         rng: source of the search's randomness; not used where the straight segment is free.
@@ -71,7 +71,8 @@ def connect(
         PlannerError: if an end lies outside the joint range, a limit cannot be used, or the checker keeps no clearance.
     """
     check_limits(limits)
-    ends = np.stack([readonly("q_from", q_from, (6,)), readonly("q_to", q_to, (6,))])
+    axes = len(limits.lower)
+    ends = np.stack([readonly("q_from", q_from, (axes,)), readonly("q_to", q_to, (axes,))])
     check_inside("end", ends, limits)
     ends = quantise_inside(ends, limits)
     free = checker.free(ends)
@@ -93,7 +94,7 @@ def connect(
 
 
 def path_time(via: Floats, limits: JointLimits) -> float:
-    """Time [s] through the via points (m, 6) [rad], stopping at each."""
+    """Time [s] through the via points (m, axes) [rad], stopping at each."""
     return float(move_time(via[:-1], via[1:], limits).sum())
 
 
@@ -107,14 +108,14 @@ def shorten(
     """Make a certified path faster without leaving certified segments.
 
     Args:
-        via: (m, 6) via points of certified segments [rad].
+        via: (m, axes) via points of certified segments [rad].
         checker: the collision checker.
         limits: range and speeds.
         rng: source of the candidates.
         budget: configurations to check at most, the last replacement's apart.
 
     Returns:
-        (k, 6) via points with the same ends, never slower, and the configurations checked.
+        (k, axes) via points with the same ends, never slower, and the configurations checked.
     """
     via, checks = _skip(via, checker, budget)
     failures = 0

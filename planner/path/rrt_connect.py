@@ -27,7 +27,7 @@ class _Tree:
     """Configurations with their parents, in arrays that grow."""
 
     def __init__(self, root: Floats) -> None:
-        self.q = np.empty((256, 6))
+        self.q = np.empty((256, len(root)))
         self.parent = np.empty(256, dtype=np.int64)
         self.size = 0
         self.blocked: list[Floats] = []  # colliding configurations into which a step ran
@@ -59,15 +59,15 @@ def rrt_connect(
     """Search a path of certified edges between two free configurations.
 
     Args:
-        q_from: (6,) free, quantised [rad].
-        q_to: (6,) free, quantised [rad].
+        q_from: (axes,) free, quantised [rad].
+        q_to: (axes,) free, quantised [rad].
         checker: the collision checker.
         limits: the joint range to search.
         rng: source of the random targets.
         budget: configurations to check; the search ends with the step that reaches it.
 
     Returns:
-        (m, 6) via points with both ends, or None, and the configurations checked. None proves nothing but that the
+        (m, axes) via points with both ends, or None, and the configurations checked. None proves nothing but that the
         budget was spent: the search is probabilistically complete, not exhaustive.
     """
     weights = joint_weights(q_from, checker)
@@ -113,9 +113,9 @@ def rrt_connect(
 
 
 def joint_weights(q: Floats, checker: CollisionChecker) -> Floats:
-    """(6,) metres that arm and tool move per radian of each joint, at least 2 % of the largest."""
-    nudged = q + 1e-3 * np.eye(6)
-    weights = checker.travel(np.broadcast_to(q, (6, 6)), nudged) / 1e-3
+    """(axes,) metres that arm and tool move per radian of each joint, at least 2 % of the largest."""
+    nudged = q + 1e-3 * np.eye(len(q))
+    weights = checker.travel(np.broadcast_to(q, nudged.shape), nudged) / 1e-3
     return np.maximum(weights, max(0.02 * float(weights.max()), 1e-6))
 
 
@@ -135,7 +135,7 @@ def _bridges(
     """
     low, high = np.maximum(low, limits.lower), np.minimum(high, limits.upper)
     hit = [q for tree in trees for q in tree.blocked[-_BRIDGES:]]
-    drawn = rng.uniform(low, high, (_BRIDGES if not hit else _BRIDGES // 4, 6))
+    drawn = rng.uniform(low, high, (_BRIDGES if not hit else _BRIDGES // 4, len(low)))
     ends, checks = drawn[~checker.free(drawn)], len(drawn)
     if hit:
         ends = np.concatenate((ends, np.array(hit)[rng.integers(0, len(hit), _BRIDGES)]))
@@ -174,7 +174,9 @@ def _slide(
         if distance == 0.0:
             break
         lengths = spacing * 2.0 ** rng.integers(0, 4, (_SLIDE_STEPS, 1))
-        steps = ahead / distance + rng.standard_normal((_SLIDE_STEPS, 6)) * rng.uniform(0.0, 1.0, (_SLIDE_STEPS, 1))
+        steps = ahead / distance + rng.standard_normal((_SLIDE_STEPS, len(q))) * rng.uniform(
+            0.0, 1.0, (_SLIDE_STEPS, 1)
+        )
         steps *= np.minimum(lengths, distance) / np.linalg.norm(steps, axis=1, keepdims=True)
         ends = quantise_inside(q + steps / weights, limits)
         left = np.linalg.norm((target - ends) * weights, axis=1)
@@ -247,7 +249,7 @@ def _note(tree: _Tree, q: Floats, checker: CollisionChecker) -> None:
 
 
 def _stops(q: Floats, target: Floats, steps: int, limits: JointLimits) -> Floats:
-    """(k, 6) quantised configurations from q to the target, repeats left out; k <= steps + 1."""
+    """(k, axes) quantised configurations from q to the target, repeats left out; k <= steps + 1."""
     stops = quantise_inside(q + np.arange(steps + 1)[:, None] / steps * (target - q), limits)
     stops[0], stops[-1] = q, target
     keep = np.concatenate(([True], (np.diff(stops, axis=0) != 0).any(axis=1)))

@@ -27,6 +27,10 @@ from planner.worded import Worded
 _CHUNK = 512
 _RIGID = 1e-6
 
+ENOUGH = 16
+"""Free geometries of a pose after which no more are looked at: more than an arm has branches, so that only those of the
+angles of a table are left out, the ones that come last in `Kinematics.inverse`."""
+
 
 class Verdict(Worded):
     """What became of a viewpoint; the value is kept in files."""
@@ -43,13 +47,13 @@ class Reach(Value):
 
     Attributes:
         verdict: (V,) uint8 `Verdict` values.
-        q: (total, 6) free set-points [rad], KUKA signs, multiples of 1e-4 deg, ordered by viewpoint, branch, turn.
+        q: (total, axes) free set-points [rad], KUKA signs, multiples of 1e-4 deg, ordered by viewpoint, branch, turn.
         offsets: (V + 1,) int64; viewpoint v owns the rows offsets[v] to offsets[v + 1].
         blocker: V names of what blocks, such as "housing with part"; "" unless the verdict is COLLISION.
     """
 
     verdict: Annotated[NDArray[np.uint8], "V"]
-    q: Annotated[Floats, "total 6"]
+    q: Annotated[Floats, "total axes"]
     offsets: Annotated[Ints, "V+1"]
     blocker: Annotated[tuple[str, ...], "V"]
 
@@ -71,7 +75,7 @@ class Reach(Value):
         return np.asarray(self.verdict == Verdict.REACHABLE)
 
     def q_of(self, viewpoint: int) -> Floats:
-        """(n, 6) free set-points of one viewpoint [rad]; empty unless it is reachable."""
+        """(n, axes) free set-points of one viewpoint [rad]; empty unless it is reachable."""
         return self.q[self.offsets[viewpoint] : self.offsets[viewpoint + 1]]
 
     def counts(self) -> dict[Verdict, int]:
@@ -113,6 +117,7 @@ def solve(
     """
     T_base_object, T_scanner_flange = _rigid("T_base_object", T_base_object), _inverse_mount(T_flange_scanner)
     total, poses = viewpoints.T_object_scanner.shape[:2]
+    axes = len(kinematics.limits.lower)
     if poses == 0:
         raise PlannerError("T_object_scanner has no pose per viewpoint; K must be 1 or more")
     verdict = np.full(total, Verdict.REACHABLE, dtype=np.uint8)
@@ -121,7 +126,7 @@ def solve(
     free_count = np.zeros(total, dtype=np.int64)
     for start in range(0, total, _CHUNK):
         chunk = np.arange(start, min(start + _CHUNK, total))
-        alive, q, owner = chunk, np.empty((0, 6)), np.empty(0, dtype=np.int64)
+        alive, q, owner = chunk, np.empty((0, axes)), np.empty(0, dtype=np.int64)
         for k in range(poses):
             T_base_flange = T_base_object @ viewpoints.T_object_scanner[alive, k] @ T_scanner_flange
             found, solved, free = _solve_poses(T_base_flange, kinematics, checker)
@@ -137,7 +142,7 @@ def solve(
         if progress is not None:
             progress(int(chunk[-1]) + 1, total)
     offsets = np.concatenate(([0], np.cumsum(free_count)))
-    return Reach(verdict, np.concatenate(free_q) if free_q else np.empty((0, 6)), offsets, tuple(blocker))
+    return Reach(verdict, np.concatenate(free_q) if free_q else np.empty((0, axes)), offsets, tuple(blocker))
 
 
 def takes_up(
@@ -201,17 +206,30 @@ def _solve_poses(
 ) -> tuple[NDArray[np.uint8], Setpoints, Bools]:
     """Verdict of each pose, its set-points within the limits, and which of these are free."""
     solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
-    free = checker.free(solved.q[solved.first])[solved.geometry] if len(solved.q) else np.empty(0, dtype=np.bool_)
+    free = _free(solved, checker)[solved.geometry]
     found = np.where(solved.real, Verdict.JOINT_LIMIT, Verdict.OUT_OF_REACH).astype(np.uint8)
     found[solved.pose] = Verdict.COLLISION
     found[solved.pose[free]] = Verdict.REACHABLE
     return found, solved, free
 
 
+def _free(solved: Setpoints, checker: CollisionChecker) -> Bools:
+    """(g,) which geometries are free, of each pose until `ENOUGH` are; the others count as not free."""
+    q, pose = solved.q[solved.first], solved.pose[solved.first]
+    free = np.zeros(len(q), dtype=np.bool_)
+    number = np.arange(len(pose)) - np.searchsorted(pose, pose)
+    found = np.zeros(len(solved.real), dtype=np.int64)
+    for start in range(0, int(number.max(initial=-1)) + 1, ENOUGH):
+        asked = np.flatnonzero((number >= start) & (number < start + ENOUGH) & (found[pose] < ENOUGH))
+        free[asked] = checker.free(q[asked])
+        found += np.bincount(pose[asked[free[asked]]], minlength=len(found))
+    return free
+
+
 def _blocker(q: Floats, checker: CollisionChecker) -> str:
-    """What is nearest in most of the configurations q (n, 6); the earlier configuration decides a tie."""
+    """What is nearest in most of the first configurations of q (n, axes); the earlier one decides a tie."""
     nearest = []
-    for configuration in q:
+    for configuration in q[:ENOUGH]:
         names = checker.contacts(configuration)
         if not names:
             raise PlannerError(

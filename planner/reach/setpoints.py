@@ -37,7 +37,7 @@ def from_steps(steps: ArrayLike) -> Floats:
 
 
 def range_in_steps(limits: JointLimits) -> tuple[Ints, Ints]:
-    """(6,) first and (6,) last multiple of 1e-4 deg inside the joint range."""
+    """(axes,) first and (axes,) last multiple of 1e-4 deg inside the joint range."""
     lower = np.ceil(np.rad2deg(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE)
     upper = np.floor(np.rad2deg(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE)
     return lower.astype(np.int64), upper.astype(np.int64)
@@ -49,14 +49,14 @@ class Setpoints(Value):
 
     Attributes:
         real: (N,) True where the pose has a solution at all, limits aside.
-        q: (n, 6) set-points [rad], ordered by pose, branch, turn; the turn nearest the branch itself comes first.
+        q: (n, axes) set-points [rad], ordered by pose, branch, turn; the turn nearest the branch itself comes first.
         pose: (n,) int64 pose that each row of q reaches.
         first: (g,) int64 row of q that stands for each different geometry: one for each pose and branch.
         geometry: (n,) int64 which of those each row is a turn of.
     """
 
     real: Annotated[Bools, "N"]
-    q: Annotated[Floats, "n 6"]
+    q: Annotated[Floats, "n axes"]
     pose: Annotated[Ints, "n"]
     first: Annotated[Ints, "g"]
     geometry: Annotated[Ints, "n"]
@@ -69,7 +69,7 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     limits.
 
     Args:
-        branches: (N, B, 6) joint angles [rad] in (-pi, pi], NaN where a branch has no real solution.
+        branches: (N, B, axes) joint angles [rad] in (-pi, pi], NaN where a branch has no real solution.
         limits: of the axes.
     """
     exists: Bools = np.asarray(~np.isnan(branches).any(axis=-1))

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
-from planner.ports import JointLimits
+from planner.ports import JointLimits, axis_name
 from planner.timing.s_curve import Profile, fastest, sample
 from planner.values import Floats, Ints, Value, freeze, readonly
 
@@ -47,14 +47,14 @@ class Motion(Value):
     at a via point belongs to the move that ends there.
 
     Attributes:
-        via_q: (N, 6) via points [rad], KUKA signs.
+        via_q: (N, axes) via points [rad], KUKA signs.
         segment: (N,) number of the tour's leg that ends at or passes the via point; not decreasing.
         view: (N,) view taken at the via point, -1 where none is (home, and via points of a detour).
         via_t: (N,) times at which the via points are reached [s].
         t: (M,) sample times [s], increasing from 0.
-        q: (M, 6) joint angles [rad].
-        qd: (M, 6) joint speeds [rad/s].
-        qdd: (M, 6) joint accelerations [rad/s^2] that begin at the sample; 0 at the last one.
+        q: (M, axes) joint angles [rad].
+        qd: (M, axes) joint speeds [rad/s].
+        qdd: (M, axes) joint accelerations [rad/s^2] that begin at the sample; 0 at the last one.
         segment_of_sample: (M,) number of the leg to which the sample belongs.
         duration: time from first to last via point [s].
         limits: the limits used, after scaling.
@@ -62,14 +62,14 @@ class Motion(Value):
         line: (N,) number of the sweep on whose line the via point is reached, from 0; -1 where a joint move reaches it.
     """
 
-    via_q: Annotated[Floats, "N 6"]
+    via_q: Annotated[Floats, "N axes"]
     segment: Annotated[Ints, "N"]
     view: Annotated[Ints, "N"]
     via_t: Annotated[Floats, "N"]
     t: Annotated[Floats, "M"]
-    q: Annotated[Floats, "M 6"]
-    qd: Annotated[Floats, "M 6"]
-    qdd: Annotated[Floats, "M 6"]
+    q: Annotated[Floats, "M axes"]
+    qd: Annotated[Floats, "M axes"]
+    qdd: Annotated[Floats, "M axes"]
     segment_of_sample: Annotated[Ints, "M"]
     duration: float
     limits: JointLimits
@@ -100,7 +100,7 @@ class TimedLine(Protocol):
         ...
 
     def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """(n, 6) joint angles [rad], speeds [rad/s] and accelerations [rad/s^2] at (n,) times after its start [s]."""
+        """(n, axes) angles [rad], speeds [rad/s] and accelerations [rad/s^2] at (n,) times after its start [s]."""
         ...
 
 
@@ -117,8 +117,8 @@ def check_limits(limits: JointLimits) -> None:
     bounded = np.minimum(limits.acceleration, limits.jerk) < np.inf
     if (positive & bounded & (limits.lower <= limits.upper)).all():
         return
-    for axis in range(6):
-        name = f"A{axis + 1}"
+    for axis in range(len(limits.lower)):
+        name = axis_name(axis)
         for what, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2"), ("jerk", "rad/s^3")):
             value = getattr(limits, what)[axis]
             if not value > 0:
@@ -163,15 +163,16 @@ def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -
 
 def jerk_free(limits: JointLimits) -> JointLimits:
     """The limits without that of the jerk: the bound against which jerk-limited motions are compared."""
-    return replace(limits, jerk=np.full(6, np.inf))
+    return replace(limits, jerk=np.full_like(limits.jerk, np.inf))
 
 
 def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats:
     """Shortest time of the synchronised straight move, rest to rest, over broadcast arrays.
 
     Args:
-        q_from: (..., 6) joint angles [rad].
-        q_to: (..., 6) joint angles [rad]; broadcast against `q_from`, so `(n, 1, 6)` and `(m, 6)` give a cost matrix.
+        q_from: (..., axes) joint angles [rad].
+        q_to: (..., axes) joint angles [rad]; broadcast against `q_from`, so `(n, 1, axes)` and `(m, axes)` give a cost
+            matrix.
         limits: limits of velocity, acceleration and jerk.
 
     Returns:
@@ -199,7 +200,7 @@ def retime(
     """Time a motion that stops exactly at every via point, those inside the lines of sweeps excepted.
 
     Args:
-        via_q: (N, 6) via points [rad], N >= 1, inside the joint range.
+        via_q: (N, axes) via points [rad], N >= 1, inside the joint range.
         segment: (N,) number of the tour's leg that ends at or passes each via point; not decreasing.
         view: (N,) view taken at each via point, -1 where none is.
         limits: limits of the axes.
@@ -219,7 +220,7 @@ def retime(
     limits = scaled(limits, speed, acceleration)
     if not 0 < sample_period < np.inf:
         raise PlannerError(f"the sample period is {sample_period} s; it must be above 0 and finite")
-    vias = readonly("via_q", via_q, (None, 6))
+    vias = readonly("via_q", via_q, (None, len(limits.lower)))
     if len(vias) == 0:
         raise PlannerError("via_q is empty; a motion needs at least one via point")
     check_inside("via point", vias, limits)
@@ -235,7 +236,7 @@ def retime(
     durations, lines = Profile(*widths).duration, lines or {}
     on_line = _take_lines(lines, durations)
     via_t = np.concatenate(([0.0], np.cumsum(durations)))
-    samples, owner = [(np.zeros(1), vias[:1], np.zeros((1, 6)), np.zeros((1, 6)))], [segments[:1]]
+    samples, owner = [(np.zeros(1), vias[:1], np.zeros_like(vias[:1]), np.zeros_like(vias[:1]))], [segments[:1]]
     for k in np.flatnonzero(durations > 0).tolist():
         if on_line[k + 1] < 0:
             found = _straight(Profile(*widths[:, k]), vias[k : k + 2], via_t[k : k + 2], sample_period)
@@ -282,7 +283,7 @@ def _take_lines(lines: Mapping[int, TimedLine], durations: Floats) -> Ints:
 
 
 _Samples = tuple[Floats, Floats, Floats, Floats]
-"""(m,) times [s]; (m, 6) angles, speeds and accelerations [rad], [rad/s], [rad/s^2]; both ends among them."""
+"""(m,) times [s]; (m, axes) angles, speeds and accelerations [rad], [rad/s], [rad/s^2]; both ends among them."""
 
 
 def _straight(profile: Profile, ends: Floats, end_t: Floats, period: float) -> _Samples:
@@ -325,7 +326,7 @@ def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
 
     Args:
         what: what the error calls a row of q.
-        q: (N, 6) joint angles [rad].
+        q: (N, axes) joint angles [rad].
         limits: limits of the axes.
 
     Raises:
@@ -336,7 +337,7 @@ def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
         row, axis = np.argwhere(outside)[0]
         low, high = np.degrees(limits.lower[axis]), np.degrees(limits.upper[axis])
         raise PlannerError(
-            f"{what} {row} has A{axis + 1} at {np.degrees(q[row, axis]):.4f} deg; it must lie in "
+            f"{what} {row} has {axis_name(int(axis))} at {np.degrees(q[row, axis]):.4f} deg; it must lie in "
             f"{low:.4f} to {high:.4f} deg"
         )
 
@@ -353,11 +354,11 @@ def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
     limits the speed limits acceleration and jerk as well, and two of the three maxima over the axes can be left out.
 
     Returns:
-        (3, 6) 1 / limit, `MARGIN` added, and the ratios of acceleration and jerk to speed; NaN where the axes differ.
+        (3, axes) 1 / limit, `MARGIN` added, and the ratios of acceleration and jerk to speed; NaN where axes differ.
     """
     check_limits(limits)
     inverse = (1.0 + MARGIN) / np.stack([limits.velocity, limits.acceleration, limits.jerk])
-    ratios = np.divide(inverse[1:], inverse[0], out=np.full((2, 6), np.inf), where=inverse[0] > 0)
+    ratios = np.divide(inverse[1:], inverse[0], out=np.full_like(inverse[1:], np.inf), where=inverse[0] > 0)
     one = np.isfinite(ratios).all(axis=1) & (ratios.max(axis=1) <= ratios.min(axis=1) * (1.0 + _EQUAL_RATIO))
     acceleration, jerk = np.where(one, ratios.max(axis=1), np.nan).tolist()
     return inverse, (acceleration, jerk)
@@ -370,8 +371,8 @@ def _profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tup
     if 0 in shape:
         return
     ends = [np.ascontiguousarray(np.moveaxis(q, -1, 0)) for q in (q_from, q_to)]  # axis by axis
-    a, b = (q.reshape(6, *[1] * (len(shape) + 1 - q.ndim), *q.shape[1:]) for q in ends)
-    speed, *others = (rates.reshape(6, *[1] * len(shape)) for rates in inverse)
+    a, b = (q.reshape(len(inverse[0]), *[1] * (len(shape) + 1 - q.ndim), *q.shape[1:]) for q in ends)
+    speed, *others = (rates.reshape(len(inverse[0]), *[1] * len(shape)) for rates in inverse)
     step = max(1, _BLOCK * shape[0] // math.prod(shape)) if shape else 1
     for start in range(0, shape[0] if shape else 1, step):
         rows = (slice(start, start + step),) if shape else ()

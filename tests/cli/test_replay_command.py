@@ -280,7 +280,7 @@ def test_an_execution_shows_its_points(
     part = _geoms(drawn, executed.data, camera) == executed.theatre.model.geom("surface").id
     bare = drawn.picture(executed.data, camera).astype(int)
     with_points = drawn.picture(
-        executed.data, camera, lambda scene: marks.add_clouds(scene, executed.theatre, [0, 1], 1)
+        executed.data, camera, lambda scene: marks.add_clouds(scene, executed.theatre, [0, 1], 1, executed.data)
     ).astype(int)
     drawn.renderer.close()
     changed = np.argwhere((np.abs(with_points - bare) > 25).any(axis=2))

@@ -13,18 +13,18 @@ class Passage(Value):
     """What the arm does at a view between arriving and leaving: the line of a sweep.
 
     Attributes:
-        via: (m, 6) via points [rad], certified, the first where the arm arrives and the last where it leaves.
+        via: (m, axes) via points [rad], certified, the first where the arm arrives and the last where it leaves.
         pose: (m,) pose of the view that is taken at each, -1 for none.
         duration: of the passage [s].
         leaves: joint solution of the same view (its index) that begins where this one ends.
     """
 
-    via: Annotated[Floats, "m 6"]
+    via: Annotated[Floats, "m axes"]
     pose: Annotated[Ints, "m"]
     duration: float
     leaves: int
 
     @property
     def middle(self) -> Floats:
-        """(6,) joint angles at the middle one of its poses [rad]."""
+        """(axes,) joint angles at the middle one of its poses [rad]."""
         return np.asarray(self.via[int(np.flatnonzero(self.pose == (self.pose >= 0).sum() // 2)[0])])

@@ -1,0 +1,98 @@
+"""The rotary table of a scene as the planner's external axis; where it stands when the scene does not say."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cell.errors import SceneError
+from cell.scene.scene import Scene
+from planner.ports import ARM_AXES, Kinematics
+from planner.reach.rotary_table import ArmOnTable, RotaryTable
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+
+if TYPE_CHECKING:
+    import mujoco
+
+SHORTEST_POST_MM = 1.0
+HALF_A_TURN_DEG = -180.0, 180.0
+"""What is used of an endless axis: every angle, and nothing winds up."""
+
+
+def rotary_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> RotaryTable | None:
+    """The table of a scene; None where it has none.
+
+    Args:
+        scene: its placement is by the part's centre.
+        T_base_object: (4, 4) the part at angle 0 [m].
+        hull: the part's convex hull, object frame [m].
+
+    Raises:
+        SceneError: if the part reaches below the table's face, or is wider than the table carries.
+    """
+    asked = scene.table
+    if not asked.enabled:
+        return None
+    points, T = hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3], np.eye(4)
+    if asked.position_mm is None:
+        T[:3, 3] = *scene.placement.T[:2, 3], points[:, 2].min() - asked.post_mm / 1000.0
+    else:
+        T[:3, 3] = np.array(asked.position_mm) / 1000.0
+    on_face = points - T[:3, 3]
+    height, needed = 1000 * float(on_face[:, 2].min()), SHORTEST_POST_MM if scene.post.enabled else 0.0
+    if height < needed - 1e-6:
+        raise SceneError(
+            f"the part's lowest point is {height:.1f} mm above the face of the rotary table, and must be "
+            f"{needed:g} mm or more above it: raise placement.position_mm or lower table.position_mm"
+            + ("; a part that stands on the face itself needs post.enabled = false" if needed else "")
+        )
+    swing = 2000 * float(np.linalg.norm(on_face[:, :2], axis=1).max())
+    if swing > asked.swing_mm:
+        raise SceneError(
+            f"the part swings through a circle of {swing:.0f} mm, and the rotary table carries {asked.swing_mm:g} mm; "
+            "place it nearer to the axis, or give a larger table.swing_mm"
+        )
+    lower, upper = asked.limits_deg or HALF_A_TURN_DEG
+    rates = asked.velocity_deg_s, asked.acceleration_deg_s2, asked.jerk_deg_s3
+    return RotaryTable(T, *np.deg2rad([lower, upper, *rates]).tolist())
+
+
+def on_table(arm: Kinematics, table: RotaryTable | None, home: Floats, angles: int) -> Kinematics:
+    """Arm and table as one chain; the arm alone where there is no table."""
+    return arm if table is None else ArmOnTable(arm, table, home, angles)
+
+
+def height_above(table: RotaryTable, T_base_object: Floats, hull: TriangleMesh) -> float:
+    """How high above the table's face the part's lowest point is, T_base_object being its placement (4, 4) [m]."""
+    lowest = (hull.vertices @ T_base_object[2, :3]).min() + T_base_object[2, 3]
+    return float(lowest - table.T_base_table[2, 3])
+
+
+class Turner:
+    """Puts part and post of states of a model where a table has turned them.
+
+    Args:
+        model: the cell.
+        data: a state with both at angle 0.
+        table: turns them; None: they stand.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> None:
+        self._table = table
+        self._mocap = [int(model.body(name).mocapid[0]) for name in ("object", "post")]
+        self._at_0 = np.array(data.mocap_pos[self._mocap]), np.array(data.mocap_quat[self._mocap])
+
+    def __call__(self, data: mujoco.MjData, q: Floats) -> None:
+        """Set both in a state, at (axes,) joint angles [rad]; nothing is done where they stand."""
+        if self._table is None:
+            return
+        import mujoco
+
+        T, turned = self._table.turn(q[ARM_AXES]), np.empty(4)
+        turn = np.array([np.cos(q[ARM_AXES] / 2), 0.0, 0.0, np.sin(q[ARM_AXES] / 2)])  # its axis is upright
+        for body, position, stood in zip(self._mocap, *self._at_0, strict=True):
+            data.mocap_pos[body] = T[:3, :3] @ position + T[:3, 3]
+            mujoco.mju_mulQuat(turned, turn, stood)
+            data.mocap_quat[body] = turned

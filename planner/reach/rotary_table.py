@@ -1,0 +1,114 @@
+"""A rotary table under the part, and arm and table as one kinematic chain of seven axes.
+
+Seen from the part, a table that has turned by an angle is a robot that went round the table's axis by minus that angle.
+So everything that belongs to the part (candidates, samples, what they measure) is worked out once, with the table at 0,
+and the chain of `ArmOnTable` maps joint angles (..., 7) to the flange as the part sees it: T_base_flange with the table
+turned back. Metres, radians; E1 turns right-handed about the table's z.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.ports import ARM_AXES, JointLimits, Kinematics
+from planner.reach.setpoints import from_steps, to_steps
+from planner.values import Floats, Value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RotaryTable(Value):
+    """An external axis that turns the part.
+
+    Attributes:
+        T_base_table: (4, 4) its axis is z, its face lies in the plane z = 0 [m].
+        lower: smallest angle [rad].
+        upper: largest angle [rad].
+        velocity: largest speed [rad/s].
+        acceleration: largest acceleration [rad/s^2].
+        jerk: largest jerk [rad/s^3].
+    """
+
+    T_base_table: Annotated[Floats, "4 4"]
+    lower: float
+    upper: float
+    velocity: float
+    acceleration: float
+    jerk: float
+
+    def turn(self, angle: ArrayLike) -> Floats:
+        """(..., 4, 4) where what stands at angle 0 goes at angles (...) [rad], base frame [m]."""
+        angle = np.asarray(angle, dtype=np.float64)
+        T = np.zeros((*angle.shape, 4, 4))
+        T[..., 0, 0] = T[..., 1, 1] = np.cos(angle)
+        T[..., 1, 0] = np.sin(angle)
+        T[..., 0, 1] = -T[..., 1, 0]
+        T[..., 2, 2] = T[..., 3, 3] = 1.0
+        turned: Floats = self.T_base_table @ T @ np.linalg.inv(self.T_base_table)
+        return turned
+
+    def limits(self, arm: JointLimits) -> JointLimits:
+        """Limits of the arm's axes and, behind them, its own."""
+        names = ("lower", "upper", "velocity", "acceleration", "jerk")
+        return replace(arm, **{name: np.append(getattr(arm, name), getattr(self, name)) for name in names})
+
+    def angles(self, count: int) -> Floats:
+        """(n,) at most `count` angles, evenly spaced over a turn, that lie within the limits, multiples of 1e-4 deg.
+
+        Args:
+            count: over the whole turn.
+        """
+        whole = from_steps(to_steps((np.arange(count) - count // 2) * (2 * np.pi / count)))
+        # Limits that leave room for less than one step still have an angle: the middle of the range.
+        inside = whole[(whole >= self.lower) & (whole <= self.upper)]
+        return inside if len(inside) else from_steps(to_steps([(self.lower + self.upper) / 2]))
+
+
+class ArmOnTable:
+    """A `planner.ports.Kinematics` of an arm beside a table; q has seven angles, the table's last.
+
+    Args:
+        arm: the arm alone.
+        table: turns the part.
+        home: (7,) the angles at which motions begin and end [rad].
+        angles: of the table at which poses are looked for, over a whole turn.
+    """
+
+    def __init__(self, arm: Kinematics, table: RotaryTable, home: Floats, angles: int) -> None:
+        self._arm, self._table, self._home = arm, table, np.asarray(home)
+        self._angles = table.angles(angles)
+
+    @cached_property
+    def limits(self) -> JointLimits:
+        """Limits of the seven axes."""
+        return self._table.limits(self._arm.limits)
+
+    def forward(self, q: Floats) -> Floats:
+        """(N, 4, 4) T_base_flange [m] with the table turned back, as the part sees it, at q (N, 7) [rad]."""
+        q = np.asarray(q, dtype=np.float64)
+        seen: Floats = self._table.turn(-q[:, ARM_AXES]) @ self._arm.forward(q[:, :ARM_AXES])
+        return seen
+
+    def inverse(self, T_base_flange: Floats) -> Floats:
+        """Every branch of the arm at every angle of the table, those first that are reached from home in least time.
+
+        The time is that of the slowest axis at full speed.
+
+        Args:
+            T_base_flange: (N, 4, 4) [m], as the part sees it.
+
+        Returns:
+            (N, branches * angles, 7) joint angles [rad], NaN where a branch has no real solution.
+        """
+        turned = self._table.turn(self._angles)[:, None] @ T_base_flange
+        arm = self._arm.inverse(turned.reshape(-1, 4, 4))
+        count, branches = len(T_base_flange), arm.shape[1]
+        q = np.empty((count, len(self._angles), branches, ARM_AXES + 1))
+        q[..., :ARM_AXES] = np.moveaxis(arm.reshape(len(self._angles), count, branches, ARM_AXES), 0, 1)
+        q[..., ARM_AXES] = np.where(np.isnan(q[..., 0]), np.nan, self._angles[:, None])
+        flat = q.reshape(count, -1, ARM_AXES + 1)
+        seconds = (np.abs(flat - self._home) / self.limits.velocity).max(axis=-1)
+        first = np.argsort(seconds, axis=1, kind="stable")  # NaN comes last
+        return np.take_along_axis(flat, first[..., None], axis=1)
