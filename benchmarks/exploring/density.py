@@ -4,20 +4,19 @@ R. Border, J. D. Gammell, P. Newman, "Surface Edge Explorer (SEE): planning next
 observations", ICRA 2018; R. Border, J. D. Gammell, "The Surface Edge Explorer (SEE): a measurement-direct approach to
 next best view planning", International Journal of Robotics Research 43 (2024), doi:10.1177/02783649241230098.
 
-A point is a core where at least so many others lie within the resolution radius, else an outlier; outliers with cores
-among their neighbours are the frontier. At each frontier point the neighbours' principal axes give the surface's normal,
-the direction from their middle to the point the way out of what is measured; the view stands at the view distance along
-the normal. A frontier point that was looked at and still is one is looked at again, tilted over the edge. Views that
+A point is a core where at least so many others lie within the resolution radius, else an outlier; an outlier with cores
+beside it is of the frontier. At each such point the neighbours' principal axes give the surface's normal, the
+direction from their middle to the point the way out of what is measured; the view stands at the view distance along the
+normal. A frontier point that was looked at and still is one is looked at again, tilted over the edge. Views that
 known points stand in the way of are turned about the point until none does. Taken is the view nearest to the last one
 (2018), or the one that sees the most frontier points (2024). Left out: filtering of noise, of which the laboratory has
 none.
 """
 
 import numpy as np
-from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from benchmarks.exploring.lab import Known, Lab, NextView, Policy
+from benchmarks.exploring.lab import Known, Lab, Policy
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import looking_at
 
@@ -107,16 +106,16 @@ class _Explorer:
 
     def _sees(self, poses: Floats, at: Floats, normals: Floats) -> Bools:
         """(frontier, poses) whether a view faces each frontier point within field of view and range."""
-        seen = [
-            self._lab.scanner.reject((at - T[:3, 3]) @ T[:3, :3], normals @ T[:3, :3]) == 0 for T in poses
-        ]
+        seen = [self._lab.scanner.reject((at - T[:3, 3]) @ T[:3, :3], normals @ T[:3, :3]) == 0 for T in poses]
         return np.stack(seen, axis=1)
 
 
 def _thinned(known: Known, spacing: float) -> tuple[Floats, Floats]:
     """(P, 3) a point of each cell of a grid, and the unit direction to the source that saw it."""
     points = np.concatenate(known.points)
-    origin = np.concatenate([np.broadcast_to(T[:3, 3], p.shape) for T, p in zip(known.poses, known.points, strict=True)])
+    origin = np.concatenate(
+        [np.broadcast_to(T[:3, 3], p.shape) for T, p in zip(known.poses, known.points, strict=True)]
+    )
     first = np.unique(np.floor(points / spacing).astype(np.int64), axis=0, return_index=True)[1]
     away = origin[first] - points[first]
     return points[first], away / np.linalg.norm(away, axis=1, keepdims=True)

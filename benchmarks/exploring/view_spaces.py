@@ -31,7 +31,9 @@ def _cylinder(lab: Lab, count: int, standoff: float) -> Floats:
         outs.append(np.tile([0.0, 0.0, sign], (n, 1)))
     turn, z = _GOLDEN * np.arange(side), height * ((np.arange(side) + 0.5) / max(side, 1) - 0.5)
     out = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(side)])
-    return _looking(np.concatenate([*targets, radius * out + z[:, None] * [0, 0, 1]]), np.concatenate([*outs, out]), standoff)
+    return _looking(
+        np.concatenate([*targets, radius * out + z[:, None] * [0, 0, 1]]), np.concatenate([*outs, out]), standoff
+    )
 
 
 def _looking(targets: Floats, outward: Floats, distance: float) -> Floats:
