@@ -1,78 +1,72 @@
-"""Explorations of built-in parts: true coverage and views beside the plan that knows the model, contacts, seconds.
+"""Next views of a part without a model: the stepwise policy beside rivals that were written from their publications.
 
-SCAN_CELL_PARTS (default "mug,petanque") names the parts, SCAN_CELL_SEEDS (default 1) is the number of seeds. Contact is
-judged by `benchmarks.triangle_cell`, true triangles in python-fcl at every sample of the motions.
+Without an arm (the choice of views alone) and, with SCAN_CELL_ARM=1, held by the default cell's arm, with seconds of
+motion. Equal first view, scanner, voxels, budget. SCAN_CELL_PARTS names built-in parts (default "mug,petanque"),
+SCAN_CELL_MESHES a folder of others, of which SCAN_CELL_PARTS names some; SCAN_CELL_SEEDS (default 3) is the number of
+seeds. SCAN_CELL_TUNE=1 runs every setting of the rivals with seed 0 instead.
 """
 
 import os
 import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from time import process_time
 from typing import Any
 
-from benchmarks.triangle_cell import TriangleCell
-from cell.explore.explore import explore
-from cell.explore.options import ExploreOptions
-from cell.explore.policies import POLICIES
-from cell.narrator import Quiet
-from cell.run import reader
-from cell.run.cell import world_of
-from cell.run.explore_json import ExploreFile
-from cell.run.record import open_finished
-from cell.scan.options import ScanOptions
-from cell.scene.option import read
-from cell.scene.options import scene_of
+import numpy as np
 
-_AFTER = (5, 10, 15)  # views
+from benchmarks.exploring import chart as charts
+from benchmarks.exploring.lab import Lab, Policy, explored
+from benchmarks.exploring.policies import POLICIES, RIVALS
+from benchmarks.parts import parts
+
+VIEWS = 15
+AFTER = (5, 10, 15)
 
 
 def run() -> list[dict[str, Any]]:
     """One row for each part, policy and seed."""
-    parts = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
-    seeds = range(int(os.environ.get("SCAN_CELL_SEEDS", "1")))
-    return [_row(part, policy, seed) for part in parts for policy in POLICIES for seed in seeds]
-
-
-def _row(part: str, policy: str, seed: int) -> dict[str, Any]:
+    wanted = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
+    seeds, arm = int(os.environ.get("SCAN_CELL_SEEDS", "3")), bool(os.environ.get("SCAN_CELL_ARM"))
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
-        out, began = Path(folder) / "explored", process_time()
-        scene = scene_of(None, {"place": (1200, 500, 0), "seed": seed}, part)
-        options = read(ExploreOptions, {"policy": policy})
-        file = explore(scene, options, ScanOptions(), out=out, argv=(), narrator=Quiet())
-        seconds, known = process_time() - began, file.truth
-        assert known is not None
-        checked, contacts = _judged(out, file)
-    return {
-        "part": part,
-        "policy": policy,
-        "seed": seed,
-        "batches": len(file.stages),
-        "views": file.views,
-        "visible %": round(100 * known.visible, 2),
-        **{f"after {n} %": _share(known.by_views, n) for n in _AFTER},
-        "coverable %": round(100 * known.coverable, 2),
-        "known views": known.known_model_views,
-        "known %": round(100 * known.known_model_visible, 2),
-        "fewest": known.fewest,
-        "motion s": round(sum(stage.seconds for stage in file.stages), 1),
-        "checked": checked,
-        "contacts": contacts,
-        "nearest mm": round(known.nearest_mm, 1),
-        "cpu s": round(seconds, 1),
-    }
+        for name, words in parts(Path(folder)):
+            if name.removesuffix(" (file)") in wanted:
+                lab = Lab.of(words[0], *words[2:], arm=arm)
+                rows += list(_rows(name, lab, seeds))
+    return rows
 
 
-def _share(by_views: tuple[float, ...], n: int) -> float:
-    return round(100 * by_views[min(n, len(by_views)) - 1], 2)
+def chart(rows: Sequence[dict[str, Any]], folder: Path) -> None:
+    """Coverage over views and, with an arm, over seconds of motion."""
+    charts.draw(rows, folder / "explore.png")
 
 
-def _judged(out: Path, file: ExploreFile) -> tuple[int, int]:
-    """Configurations along all motions, and those in which triangles meet, the true part in its place."""
-    truth = open_finished(out / "truth")
-    part = reader.mesh(truth, "reference.ply")
-    judge, checked, found = TriangleCell(world_of(truth, part), part), 0, 0
-    for stage in file.stages:
-        q = reader.motion(open_finished(out / stage.folder)).q
-        checked += len(q)
-        found += sum(judge.contacts(q).values())
-    return checked, found
+def _rows(part: str, lab: Lab, seeds: int) -> Iterator[dict[str, Any]]:
+    ceiling = lab.ceiling()
+    for name, policy, seed in _asked(seeds):
+        began = process_time()
+        known, by_views = explored(lab, policy, seed, VIEWS)
+        shares = [round(100 * float(by_views[min(n, len(by_views)) - 1]), 2) for n in AFTER]
+        seconds = [] if lab.arm is None else lab.arm.seconds(known.poses).round(2).tolist()
+        yield {
+            "part": part,
+            "policy": name,
+            "seed": seed,
+            "views": len(known.poses),
+            **{f"after {n} %": share for n, share in zip(AFTER, shares, strict=True)},
+            "ceiling %": round(100 * ceiling, 2),
+            **({"motion s": seconds[-1]} if seconds else {}),
+            "cpu s": round(process_time() - began, 1),
+            "by views": np.round(100 * by_views, 3).tolist(),
+            "seconds": seconds,
+        }
+
+
+def _asked(seeds: int) -> Iterator[tuple[str, Policy, int]]:
+    if os.environ.get("SCAN_CELL_TUNE"):
+        yield from (
+            (f"{name}: {each}", make(each), 0) for name, (make, settings) in RIVALS.items() for each in settings
+        )
+    else:
+        yield from ((name, policy, seed) for name, policy in POLICIES.items() for seed in range(seeds))

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from cell.calibrate.mounted import Mounted
     from cell.calibrate.options import HandEye
     from cell.edit.editable import EditableRun
+    from cell.explore.exploration import Exploration
+    from cell.explore.options import ExploreOptions
     from cell.locate.located import Located
     from cell.locate.options import Locating
     from cell.narrator import Narrator
@@ -40,7 +42,9 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 """Told `(stage, done, total)` while work goes on; what it raises ends the work. A stage begins with (0, 0)."""
 
-__all__ = ["Progress", "hand_eye", "locate", "open_run", "plan", "plan_setups", "scan", "scan_setups"]
+__all__ = [
+    "Progress", "explore", "hand_eye", "locate", "open_run", "plan", "plan_setups", "scan", "scan_setups"
+]  # fmt: skip
 
 
 def plan(
@@ -223,6 +227,55 @@ def scan_setups(
     wanted = read(ScanOptions, wishes) if options is None else options
     where = Path(folder) if isinstance(folder, str | Path) else folder.folder
     return scanned(where, wanted, setup=setup, resumed=resume, argv=argv, narrator=_narrator(progress), ask=ask)
+
+
+def explore(
+    part: "str | Path | Scene | None" = None,
+    options: "ExploreOptions | None" = None,
+    *,
+    scanning: "ScanOptions | None" = None,
+    scene: "str | Path | None" = None,
+    out: "str | Path | None" = None,
+    progress: "Progress | Narrator | None" = None,
+    argv: Sequence[str] = (),
+    ask: "Ask | None" = None,
+    **wishes: object,
+) -> "Exploration":
+    """Measure a part that nobody has a model of, a batch of views at a time (docs/explore.md).
+
+    Args:
+        part: what stands in the cell: mesh file, built-in part by name, or a whole checked scene. In simulation it is
+            hidden from the planning; elsewhere its mesh is not read. None takes the scene's part.
+        options: of the exploration, as one value; None makes it of the wishes.
+        scanning: of each batch's execution, as one value; None makes it of the wishes.
+        scene: scene file (TOML); None is the built-in scene.
+        out: folder to make, or to go on in where an exploration of the same options was stopped; None makes one below
+            sim_runs/.
+        progress: told how far the work is; None works in silence.
+        argv: kept in the manifests beside the options.
+        ask: puts a question to a person, for real controllers; None where nobody is there.
+        **wishes: options of `cell explore` by name: `place=(1200, 500, 0)`, `policy="two-stage"`, `max_views=12`.
+
+    Raises:
+        CellError: in one sentence; what was finished stays in the folder.
+    """
+    from datetime import UTC, datetime
+
+    from cell.explore.exploration import Exploration
+    from cell.explore.explore import explore as run
+    from cell.explore.options import OF_SCAN, ExploreOptions
+    from cell.scan.options import ScanOptions
+    from cell.scene.option import offers, read
+
+    own, of_scan = (
+        {name: wishes.pop(name) for name in names if name in wishes} for names in (offers(ExploreOptions), OF_SCAN)
+    )
+    checked, _ = _scene(part, scene, wishes)
+    wanted = read(ExploreOptions, own) if options is None else options
+    scans = read(ScanOptions, of_scan) if scanning is None else scanning
+    folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
+    file = run(checked, wanted, scans, out=folder, argv=argv, narrator=_narrator(progress), ask=ask)
+    return Exploration(folder, file)
 
 
 def locate(

@@ -198,7 +198,9 @@ _PICTURES = (
     "matplotlib.figure.Figure.savefig", "cell.plan.pictures.cover_curve", "cell.reconstruction.deviation_picture.draw",
     "cell.scan.post_processing.part_and_views", "cell.view.pictures.reasons",
 )  # fmt: skip
-_PAGES = ("cell.view.contents.execution_page", "cell.view.contents.why_page")
+_PAGES = (
+    "cell.view.contents.execution_page", "cell.view.contents.why_page", "cell.view.explore_page.explore_page",
+)  # fmt: skip
 
 
 @contextlib.contextmanager

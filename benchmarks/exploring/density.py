@@ -4,20 +4,19 @@ R. Border, J. D. Gammell, P. Newman, "Surface Edge Explorer (SEE): planning next
 observations", ICRA 2018; R. Border, J. D. Gammell, "The Surface Edge Explorer (SEE): a measurement-direct approach to
 next best view planning", International Journal of Robotics Research 43 (2024), doi:10.1177/02783649241230098.
 
-A point is a core where at least so many others lie within the resolution radius, else an outlier; outliers with cores
-among their neighbours are the frontier. At each frontier point the neighbours' principal axes give the surface's normal,
-the direction from their middle to the point the way out of what is measured; the view stands at the view distance along
-the normal. A frontier point that was looked at and still is one is looked at again, tilted over the edge. Views that
+A point is a core where at least so many others lie within the resolution radius, else an outlier; an outlier with cores
+beside it is of the frontier. At each such point the neighbours' principal axes give the surface's normal, the
+direction from their middle to the point the way out of what is measured; the view stands at the view distance along the
+normal. A frontier point that was looked at and still is one is looked at again, tilted over the edge. Views that
 known points stand in the way of are turned about the point until none does. Taken is the view nearest to the last one
 (2018), or the one that sees the most frontier points (2024). Left out: filtering of noise, of which the laboratory has
 none.
 """
 
 import numpy as np
-from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from benchmarks.exploring.lab import Known, Lab, NextView, Policy
+from benchmarks.exploring.lab import Known, Lab, Policy
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import looking_at
 

@@ -1,6 +1,7 @@
 """A scanner that may stand anywhere that is known to be free, in front of a part that nobody knows.
 
-No robot, no post, no floor: what is compared is the choice of views alone. Every policy begins with the same view, sees
+Without an arm there is no post and no floor: what is compared is the choice of views alone. With one, poses are those
+that it takes up (`arm`). Every policy begins with the same view, sees
 the same voxels (`planner.explore.space`) and the same points, and is judged on the same 100,000 samples of the true
 part. Explored frame, metres: its origin is the cylinder's middle.
 """
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy import ndimage
 
+from benchmarks.exploring.arm import CellArm
 from cell import scanners
 from cell.explore.hidden import Cylinder
 from cell.explore.options import ExploreOptions
@@ -41,6 +43,8 @@ from planner.viewpoints.zone import optimal_scanning_zone
 
 CLEARANCE = 0.01
 """Distance [m] of laser source and sensor from all that was not seen free."""
+
+_SIDES = 200  # that are tried for the first view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +81,8 @@ class Lab:
         unknown: the voxels before anything was seen.
         part: the true part; no policy looks at it.
         samples: of it, on which is judged.
+        caster: of it.
+        arm: that holds the scanner; None: nothing does.
     """
 
     cylinder: Cylinder
@@ -86,20 +92,23 @@ class Lab:
     unknown: VoxelSpace
     part: TriangleMesh
     samples: SurfaceSamples
+    caster: EmbreeRayCaster
+    arm: CellArm | None = None
 
     @classmethod
-    def of(cls, part: str, units: str | None = None) -> "Lab":
-        """A built-in part by name, or a mesh file."""
+    def of(cls, part: str, units: str | None = None, *, arm: bool = False) -> "Lab":
+        """A built-in part by name, or a mesh file, without an arm or with the default cell's."""
         wishes: dict[str, Any] = {"place": (1200, 500, 0), "seed": 0} | ({} if units is None else {"units": units})
         scene = scene_of(None, wishes, part)
         work = prepared(scene, ExploreOptions(), ScanOptions(), Path(), (), Quiet(), None)
         known = workpiece.load(scene.part.source, scene.part.units)
         settings = resolve(work.scene, known)
         assert work.hidden is not None
-        mesh = work.hidden.mesh
+        mesh, scanner = work.hidden.mesh, scanners.make(work.scene.scanner.type, settings.scanner)
+        samples = held_out(mesh, decimate(mesh, min(settings.faces, len(mesh.faces))), 0)
         return cls(
-            work.cylinder, scanners.make(work.scene.scanner.type, settings.scanner), work.eye, settings, work.unknown,
-            mesh, held_out(mesh, decimate(mesh, min(settings.faces, len(mesh.faces))), 0),
+            work.cylinder, scanner, work.eye, settings, work.unknown, mesh, samples,
+            EmbreeRayCaster(mesh.vertices, mesh.faces), CellArm.of(work, settings, scanner) if arm else None,
         )  # fmt: skip
 
     @property
@@ -109,22 +118,38 @@ class Lab:
 
     def first_view(self, rng: Generator) -> Floats:
         """(4, 4) of the view that all begin with: level, from a random side, at the middle of the range or farther."""
-        turn = rng.uniform(0, 2 * np.pi)
-        out = np.array([[np.cos(turn), np.sin(turn), 0.0]])
-        distance = max(self.middle_range, self.cylinder.radius + self.eye.near)
-        return np.asarray(looking_at(np.zeros((1, 3)), out, np.array([-1]), [distance], [0.0]).T_object_scanner[0, 0])
+        distance, free = max(self.middle_range, self.cylinder.radius + self.eye.near), self.free(self.unknown)
+        for _ in range(_SIDES):
+            turn = rng.uniform(0, 2 * np.pi)
+            out = np.array([[np.cos(turn), np.sin(turn), 0.0]])
+            T = looking_at(np.zeros((1, 3)), out, np.array([-1]), [distance], [0.0]).T_object_scanner[:, 0]
+            if free(T)[0]:
+                return np.asarray(T[0])
+        raise RuntimeError("no level view of the cylinder's middle can be taken here")
 
     def free(self, space: VoxelSpace) -> Callable[[Floats], Bools]:
-        """Tells at which of (n, 4, 4) poses source and sensor keep `CLEARANCE` from all that was not seen free."""
-        away = ndimage.distance_transform_edt(space.state == FREE) * space.edge
-        return lambda T: np.asarray(
-            np.min([space.at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in (self.eye.source, self.eye.sensor)], axis=0)
-            >= CLEARANCE
-        )  # fmt: skip
+        """Tells at which of (n, 4, 4) poses the scanner can stand.
+
+        Source and sensor keep `CLEARANCE` from all that was not seen free, to within two voxels; an arm, where there is
+        one, takes the pose up.
+        """
+        halves = (space.state != FREE).reshape([n for whole in space.state.shape for n in (whole // 2, 2)])
+        away = ndimage.distance_transform_edt(~halves.any(axis=(1, 3, 5))) * 2 * space.edge
+        away = away.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        ends = (self.eye.source, self.eye.sensor)
+
+        def stands(T: Floats) -> Bools:
+            near = np.min([space.at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in ends], axis=0)
+            found = np.asarray(near >= CLEARANCE)
+            if self.arm is not None:
+                found[found] = self.arm.takes_up(T[found])
+            return found
+
+        return stands
 
     def look(self, known: Known, T: Floats) -> Known:
         """What is known after a view from (4, 4)."""
-        points = virtual_scan.scan(self.scanner, T, self._caster(), self.part).points
+        points = virtual_scan.scan(self.scanner, T, self.caster, self.part).points
         eye, source, sensor = self.eye, *(T[:3, :3] @ at + T[:3, 3] for at in (self.eye.source, self.eye.sensor))
         space = known.space.seen_from(points, [source, sensor]) if len(points) else known.space
         space = space.judged_from(points, source, eye.blank(points, T), eye.near, eye.far)
@@ -132,7 +157,7 @@ class Lab:
 
     def by_views(self, poses: tuple[Floats, ...]) -> Floats:
         """(n,) visible coverage after each of the views, share of the true surface."""
-        seen = measured(np.stack(poses)[:, None], self.samples, self.scanner, (self._caster(),), each=True)
+        seen = measured(np.stack(poses)[:, None], self.samples, self.scanner, (self.caster,), each=True)
         return np.cumsum(added(seen))
 
     def ceiling(self) -> float:
@@ -144,7 +169,7 @@ class Lab:
         space = replace(self.unknown, state=np.full_like(self.unknown.state, FREE))
         free = self.free(space.seen_from(self.samples.points, []))
         scouts = sample(self.part, planning, growth.SCOUTS, np.random.default_rng(0))
-        poses, casters = self.candidates(planning, scouts, (self._caster(),), free), (self._caster(),)
+        poses, casters = self.candidates(planning, scouts, (self.caster,), free), (self.caster,)
         seen = measured(poses[:, None], self.samples, self.scanner, casters)
         return float(self.samples.areas[seen].sum() / self.samples.areas.sum())
 
@@ -159,12 +184,6 @@ class Lab:
         arm = growth.Arm(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
         grown = growth.grow(Targets.of(scouts.points, scouts.normals), seen, arm)
         return np.concatenate([zone, grown.T_object_scanner])
-
-    def _caster(self) -> EmbreeRayCaster:
-        return _CASTERS.setdefault(id(self.part), EmbreeRayCaster(self.part.vertices, self.part.faces))
-
-
-_CASTERS: dict[int, EmbreeRayCaster] = {}
 
 
 def explored(lab: Lab, policy: Policy, seed: int, views: int) -> tuple[Known, Floats]:

@@ -36,7 +36,7 @@ class _Ours:
             self._record = self._record.with_stage(space.tries_at(rows.points), shares, seen)
             space = space.tried(rows.points[space.open_still(rows.points, rows.normals)])
             self._tries = space.tries
-        mesh = belief.part_of(space, "part").reference
+        mesh = belief.surface_of(space)
         planning = decimate(mesh, min(lab.settings.faces, len(mesh.faces)))
         asked = Asked(space, self._record, Batch(1), 0.0)
         rows, scouts = (_open(sample(mesh, planning, _DRAWN, self._rng), asked) for _ in range(2))

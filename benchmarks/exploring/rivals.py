@@ -4,8 +4,6 @@ Each is a function of a view space (`view_spaces`) that gives a policy. What the
 out here, because the laboratory has no use for it, stands in each docstring.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.random import Generator
 
@@ -82,14 +80,6 @@ def volumetric(space: str) -> Policy:
         return next_view
 
     return begun
-
-
-RIVALS: dict[str, tuple[Callable[[str], Policy], tuple[str, ...]]] = {
-    "uniform": (uniform, tuple(VIEW_SPACES)),
-    "random": (random, tuple(VIEW_SPACES)),
-    "volumetric": (volumetric, tuple(VIEW_SPACES)),
-}
-"""Name -> the policy of a setting, and the settings that it is tuned over."""
 
 
 def _unknown_along(lab: Lab, known: Known, T: Floats, rays: Floats) -> int:

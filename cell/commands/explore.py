@@ -2,7 +2,6 @@
 
 import json
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -47,20 +46,18 @@ def explore(
     PART stands in the cell and is hidden from the planning; in simulation the truth is told beside. --max-views is the
     budget of views.
     """
+    from cell import api
     from cell.commands.terminal import Terminal
-    from cell.explore import report
-    from cell.explore.explore import explore as run
 
     terminal = Terminal(quiet_stdout=as_json)
     checked = scene_of(scene, wishes, part, flag)
-    folder = out or Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     ask = terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
     scans = read(ScanOptions, scanning, flag)
-    file = run(checked, options, scans, out=folder, argv=sys.argv[1:], narrator=terminal, ask=ask)
+    done = api.explore(checked, options, scanning=scans, out=out, progress=terminal, argv=sys.argv[1:], ask=ask)
     if as_json:
-        sys.stdout.write(json.dumps(file.as_json(), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(done.file.as_json(), indent=2, allow_nan=False) + "\n")
         return
-    terminal.pairs(f"Exploration of {file.part}", [*report.table(file), ("folder", str(folder))])
-    if file.model_middle_mm is not None:
-        place = ",".join(f"{value:g}" for value in file.model_middle_mm)
-        terminal.then(("cell", "plan", folder / file.model, "--units", "mm", "--place", place))
+    terminal.pairs(f"Exploration of {done.file.part}", [*done.file.rows(), ("folder", str(done.folder))])
+    if done.place is not None:
+        place = ",".join(f"{value:g}" for value in done.place)
+        terminal.then(("cell", "plan", done.folder / done.file.model, "--units", "mm", "--place", place))

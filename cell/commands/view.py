@@ -14,6 +14,7 @@ EPILOG = (
     "cell view sim_runs/trial/executions/0001 --out scan.html --no-open\n\n"
     "cell view my_cell.toml --watch\n\n"
     "cell view sim_runs/study-place\n\n"
+    "cell view sim_runs/explore-20261122T101500Z\n\n"
     "A run is never changed: where its folder has no page, or --out is given, the page is written elsewhere. The file "
     "needs no server and no network.\n\n"
     "Exit codes: 0 done, 2 usage or scene, 6 files or run folder, 70 bug, 130 Ctrl-C."
@@ -24,8 +25,8 @@ def view(
     what: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[SCENE | RUN | EXECUTION | STUDY]",
-            help="Scene file, run folder, executions/<id> of one, folder of a study or of "
+            metavar="[SCENE | RUN | EXECUTION | EXPLORATION | STUDY]",
+            help="Scene file, run folder, executions/<id> of one, or folder of an exploration, of a study or of "
             "cell setups. Default: the built-in scene.",
             show_default=False,
         ),
@@ -38,7 +39,7 @@ def view(
         bool, typer.Option("--watch", help="Draw a scene again whenever its file is saved; ends with Ctrl-C.")
     ] = False,
 ) -> None:
-    """See a scene, a plan, an execution or a study in the browser: one file, with robot, views and motion in it."""
+    """See a scene, plan, execution, exploration or study in the browser: a file with robot, views and motion."""
     from cell.commands.terminal import Terminal
     from cell.view import looking
 

@@ -14,13 +14,11 @@ from cell.explore.hidden import Cylinder, with_stand
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.run import ply
+from cell.run.explore_json import UNSEEN
 from cell.scene.scene import MeshFixture, Scene
 from planner.explore.space import FREE, VoxelSpace
 from planner.surface.mesh import TriangleMesh
 from planner.values import Bools
-
-UNSEEN = "unseen"
-"""The fixture of a stage that is the space not seen free: it collides, and hides nothing."""
 
 _TIGHT, _SMOOTH = 0.75, 0.7  # of an edge: the believed surface's distance, and how far the distances are smoothed
 _WHOLE = 0.87  # of an edge: half of a voxel's diagonal, so that its corners are inside
@@ -33,9 +31,14 @@ def part_of(space: VoxelSpace, name: str) -> Workpiece:
         space: what is known.
         name: of the part.
     """
-    mesh = _about(space, space.believed(), _TIGHT, _SMOOTH)
+    mesh = surface_of(space)
     believed = workpiece.from_arrays(f"{name} as believed", mesh.vertices, mesh.faces, "m")
     return replace(believed, findings=())  # its bodies are no news
+
+
+def surface_of(space: VoxelSpace) -> TriangleMesh:
+    """The believed surface, explored frame [m]."""
+    return _about(space, space.believed(), _TIGHT, _SMOOTH)
 
 
 def write_unseen(space: VoxelSpace, path: Path) -> None:

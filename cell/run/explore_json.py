@@ -8,6 +8,9 @@ from cell.run.json_table import JsonTable, Triple, optional, parsed
 
 NAME = "explore.json"
 
+UNSEEN = "unseen"
+"""The fixture of a stage that is the space not seen free: it collides, and hides nothing."""
+
 
 class ExploredCylinder(JsonTable):
     """The upright cylinder that holds the part; its middle is the origin of the explored frame."""
@@ -90,6 +93,32 @@ class ExploreFile(JsonTable):
     def views(self) -> int:
         """Views that were scanned."""
         return sum(stage.views for stage in self.stages)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What the command, the report and the page show of it, once a stage is finished."""
+        last = self.stages[-1]
+        rows = [
+            ("views", f"{self.views} in {len(self.stages)} batches ({self.policy})"),
+            ("motion", f"{sum(stage.seconds for stage in self.stages):.1f} s"),
+            ("ended", self.ended),
+            ("stays open", f"{100 * last.open_mm2 / last.surface_mm2:.2f} % of the believed surface"),
+        ]
+        rows += [("", f"{reason.area_mm2:.0f} mm2: {reason.reason}") for reason in self.open[:4]]
+        if (known := self.truth) is not None:
+            rows += [
+                (
+                    "visible coverage",
+                    f"{100 * known.visible:.2f} % of the true surface, of which reachable candidates of the true model "
+                    f"measure {100 * known.coverable:.2f} %",
+                ),
+                (
+                    "with the model",
+                    f"{known.known_model_views} views would have measured {100 * known.known_model_visible:.2f} %",
+                ),
+                ("fewest views", f"{known.fewest} at least for this coverage, for these candidates and samples"),
+                ("nearest", f"{known.nearest_mm:.1f} mm ({known.nearest}), the true part in place"),
+            ]
+        return rows
 
 
 def read(path: Path) -> ExploreFile:

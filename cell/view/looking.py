@@ -1,4 +1,4 @@
-"""`cell view`: the page of a scene, a run, an execution or a study; written where nothing is changed, and opened."""
+"""`cell view`: the page of a scene, a run, an execution, an exploration or a study; never written into a run."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.run.executed import open_execution
 from cell.run.executions import FOLDER, read_execution
+from cell.run.explore_json import NAME as EXPLORATION
 from cell.run.record import open_run
 from cell.run.scene_json import ScannerKeys
 from cell.scene.scene import Scene, load_scene
 from cell.view.contents import NAME, execution_page, run_page
+from cell.view.explore_page import explore_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned
 from cell.view.pieces import cell_of_world
 from cell.view.study_page import study_page
@@ -29,10 +31,10 @@ _WITHOUT_PART = "the page shows the last scene that could be read"
 
 
 def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
-    """The page of a scene file, a run, an execution or a study: the one in its folder, else one that is made.
+    """The page of a scene file, run, execution, exploration or study: the one in its folder, else one that is made.
 
     Args:
-        what: scene file, or folder of a run, an execution or a study; None is the built-in scene.
+        what: scene file, or folder of a run, an execution, an exploration or a study; None is the built-in scene.
         out: file to write; None writes a temporary one.
         narrator: is told what goes on.
 
@@ -44,6 +46,8 @@ def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
     with narrator.stage("draw the page"):
         if what is not None and (what / "study.json").is_file():
             text = study_page(what)
+        elif what is not None and (what / EXPLORATION).is_file():
+            text = explore_page(what)
         elif what is None or not what.is_dir():
             text = html_of(*scene_page(load_scene(what)))
         elif what.absolute().parent.name == FOLDER:

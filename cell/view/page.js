@@ -322,6 +322,8 @@ for (const [name, entry] of shown) {
 }
 data.views.forEach((view, k) => { element("button", view.number, byId("numbers")).onclick = () => select(k === chosen ? -1 : k); });
 byId("of-view").hidden = !data.views.length;
+byId("of-curve").hidden = !data.curve;
+if (data.curve) byId("curve").src = data.curve;
 for (const [name, value] of data.rows) { element("dt", name, byId("report")); element("dd", value, byId("report")); }
 byId("of-report").hidden = !data.rows.length;
 for (const text of data.next) element("code", command(text), byId("next"));

@@ -97,6 +97,7 @@ class Play:
         notes: sentences.
         next: commands that go on from here; RUN stands for the run folder, EXECUTION for the name of the page's.
         inside: how many folders below its run folder the page lies; None: anywhere else.
+        curve: picture of coverage over views, as a data URL; "": none.
     """
 
     views: Sequence[View] = ()
@@ -107,6 +108,7 @@ class Play:
     notes: Sequence[str] = ()
     next: Sequence[str] = ()
     inside: int | None = None
+    curve: str = ""
 
 
 def html_of(stage: Stage, play: Play) -> str:
@@ -120,16 +122,29 @@ def first_half(stage: Stage) -> str:
     Raises:
         CellError: if trimesh's viewer is not the one that this version knows.
     """
+    may = (
+        f"script-src 'unsafe-inline'{' file:' if stage.watched else ''}; style-src 'unsafe-inline'; img-src data: blob:"
+    )
     return filled(
         text("page.html").partition("$PLAY")[0],
-        WATCHED=" file:" if stage.watched else "", TITLE=html.escape(stage.title), THREE=three(),
-        CSS=text("look.css") + text("page.css"), STAGE=_json(_stage(stage)),
+        HEAD=head(stage.title, "page.css", may), THREE=three(), STAGE=_json(_stage(stage)),
     )  # fmt: skip
 
 
 def second_half(play: Play) -> str:
     """The rest of the file."""
     return _json(_play(play)) + filled(text("page.html").partition("$PLAY")[2], SCRIPT=text("page.js"))
+
+
+def head(title: str, css: str, may: str) -> str:
+    """The head of a page.
+
+    Args:
+        title: in the browser's tab.
+        css: file of its own looks, behind those of all pages.
+        may: what the page may do, as a content security policy says it; all else is forbidden.
+    """
+    return filled(text("head.html"), MAY=may, TITLE=html.escape(title), CSS=text("look.css") + text(css))
 
 
 def filled(template: str, **values: str) -> str:

@@ -10,7 +10,7 @@ from pydantic import JsonValue, model_validator
 
 from cell.errors import FileError
 from cell.run.json_table import JsonTable, parsed
-from cell.view.page import filled, text
+from cell.view.page import filled, head, text
 
 
 class StudyFile(JsonTable):
@@ -54,12 +54,8 @@ def study_page(folder: Path) -> str:
     parts += [*pictures, *_table(study)]
     reasons = [f"<li>{html.escape(str(each.get('reason', '')))}</li>" for each in study.failed]
     parts += ["<h2>Trials that failed</h2><ul>", *reasons, "</ul>"] if reasons else []
-    return filled(
-        text("study.html"),
-        CSS=text("look.css") + text("study.css"),
-        TITLE=html.escape(study.title or study.name),
-        BODY="\n".join(parts),
-    )
+    top = head(study.title or study.name, "study.css", "style-src 'unsafe-inline'; img-src data:")
+    return filled(text("study.html"), HEAD=top, BODY="\n".join(parts))
 
 
 def _picture(path: Path) -> str:

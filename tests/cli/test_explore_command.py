@@ -1,16 +1,20 @@
 """`cell explore` end to end on the small part: what is on disk, the same bytes again, the truth, what is refused."""
 
+import base64
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.triangle_cell import TriangleCell
+from cell.errors import FileError
 from cell.explore.hidden import Hidden
 from cell.part import workpiece
 from cell.plan import curve
@@ -18,6 +22,7 @@ from cell.run import explore_json, reader
 from cell.run.cell import world_of
 from cell.run.record import open_finished
 from cell.scene.options import scene_of
+from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.surface.closest import NearestSurface
 
@@ -221,3 +226,37 @@ def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
     assert done.returncode == 6, done.stderr
     assert "outside the cylinder" in done.stderr
     assert explore_json.read(tmp_path / "new" / "explore.json").stages == ()
+
+
+@pytest.mark.usefixtures("drawn_pictures")
+def test_the_page_shows_the_views_in_order_and_what_each_brought(
+    explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    data_of: Callable[[str], dict[str, Any]],
+) -> None:  # fmt: skip
+    """Views of all batches on one motion, their additions as in explore.json, colours by view, the curve as a picture.
+
+    It is the same page each time, and asks for nothing from outside. An exploration that knows no truth has one too.
+    """
+    done = run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    page, file = (tmp_path / "page.html").read_text(), explore_json.read(explored / "explore.json")
+    assert page == explore_page(explored)
+    assert not re.search(r'(src|href)="(?!data:)', page.partition("</head>")[0])
+    shown = data_of(page)
+    assert [view["number"] for view in shown["views"]] == ["1", "2", "3", "4", "5"]
+    times = [view["time"] for view in shown["views"]]
+    assert times == sorted(times)
+    assert times[-1] < sum(stage.seconds for stage in file.stages)
+    assert file.truth is not None
+    added = np.diff([0.0, *file.truth.by_views])
+    assert [dict(view["rows"])["adds"].split(" %")[0] for view in shown["views"]] == [f"{100 * a:.2f}" for a in added]
+    assert "unseen" not in {piece["name"] for piece in shown["pieces"]}
+    layer = shown["surfaces"][0]["layers"][0]
+    assert (layer["kind"], layer["width"]) == ("views", 1)
+    seen = np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8)
+    assert (seen > 0).mean() > 0.7  # what closes holes has no point beside it
+    assert base64.b64decode(shown["curve"].partition("base64,")[2]).startswith(b"\x89PNG")
+    blind = explore_page(explored, file.model_copy(update={"truth": None}))
+    assert [len(view["rows"]) for view in data_of(blind)["views"]] == [2] * 5
+    with pytest.raises(FileError, match="no finished batch yet"):
+        explore_page(explored, file.model_copy(update={"stages": ()}))

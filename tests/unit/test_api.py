@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.api import open_run, plan, scan
+from cell.api import explore, open_run, plan, scan
 from cell.edit.editable import EditableRun
 from cell.errors import FileError, SceneError, UsageError
 from cell.run.planned import PlannedRun
@@ -143,3 +143,22 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = names["run"]
     assert isinstance(run, PlannedRun)
     assert run.folder == Path("trial")
+
+
+def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:
+    """Options of exploration, execution and scene are keywords; the same call again gives the same value.
+
+    Its surface lies within the cylinder, and the plans of its batches are those that were driven.
+    """
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
+    ball.export(tmp_path / "ball.stl")
+    wishes = {**_QUICK, "ring": 2, "max_views": 2, "resolution": 2.0, "voxel": 4, "candidates": "optimal-scanning-zone"}
+    del wishes["coverage"]
+    done = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes)
+    assert [len(stage.q) for stage in done.stages] == [2]
+    assert [stage.digest for stage in done.stages] == [stage.digest for stage in done.file.stages]
+    assert done.mesh is not None
+    assert np.abs(done.mesh.vertices).max() < 0.07
+    assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes) == done
+    with pytest.raises(UsageError, match="is an exploration with other options"):
+        explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **{**wishes, "seed": 4})

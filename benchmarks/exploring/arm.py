@@ -1,0 +1,72 @@
+"""The cell's arm in the laboratory: which poses it takes up beside the unseen cylinder, and how long it moves.
+
+A pose counts where a joint solution keeps the clearance from the whole cylinder, from post, pedestal and itself; moves
+are timed as straight joint moves to the nearest solution, from home on. What stands in the way *between* poses is not
+asked: the seconds compare policies, and are less than those of `cell explore`, which goes home after each batch.
+"""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cell.explore import belief
+from cell.explore.prepare import Exploring
+from cell.robot.arm import kinematics_of
+from cell.robot.model import home
+from cell.scanners import baseline_mm
+from cell.scene.resolve import Settings
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import World, compile_world
+from planner.ports import CollisionChecker, Kinematics, Scanner
+from planner.reach import reach
+from planner.timing.motion import move_time
+from planner.values import Bools, Floats
+from planner.viewpoints.viewpoints import standing_at
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellArm:
+    """The arm in the cell, the part's cylinder being an obstacle as a whole."""
+
+    world: World
+    checker: CollisionChecker
+    kinematics: Kinematics
+    _asked: dict[bytes, bool] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, work: Exploring, settings: Settings, scanner: Scanner) -> "CellArm":
+        """The cell of the first stage of an exploration."""
+        believed = belief.part_of(work.unknown, work.name)
+        with tempfile.TemporaryDirectory() as folder:
+            unseen = Path(folder) / "unseen.ply"
+            belief.write_unseen(work.unknown, unseen)
+            scene = belief.scene_of(work.scene, work.cylinder, believed, unseen)
+            mesh = believed.reference
+            baseline = baseline_mm(settings.scanner, scanner)
+            world = compile_world(scene, mesh.vertices, part_faces=mesh.faces, baseline_mm=baseline)
+        return cls(world, MujocoCollisionChecker(world), kinematics_of(world.model))
+
+    def takes_up(self, poses: Floats) -> Bools:
+        """Which of (n, 4, 4) poses [m] the arm takes up."""
+        names = [T.tobytes() for T in poses]
+        new = [row for row, name in enumerate(names) if name not in self._asked]
+        if new:
+            T_base_object, mount = self.world.T_base_object, self.world.T_flange_scanner
+            found = reach.takes_up(poses[new][:, None], T_base_object, mount, self.kinematics, self.checker)
+            self._asked.update(zip([names[row] for row in new], found.tolist(), strict=True))
+        return np.array([self._asked[name] for name in names], dtype=np.bool_)
+
+    def seconds(self, poses: Sequence[Floats]) -> Floats:
+        """(n,) seconds of motion until each of the poses is reached."""
+        views = standing_at(np.stack(poses), np.zeros((len(poses), 3)), np.full(len(poses), -1))
+        world, found = self.world, []
+        reached = reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
+        q = home(world.model)
+        for view in range(len(views)):
+            times = move_time(q, reached.q_of(view), self.kinematics.limits)
+            found.append(float(times.min()))
+            q = reached.q_of(view)[int(np.argmin(times))]
+        return np.cumsum(found)

@@ -1,0 +1,57 @@
+"""Coverage over views and over seconds of motion: a column for each part, a line for each policy, a band over seeds."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from cell.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE
+
+_COLOURS = {"stepwise": BLUE, "uniform": GREEN, "random": GREY, "volumetric": ORANGE, "density": PURPLE}
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Draw the picture.
+
+    Args:
+        rows: of the benchmark.
+        path: the PNG to write.
+    """
+    names = list(dict.fromkeys(row["part"] for row in rows))
+    timed = any(row["seconds"] for row in rows)
+    figure = Figure(figsize=(3.1 * len(names) + 0.6, 5.6 if timed else 3.3), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2 if timed else 1, len(names), squeeze=False, sharey=True)
+    for column, name in enumerate(names):
+        mine = [row for row in rows if row["part"] == name]
+        for over, axes in enumerate(panels[:, column]):
+            _panel(axes, mine, over == 1)
+        panels[0, column].set_title(name, fontsize=9.5, loc="left")
+    panels[0, 0].set_ylim(0, 102)
+    for axes, label in zip(panels[:, 0], ("views", "seconds of motion"), strict=False):
+        axes.set_ylabel(f"visible coverage [%] over {label}", fontsize=8.5)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False)
+    figure.savefig(path, metadata={"Software": "scan-cell"})
+
+
+def _panel(axes: Axes, rows: Sequence[dict[str, Any]], timed: bool) -> None:
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        mine = [row for row in rows if row["policy"] == policy]
+        most = max(len(row["by views"]) for row in mine)
+        x = np.linspace(0, max(row["seconds"][-1] for row in rows), 200) if timed else np.arange(1, most + 1)
+        curves = [
+            np.concatenate([[0.0], row["by views"]])[np.searchsorted(row["seconds"], x, side="right")]
+            if timed else np.pad(row["by views"], (0, most - len(row["by views"])), mode="edge")
+            for row in mine
+        ]  # fmt: skip
+        colour = _COLOURS.get(policy.split(":")[0], GREY)
+        axes.fill_between(x, np.min(curves, axis=0), np.max(curves, axis=0), color=colour, alpha=0.15, lw=0)
+        axes.plot(x, np.mean(curves, axis=0), color=colour, lw=1.6, label=policy)
+    axes.axhline(rows[0]["ceiling %"], color="0.5", lw=0.8, ls=":", label="what some pose measures")
+    axes.grid(color="0.92", lw=0.6)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)

@@ -1,0 +1,111 @@
+"""The page of an exploration: the explored mesh, the views in order with what each brought, coverage over views."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import accumulate, pairwise
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cell.errors import FileError
+from cell.run import ply
+from cell.run import reader as run_reader
+from cell.run import timeline as timelines
+from cell.run.executions import RecordedScan, read_execution
+from cell.run.explore_json import NAME, UNSEEN, ExploreFile, read
+from cell.run.record import RunRecord, file_bytes, open_finished
+from cell.view import coverage_curve, rays
+from cell.view.packed import Layer
+from cell.view.page import Play, Shown, Stage, View, html_of, thinned
+from cell.view.pieces import cell_of_run
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+
+_BESIDE = 2.0  # edges of a voxel from a point of a view to surface that counts as measured by it
+_SIDE = (-60, 35)  # from where the part is seen at first: azimuth and elevation [deg]
+
+
+def explore_page(folder: Path, file: ExploreFile | None = None) -> str:
+    """The page of an exploration, finished or not.
+
+    Args:
+        folder: of it.
+        file: its explore.json; None reads it.
+
+    Raises:
+        FileError: if no stage was finished yet, or a file is missing or damaged.
+    """
+    file = read(folder / NAME) if file is None else file
+    if not file.stages:
+        raise FileError(f"{folder} has no finished batch yet; the command that began it goes on there")
+    runs = [open_finished(folder / stage.folder) for stage in file.stages]
+    scans = [scan for run in runs for scan in read_execution(run, "latest").scans]
+    cell = cell_of_run(runs[-1], run_reader.scene(runs[-1]))
+    cell = replace(cell, pieces=tuple(piece for piece in cell.pieces if piece.name != UNSEEN))
+    surfaces = []
+    if file.model:
+        mesh = thinned(ply.mesh(file_bytes(folder / file.model)))
+        surfaces.append(Shown("part", mesh, [_views_of(mesh, scans, _BESIDE * file.voxel_mm / 1000)]))
+    views, motion = _views(file, runs, scans)
+    curve = coverage_curve.data_url(file)
+    play = Play(
+        views, motion, rows=[*file.rows(), *_brought(file)], notes=_notes(file), next=_next(file), inside=0, curve=curve
+    )
+    return html_of(Stage(f"Exploration of {file.part}", cell, surfaces, rays.direction(*_SIDE)), play)
+
+
+def _views(
+    file: ExploreFile, runs: list[RunRecord], scans: list[RecordedScan]
+) -> tuple[list[View], tuple[Floats, Floats]]:
+    """The views of all batches in order, and the motions of the batches one after the other."""
+    said: list[View] = []
+    times, angles, begin = [], [], 0.0
+    brought = dict(_brought(file))
+    for batch, run in enumerate(runs, start=1):
+        timeline = timelines.of_plan(run_reader.motion(run), rest=0.0)
+        planned = {view.id: view for view in run_reader.plan(run).views}
+        for stop in timeline.stops:
+            number = len(said) + 1
+            rows = [("view", f"{number}, batch {batch}"), ("points", f"{len(scans[number - 1].points):,}")]
+            if (adds := brought.get(f"view {number}")) is not None:
+                rows.insert(1, ("adds", adds))
+            said.append(View(str(number), planned[stop.candidate].T_base_scanner, begin + stop.begin, rows))
+        times.append(begin + timeline.t)
+        angles.append(timeline.q)
+        begin += timeline.duration
+    return said, (np.concatenate(times), np.concatenate(angles))
+
+
+def _brought(file: ExploreFile) -> list[tuple[str, str]]:
+    """What each view added to true coverage, in order; nothing where that is not known."""
+    by_views = () if file.truth is None else file.truth.by_views
+    return [
+        (f"view {number}", f"{100 * (after - before):.2f} % of the true surface, {100 * after:.2f} % by then")
+        for number, (before, after) in enumerate(pairwise((0.0, *by_views)), start=1)
+    ]
+
+
+def _views_of(mesh: TriangleMesh, scans: list[RecordedScan], beside: float) -> Layer:
+    """By which views each vertex of the explored surface has a point beside it."""
+    seen = np.zeros((len(mesh.vertices), len(scans)), dtype=np.bool_)
+    for view, scan in enumerate(scans):
+        if len(scan.points):
+            seen[:, view] = np.isfinite(cKDTree(scan.points).query(mesh.vertices, distance_upper_bound=beside)[0])
+    bits = np.packbits(seen, axis=1, bitorder="little")
+    return Layer("Number of views", "views", bits, f"a view with a point within {1000 * beside:.2g} mm counts")
+
+
+def _notes(file: ExploreFile) -> list[str]:
+    if file.status != "finished":
+        return ["this exploration goes on; the page shows its finished batches"]
+    ends = accumulate(stage.views for stage in file.stages)
+    return [f"batches end with the views {', '.join(map(str, ends))}"]
+
+
+def _next(file: ExploreFile) -> list[str]:
+    if file.model_middle_mm is None:
+        return []
+    place = ",".join(f"{value:g}" for value in file.model_middle_mm)
+    return [f"cell plan RUN/{file.model} --units mm --place {place}"]
