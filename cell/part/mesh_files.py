@@ -174,16 +174,19 @@ def _text_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
 
 def _merge(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
     """One vertex for each place (bit-exact), in the order of first use; unused ones dropped."""
-    corners = vertices[faces.ravel()] + 0.0  # minus zero becomes zero
-    bits = np.ascontiguousarray(corners).view(np.uint64)
+    places = vertices + 0.0  # minus zero becomes zero
+    bits = np.ascontiguousarray(places).view(np.uint64)
     with np.errstate(over="ignore"):
         key = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
         for column in (1, 2):
             key = ((key ^ (key >> np.uint64(29))) + bits[:, column]) * np.uint64(0xBF58476D1CE4E5B9)
-    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    if not (bits[first][inverse] == bits).all():  # two places with one hash: once in 10^7 files of a million faces
-        _, first, inverse = np.unique(bits, axis=0, return_index=True, return_inverse=True)
-    rank = np.argsort(first)
-    position = np.empty(len(first), np.int64)
-    position[rank] = np.arange(len(first))
-    return corners[first[rank]], position[inverse.ravel()].reshape(-1, 3)
+    _, one, which = np.unique(key, return_index=True, return_inverse=True)
+    if not (bits[one][which] == bits).all():  # two places with one hash: once in 10^7 files of a million faces
+        _, one, which = np.unique(bits, axis=0, return_index=True, return_inverse=True)
+    corner = which.ravel()[faces.ravel()]
+    first_use = np.full(len(one), len(corner))
+    first_use[corner[::-1]] = np.arange(len(corner) - 1, -1, -1)  # of a place that is named again the last counts
+    rank = np.argsort(first_use, kind="stable")[: np.count_nonzero(first_use < len(corner))]
+    position = np.empty(len(one), np.int64)
+    position[rank] = np.arange(len(rank))
+    return places[one[rank]], position[corner].reshape(-1, 3)

@@ -20,6 +20,7 @@ from planner.measurability.matrix import measured
 from planner.measurability.quality import best_of_views
 from planner.ports import RayCaster, Scanner
 from planner.surface.closest import closest_face
+from planner.surface.cluster import clustered
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -43,7 +44,7 @@ class Canvas(Value):
     """A surface made ready to be coloured.
 
     Attributes:
-        mesh: decimated above `FACES` faces, large faces split.
+        mesh: clustered or decimated above `FACES` faces, large faces split.
         normals: of its faces.
         caster: of the mesh.
         samples: S of the true surface.
@@ -82,7 +83,7 @@ def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
         samples: of it.
     """
     count = len(reference.faces)
-    mesh = decimate(reference, FACES if count > FACES else max(count, _FINE))
+    mesh = clustered(reference, FACES) or decimate(reference, FACES if count > FACES else max(count, _FINE))
     weight = _WALL * reference.diagonal
     tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
     normals = mesh.normals

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
+from planner.surface.cluster import clustered
 from planner.surface.mesh import TriangleMesh, cross_products
 from planner.surface.remesh import edges_of, split_long_edges, stout
 from planner.values import Floats, Ints32
@@ -17,6 +18,8 @@ from planner.values import Floats, Ints32
 _AGGRESSIONS = (7, 5, 6, 8, 4)  # in this order; 7 is the library's default, see `decimate`
 _BETWEEN = 40  # faces of the copy between, for each one wanted: fine enough to be taken for the mesh, quick to try on
 _TOO_LONG = 2.5  # edges above so many face sizes are split: a right triangle then has at most 1.6 times the wanted area
+
+_MANY, _EACH = 200_000, 4  # faces, and for each one wanted, of the copy that is made first of a mesh with far more
 
 _decimation_lock = threading.Lock()  # fast_simplification keeps its mesh in module globals
 
@@ -28,8 +31,9 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     on the unit. At a high aggression it sometimes leaves edges with more than two faces, at a low one it stops short of
     the count; the first aggression that does neither is taken, else the one that came nearest; from the second on they
     are tried on a copy between, of 40 faces to each one wanted. Where the needles of a CAD mesh hold it far above the
-    count, that copy is made stout (see `planner.surface.remesh`). Faces without area and faces that appear twice are
-    dropped from the result.
+    count, that copy is made stout (see `planner.surface.remesh`). A mesh with very many faces is clustered first (see
+    `planner.surface.cluster`), and taken as it is where the count is missed then. Faces without area and faces that
+    appear twice are dropped from the result.
 
     Args:
         mesh: the reference, object frame.
@@ -45,7 +49,15 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     """
     if face_count < 1:
         raise PlannerError(f"face_count is {face_count}; it must be at least 1")
-    clean = _clean(mesh.vertices, mesh.faces)
+    if (coarse := clustered(mesh, max(_MANY, _EACH * face_count))) is not None:
+        found = _decimated(coarse, face_count)
+        if not _flaws(found, face_count)[0]:
+            return found
+    return _decimated(_clean(mesh.vertices, mesh.faces), face_count)
+
+
+def _decimated(clean: TriangleMesh, face_count: int) -> TriangleMesh:
+    """As `decimate`, of a mesh without faces of no area."""
     if face_count >= len(clean.faces):
         return _split(clean, face_count)
     middle = (clean.vertices.min(axis=0) + clean.vertices.max(axis=0)) / 2
