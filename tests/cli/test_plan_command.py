@@ -118,7 +118,6 @@ def test_json_prints_one_object_on_stdout(planned: Path) -> None:
         (("plan", "mzeke"), 2, "mseke"),
         (("plan", "mseke", "--units", "mm"), 2, "--units"),
         (("plan", "PART", "--units", "mm", "--place", "1200,500"), 2, "--place"),
-        (("plan", "PART", "--units", "mm", "--place", "0,0,300"), 2, "placement"),
         (("plan", "PART", "--units", "mm", "--scene", "typo.toml"), 2, "did you mean"),
         (("plan", "PART", "--units", "mm", "--scene", "absent.toml"), 2, "absent.toml"),
         (("plan", "PART", "--units", "mm", "--scene", "short_range.toml", "--standoff", "600"), 2, "range"),

@@ -19,7 +19,7 @@ from planner.values import Bools
 Cell = Callable[..., Any]
 
 SMALL = (
-    "--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "2", "--standoff", "250", "--seed", "3",
+    "--units", "mm", "--place", "1100,400,100", "--faces", "40", "--samples", "4", "--standoff", "250", "--seed", "3",
     "--candidates", "optimal-scanning-zone", "--coverage", "0.97", "--offer", "6",
 )  # fmt: skip
 
