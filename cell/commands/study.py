@@ -37,6 +37,7 @@ app = typer.Typer(
     epilog=EPILOG,
 )
 
+_ROWS_SHOWN = 24  # of a map: a screen; the folder holds all
 _NOTHING = 2  # every trial failed: what was asked for cannot be
 
 
@@ -64,7 +65,10 @@ def tell(terminal: "Terminal", result: "StudyResult") -> None:
     from cell.view.study_page import shown
 
     if result.rows:
-        terminal.grid(result.shown, [[shown(row.get(column)) for column in result.shown] for row in result.rows])
+        rows = [[shown(row.get(column)) for column in result.shown] for row in result.rows]
+        terminal.grid(result.shown, rows, at_most=_ROWS_SHOWN)
+        if len(rows) > _ROWS_SHOWN:
+            terminal.say(f"all of them: {result.folder / 'rows.csv'}")
     for sentence in result.sentences:
         terminal.say(sentence.replace("**", "").replace("`", ""))  # they are Markdown
     kept = f"{result.computed} trials computed now" if result.rows else "nothing succeeded"

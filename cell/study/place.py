@@ -248,15 +248,18 @@ def sentences(found: Found) -> list[str]:
         f"{spread[2]:.0f} mm and {spread[3]:.0f} deg."
     )
     said.append(
-        f"{_within(found.lost_mm)} of the best a twentieth of its coverage is lost; "
-        f"{_within(found.unreached_mm).lower()} nothing can be reached any more."
+        f"{_from(found.lost_mm, 'a twentieth of its coverage is lost')}; "
+        f"{_from(found.unreached_mm, 'nothing can be reached').lower()}."
     )
     said.append(f"Looked at {found.n_places} places; another seed looks at others.")
     return said
 
 
-def _within(distance: float) -> str:
-    return f"Within {distance:g} mm" if np.isfinite(distance) else f"Nowhere within {_PROBES[-1]:g} mm"
+def _from(distance: float, what: str) -> str:
+    """From where on something is so, of the places that were looked at."""
+    if np.isfinite(distance):
+        return f"{distance:g} mm from the best {what}"
+    return f"It is nowhere within {_PROBES[-1]:g} mm of the best that {what}"
 
 
 def pictures(found: Found) -> Iterator[tuple[str, Figure]]:

@@ -208,10 +208,13 @@ CAUSES: dict[str, tuple[str, Callable[[int, np.ndarray], np.ndarray], str]] = {
 
 @pytest.mark.parametrize(
     "name",
-    ["metres", "left-handed base", *(pytest.param(name, marks=pytest.mark.slow) for name in ("inches", "mirrored"))],
+    ["left-handed base", *(pytest.param(name, marks=pytest.mark.slow) for name in ("metres", "inches", "mirrored"))],
 )
 def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: str) -> None:
-    """Units and mirrored frames, by what is left off the part when they are taken as if it were so."""
+    """Units and mirrored frames, by what is left off the part when they are taken as if it were so.
+
+    tests/unit/test_causes.py asks for each of them without an execution.
+    """
     frame, change, words = CAUSES[name]
     export(run, "0001", tmp_path / "files", as_ply("<f8"), frame, change)
     outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", points_frame=frame, points_units="mm")
@@ -219,8 +222,12 @@ def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: s
     assert words in outcome.summary.doubts[0]
 
 
+@pytest.mark.slow
 def test_swapped_views_and_another_frame_are_told(run: Path, tmp_path: Path) -> None:
-    """Two files with each other's names; points of the flange frame that are called the scanner's."""
+    """Two files with each other's names; points of the flange frame that are called the scanner's.
+
+    Without an execution: tests/unit/test_causes.py.
+    """
     files = export(run, "0001", tmp_path / "files", as_ply("<f8"))
     one, two = (path.with_suffix(".ply") for path in files[:2])
     first, second = one.read_bytes(), two.read_bytes()

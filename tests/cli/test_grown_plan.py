@@ -19,16 +19,30 @@ from planner.measurability.matrix import measured
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
+@pytest.fixture(scope="module")
+def grown(part_file: Path, small_plan: tuple[str, ...]) -> tuple[str, ...]:
+    """The command of a small plan with grown candidates."""
+    return ("plan", str(part_file), "--units", "mm", *small_plan, "--faces", "60", "--candidates", "grown")
+
+
+@pytest.fixture(scope="module")
+def run(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: Run) -> Path:
+    """Its run folder, the matrix from the cache where it is there."""
+
+    def make(folder: Path) -> None:
+        done = run_cell(*grown, "--out", "run", cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once("grown", make) / "run"
+
+
 def test_grown_candidates_keep_the_run_folder_s_contract(
-    part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
+    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
 ) -> None:
     """Cached or not: equal bytes; every array has all candidates; the plan's ids, rolls and poses are theirs."""
-    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--faces", "60", "--candidates", "grown")
-    for name, more in (("a", ()), ("b", ("--no-cache",))):
-        done = run_cell(*arguments, *more, "--out", name, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    run = tmp_path / "a"
-    first, second = (json.loads((tmp_path / name / "manifest.json").read_text()) for name in ("a", "b"))
+    done = run_cell(*grown, "--no-cache", "--out", "again", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    first, second = (json.loads((each / "manifest.json").read_text()) for each in (run, tmp_path / "again"))
     assert first["artefacts"] == second["artefacts"]
 
     with np.load(run / "viewpoints.npz") as views, np.load(run / "reach.npz") as reach:
@@ -70,23 +84,21 @@ def test_a_preset_of_a_scene_file_or_of_a_keyword_is_gone(tmp_path: Path) -> Non
 
 
 def test_views_that_moved_are_candidates_like_others(
-    part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
+    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
 ) -> None:
     """They stand behind the candidates that a plan without them has; reach and matrix say of them what is so.
 
     Recounted from the files: each column by the rays of its own pose, each joint solution by forward kinematics. What
     is driven is checked by `cell edit`, which makes everything anew, and by the proof that every scan begins with.
     """
-    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--candidates", "grown", "--faces", "60")
-    for name, coverage in (("all", "1"), ("run", "0.97")):
-        done = run_cell(*arguments, "--coverage", coverage, "--no-cache", "--out", name, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    run, others = (open_finished(tmp_path / name) for name in ("run", "all"))
-    known, views = len(reader.candidates(others)), reader.candidates(run)
+    done = run_cell(*grown, "--coverage", "0.97", "--no-cache", "--out", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    moved, others = open_finished(tmp_path / "run"), open_finished(run)
+    known, views = len(reader.candidates(others)), reader.candidates(moved)
     assert len(views) > known
     np.testing.assert_array_equal(views.T_object_scanner[:known], reader.candidates(others).T_object_scanner)
-    T, M, reached = views.T_object_scanner[known:], reader.measurability(run), reader.reached(run)
-    cell = read_cell(run)
+    T, M, reached = views.T_object_scanner[known:], reader.measurability(moved), reader.reached(moved)
+    cell = read_cell(moved)
     found = measured(T, M.features, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
     np.testing.assert_array_equal(M.matrix().tocsc()[:, np.arange(known, len(views))].toarray(), found)
     assert reached.reachable[known:].all()

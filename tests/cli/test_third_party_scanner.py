@@ -46,6 +46,7 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
     scene = tmp_path / "cell.toml"
     scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
     arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
+    arguments += ["--candidates", "optimal-scanning-zone"]
     done = run_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)

@@ -16,6 +16,7 @@ from cell.run.planned import PlannedRun
 from cell.scene.scene import load_scene
 
 _QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3, "coverage": 1}
+_QUICK |= {"candidates": "optimal-scanning-zone"}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -75,7 +76,8 @@ def test_a_mesh_in_memory_is_planned_as_its_file(
         {
             "part": {"path": str(file), "units": "mm"},
             "placement": {"position_mm": [1100, 400, 100]},
-            "plan": {"standoffs_mm": [200.0], "faces": 40, "samples_per_face": 2, "seed": 3, "coverage": 1.0},
+            "plan": {"standoffs_mm": [200.0], "faces": 40, "samples_per_face": 2, "seed": 3, "coverage": 1.0}
+            | {"candidates": "optimal-scanning-zone"},
         },
     )
     of_scene = plan(scene, out=tmp_path / "scene")

@@ -22,6 +22,7 @@ position_mm = [1100, 400, 100]
 [plan]
 faces = 60
 samples_per_face = 2
+candidates = "optimal-scanning-zone"
 standoffs_mm = [250]
 [[fixtures]]
 name = "box"
