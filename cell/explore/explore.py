@@ -74,7 +74,7 @@ def explore(
             scans = _executed(work, folder)
             before, known = known, _learned(known, folder, scans, work)
             work.paths.keep(number, known)
-            stage = _stage_of(work, folder, scans, before.space, known.space)
+            stage = _stage_of(work, folder, scans, before.space, known)
             file = file.model_copy(update={"stages": (*file.stages, stage)})
             work.paths.write(file)
     return file
@@ -103,7 +103,7 @@ def _planned(work: Exploring, number: int, known: Known, batch: Batch, ended: st
     if paths.stage(number).is_dir():
         return paths.stage(number)
     paths.clear(number)
-    believed = belief.part_of(known.space, work.name)
+    believed = belief.part_of(known.believed, work.name)
     belief.write_unseen(known.space, paths.unseen(number))
     scene = belief.scene_of(work.scene, work.cylinder, believed, paths.unseen(number))
     asked = Asked(known.space, known.record, batch, work.options.least_gain if number > 1 else 0.0, ended)
@@ -176,10 +176,10 @@ def _expected(folder: Path, before: VoxelSpace) -> tuple[SurfaceSamples, Bools, 
 
 
 def _stage_of(
-    work: Exploring, folder: Path, scans: Sequence[ExecutedScan], before: VoxelSpace, space: VoxelSpace
+    work: Exploring, folder: Path, scans: Sequence[ExecutedScan], before: VoxelSpace, known: Known
 ) -> ExploredStage:
     """What explore.json says of a stage."""
-    run, mesh = open_finished(folder), belief.part_of(space, work.name).reference
+    run, mesh = open_finished(folder), known.believed
     return ExploredStage(
         folder=folder.relative_to(work.paths.root).as_posix(),
         digest=run.digest,
@@ -188,7 +188,7 @@ def _stage_of(
         seconds=round(reader.motion(run).duration, 6),
         expected_mm2=round(1e6 * float(_expected(folder, before)[0].areas.sum()), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
-        open_mm2=round(1e6 * float(mesh.areas[~space.seen(mesh.centres)].sum()), 3),
+        open_mm2=round(1e6 * float(mesh.areas[~known.space.seen(mesh.centres)].sum()), 3),
     )
 
 

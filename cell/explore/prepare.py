@@ -70,7 +70,7 @@ class Eye:
         return np.asarray(rays[~self._beside(rays, self._towards(points, T))])
 
     def answered(self, targets: Floats, points: Floats, T: Floats) -> Bools:
-        """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m], from `T` as in `blank`."""
+        """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m]; `T` as in `blank`."""
         return self._beside(self._towards(targets, T), self._towards(points, T))
 
     def _towards(self, points: Floats, T: Floats) -> Floats:
