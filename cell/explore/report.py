@@ -10,28 +10,23 @@ from cell.reconstruction.reconstruct import reconstruct
 from cell.run import ply
 from cell.run.explore_json import ExploreFile, Truth
 from cell.scan.executed_scans import ExecutedScan
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 MODEL, REPORT, PICTURE = "model.ply", "report.md", "curve.png"
 
 
-def write_model(folder: Path, scans: Sequence[ExecutedScan], place_mm: Floats) -> tuple[float, float, float] | None:
-    """The surface of all scans, explored frame.
-
-    Args:
-        folder: of the exploration.
-        scans: of all stages.
-        place_mm: (3,) middle of the cylinder, base frame [mm].
-
-    Returns:
-        Middle of its bounding box, base frame [mm]; None where the points describe no surface.
-    """
+def write_model(folder: Path, scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
+    """The surface of all scans, explored frame [m]; None where the points describe none."""
     mesh = reconstruct(merge([scan.cloud for scan in scans])).mesh
-    if mesh is None:
-        return None
-    (folder / MODEL).write_bytes(ply.written(mesh))
-    middle = place_mm + 500 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    x, y, z = middle.round(4).tolist()
+    if mesh is not None:
+        (folder / MODEL).write_bytes(ply.written(mesh))
+    return mesh
+
+
+def middle_of(model: TriangleMesh, place_mm: Floats) -> tuple[float, float, float]:
+    """Middle of a model's bounding box, base frame [mm]; `place_mm` is the cylinder's."""
+    x, y, z = (place_mm + 500 * (model.vertices.min(axis=0) + model.vertices.max(axis=0))).round(4).tolist()
     return x, y, z
 
 
@@ -44,7 +39,12 @@ def table(file: ExploreFile) -> list[tuple[str, str]]:
         ("ended", file.ended),
         ("stays open", f"{100 * last.open_mm2 / last.surface_mm2:.2f} % of the believed surface"),
     ]
+    volume = last.never_entered_mm3 / 1000
+    rows.append(("never entered", f"{volume:.1f} cm3 of the cylinder, by any ray, solid or hollow"))
     rows += [("", f"{reason.area_mm2:.0f} mm2: {reason.reason}") for reason in file.open[:4]]
+    if file.misses_limits is not None:
+        share = f"{100 * file.misses_limits:.2f} % of what was measured, worse than the sigma or spacing asked for"
+        rows.append(("beyond limits", share))
     if (known := file.truth) is not None:
         rows += [
             ("visible coverage", f"{100 * known.visible:.2f} % of the true surface, of which reachable candidates of "

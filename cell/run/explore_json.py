@@ -29,6 +29,7 @@ class ExploredStage(JsonTable):
     expected_mm2: float = Field(description="of the believed surface that was open, to be measured by the batch")
     surface_mm2: float = Field(description="of the surface that was believed after it")
     open_mm2: float = Field(description="of that, without a measured point beside it")
+    never_entered_mm3: float = Field(description="of the cylinder, by any ray; the part's inside is of it")
 
 
 class OpenReason(JsonTable):
@@ -84,6 +85,9 @@ class ExploreFile(JsonTable):
     open: tuple[OpenReason, ...] = Field(default=(), description="what stays open, largest area first")
     model: str = Field(default="", description='the mesh of all scans, explored frame; "" where there is none yet')
     model_middle_mm: Triple | None = optional("middle of its bounding box, base frame: where cell plan places it")
+    misses_limits: float | None = optional(
+        "where sigma or spacing is limited: share of what was measured that no view measures within the limits"
+    )
     truth: Truth | None = optional()
 
     @property
