@@ -18,33 +18,32 @@ from cell.run.explore_json import UNSEEN
 from cell.scene.scene import MeshFixture, Scene
 from planner.explore.space import FREE, VoxelSpace
 from planner.surface.mesh import TriangleMesh
-from planner.values import Bools
+from planner.values import Bools, Floats
 
 _TIGHT, _SMOOTH = 0.75, 0.7  # of an edge: the believed surface's distance, and how far the distances are smoothed
 _WHOLE = 0.87  # of an edge: half of a voxel's diagonal, so that its corners are inside
-
-
-def part_of(space: VoxelSpace, name: str) -> Workpiece:
-    """The believed part, its name saying that it is no model.
-
-    Args:
-        space: what is known.
-        name: of the part.
-    """
-    mesh = surface_of(space)
-    believed = workpiece.from_arrays(f"{name} as believed", mesh.vertices, mesh.faces, "m")
-    return replace(believed, findings=())  # its bodies are no news
+_BLOCK = 2  # edges: where a surface need not be tight, blocks of voxels do, with a quarter of the faces
 
 
 def surface_of(space: VoxelSpace) -> TriangleMesh:
-    """The believed surface, explored frame [m]."""
-    return _about(space, space.believed(), _TIGHT, _SMOOTH)
+    """The believed surface [m]."""
+    return _about(space.low, space.edge, space.believed(), _TIGHT, _SMOOTH)
+
+
+def part_of(surface: TriangleMesh, name: str) -> Workpiece:
+    """A believed surface as a part, its name saying that it is no model."""
+    believed = workpiece.from_arrays(f"{name} as believed", surface.vertices, surface.faces, "m")
+    return replace(believed, findings=())  # its bodies are no news
+
+
+def rough(space: VoxelSpace) -> TriangleMesh:
+    """A surface of few faces about what is believed [m], before which candidates stand."""
+    return _about_blocks(space, space.believed(), _SMOOTH)
 
 
 def write_unseen(space: VoxelSpace, path: Path) -> None:
     """Write what arm and housing keep away from as a mesh file in millimetres."""
-    mesh = _about(space, np.asarray(space.state != FREE), _WHOLE, 0.0)
-    path.write_bytes(ply.written(mesh))
+    path.write_bytes(ply.written(_about_blocks(space, np.asarray(space.state != FREE), 0.0)))
 
 
 def scene_of(scene: Scene, cylinder: Cylinder, believed: Workpiece, unseen: Path) -> Scene:
@@ -68,7 +67,14 @@ def scene_of(scene: Scene, cylinder: Cylinder, believed: Workpiece, unseen: Path
     return scene.model_copy(update={"placement": placement, "part": part, "fixtures": (*scene.fixtures, space)})
 
 
-def _about(space: VoxelSpace, chosen: Bools, level: float, smooth: float) -> TriangleMesh:
+def _about_blocks(space: VoxelSpace, chosen: Bools, smooth: float) -> TriangleMesh:
+    """The surface about all of the blocks in which a voxel is chosen."""
+    nx, ny, nz = (n // _BLOCK for n in chosen.shape)  # a grid has even numbers of voxels
+    blocks = np.asarray(chosen.reshape(nx, _BLOCK, ny, _BLOCK, nz, _BLOCK).any(axis=(1, 3, 5)))
+    return _about(space.low, _BLOCK * space.edge, blocks, _WHOLE, smooth)
+
+
+def _about(low: Floats, edge: float, chosen: Bools, level: float, smooth: float) -> TriangleMesh:
     """The surface at a distance from the middles of voxels, and the distances smoothed [edges of a voxel]."""
     from skimage.measure import marching_cubes  # takes a third of a second to import
 
@@ -76,4 +82,4 @@ def _about(space: VoxelSpace, chosen: Bools, level: float, smooth: float) -> Tri
     if smooth:
         distance = ndimage.gaussian_filter(distance, smooth)
     vertices, faces, _, _ = marching_cubes(distance.astype(np.float32), level, gradient_direction="descent")
-    return TriangleMesh(space.low + space.edge * (vertices.astype(np.float64) + 0.5), faces.astype(np.int32))
+    return TriangleMesh(low + edge * (vertices.astype(np.float64) + 0.5), faces.astype(np.int32))

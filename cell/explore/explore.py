@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError, SceneError
-from cell.explore import belief, report, truth
+from cell.explore import belief, report, specification, truth
 from cell.explore.execution import executed
 from cell.explore.options import EVERY_BATCH, ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
@@ -33,6 +33,9 @@ from planner.values import Bools, Floats
 _FILES = "files:"
 _OUTSIDE = 0.01
 """Share of a stage's points beyond the cylinder, or in space that was seen free, above which something is wrong."""
+
+_MISSED = 0.01
+"""Share of what was measured, beyond the limits of sigma and spacing, above which a person is told."""
 
 
 def explore(
@@ -74,7 +77,7 @@ def explore(
             scans = _executed(work, folder)
             before, known = known, _learned(known, folder, scans, work)
             work.paths.keep(number, known)
-            stage = _stage_of(work, folder, scans, before.space, known.space)
+            stage = _stage_of(work, folder, scans, before.space, known)
             file = file.model_copy(update={"stages": (*file.stages, stage)})
             work.paths.write(file)
     return file
@@ -103,9 +106,10 @@ def _planned(work: Exploring, number: int, known: Known, batch: Batch, ended: st
     if paths.stage(number).is_dir():
         return paths.stage(number)
     paths.clear(number)
-    believed = belief.part_of(known.space, work.name)
+    believed = belief.part_of(known.believed, work.name)
     belief.write_unseen(known.space, paths.unseen(number))
-    scene = belief.scene_of(work.scene, work.cylinder, believed, paths.unseen(number))
+    scene = specification.without(work.scene) if batch.rough else work.scene
+    scene = belief.scene_of(scene, work.cylinder, believed, paths.unseen(number))
     asked = Asked(known.space, known.record, batch, work.options.least_gain if number > 1 else 0.0, ended)
     try:
         return plan_stage(scene, believed, asked, paths.stage(number), work.narrator)
@@ -176,10 +180,10 @@ def _expected(folder: Path, before: VoxelSpace) -> tuple[SurfaceSamples, Bools, 
 
 
 def _stage_of(
-    work: Exploring, folder: Path, scans: Sequence[ExecutedScan], before: VoxelSpace, space: VoxelSpace
+    work: Exploring, folder: Path, scans: Sequence[ExecutedScan], before: VoxelSpace, known: Known
 ) -> ExploredStage:
     """What explore.json says of a stage."""
-    run, mesh = open_finished(folder), belief.part_of(space, work.name).reference
+    run, mesh = open_finished(folder), known.believed
     return ExploredStage(
         folder=folder.relative_to(work.paths.root).as_posix(),
         digest=run.digest,
@@ -188,7 +192,8 @@ def _stage_of(
         seconds=round(reader.motion(run).duration, 6),
         expected_mm2=round(1e6 * float(_expected(folder, before)[0].areas.sum()), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
-        open_mm2=round(1e6 * float(mesh.areas[~space.seen(mesh.centres)].sum()), 3),
+        open_mm2=round(1e6 * float(mesh.areas[~known.space.seen(mesh.centres)].sum()), 3),
+        never_entered_mm3=round(1e9 * known.space.never_entered, 3),
     )
 
 
@@ -198,8 +203,16 @@ def _finished(work: Exploring, file: ExploreFile, ended: str, still_open: tuple[
         raise SceneError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
     scans = scans_of(work.paths, file.stages)
     with work.narrator.stage("merge and reconstruct"):
-        middle = report.write_model(work.paths.root, scans, np.asarray(work.scene.placement.position_mm))
-    found = None
+        model = report.write_model(work.paths.root, scans)
+    middle = None if model is None else report.middle_of(model, np.asarray(work.scene.placement.position_mm))
+    missed = found = None
+    if model is not None and specification.asked(work.scene):
+        missed = specification.missed(work.scene, model, np.stack([scan.T_reported for scan in scans]))
+        if missed > _MISSED:
+            work.narrator.note(
+                f"{100 * missed:.1f} % of what was measured is worse than the sigma or spacing asked for; plan on "
+                f"{report.MODEL} with the same limits"
+            )
     if work.part is not None and work.hidden is not None:
         folder = truth.plan_truth(work.scene, work.part, work.paths.root, work.narrator)
         with work.narrator.stage("the truth beside it"):
@@ -208,7 +221,7 @@ def _finished(work: Exploring, file: ExploreFile, ended: str, still_open: tuple[
     file = file.model_copy(
         update={
             "status": "finished", "ended": ended, "open": still_open, "truth": found,
-            "model": "" if middle is None else report.MODEL, "model_middle_mm": middle,
+            "model": "" if middle is None else report.MODEL, "model_middle_mm": middle, "misses_limits": missed,
         }
     )  # fmt: skip
     report.write(work.paths.root, file)

@@ -27,10 +27,14 @@ class Batch:
     Attributes:
         views: that measure the most; None: the fewest for the scene's coverage.
         whole: whether surface that was seen counts as well; otherwise only what is open does.
+        rough: whether it is there to plan on, so that limits of sigma and spacing do not hold for it.
+        per_second: whether the most per second of standing and moving is wanted; otherwise the most.
     """
 
     views: int | None
     whole: bool = False
+    rough: bool = False
+    per_second: bool = False
 
 
 _FEW, _ROUGH = 4, 10
@@ -40,8 +44,10 @@ Policy = Callable[[ExploreOptions, So], Batch | None]
 
 
 def stepwise(options: ExploreOptions, so: So) -> Batch | None:
-    """A ring, then few views at a time for what is open by then, planned anew after each batch."""
-    return Batch(_within(so, options.batch if so.stages else options.ring or _FEW))
+    """A ring, then the few views with the most expected gain per second, planned anew after each batch."""
+    if so.stages == 0:
+        return Batch(_within(so, options.ring or _FEW))
+    return Batch(_within(so, options.batch), per_second=True)
 
 
 def two_stage(options: ExploreOptions, so: So) -> Batch | None:
@@ -50,7 +56,7 @@ def two_stage(options: ExploreOptions, so: So) -> Batch | None:
     W. R. Scott, "Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
     """
     if so.stages == 0:
-        return Batch(_within(so, options.ring or _ROUGH))
+        return Batch(_within(so, options.ring or _ROUGH), rough=True)
     return Batch(so.left, whole=True) if so.stages == 1 else None
 
 

@@ -29,6 +29,9 @@ from planner.explore.space import VoxelSpace
 from planner.ports import Scanner
 from planner.values import Bools, Floats
 
+_DENSE = 2.5
+"""Times as large as points lie apart at the standoff, voxels hold a point wherever a surface in them is measured."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Eye:
@@ -70,7 +73,7 @@ class Eye:
         return np.asarray(rays[~self._beside(rays, self._towards(points, T))])
 
     def answered(self, targets: Floats, points: Floats, T: Floats) -> Bools:
-        """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m], from `T` as in `blank`."""
+        """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m]; `T` as in `blank`."""
         return self._beside(self._towards(targets, T), self._towards(points, T))
 
     def _towards(self, points: Floats, T: Floats) -> Floats:
@@ -206,7 +209,7 @@ def _unknown(options: ExploreOptions, scanning: ScanOptions, settings: Settings,
     usual = max(2 * cylinder.radius / VOXELS, cylinder.height / VOXELS, SPACINGS * spacing)
     try:
         edge = usual if options.voxel_mm is None else options.voxel_mm / 1000
-        return VoxelSpace.of_cylinder(cylinder.radius, cylinder.height, edge)
+        return VoxelSpace.of_cylinder(cylinder.radius, cylinder.height, edge, sparse=edge < _DENSE * spacing)
     except PlannerError as error:
         raise UsageError(f"--voxel or --cylinder cannot be: {error}") from error
 

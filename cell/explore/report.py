@@ -10,28 +10,23 @@ from cell.run.explore_json import ExploreFile, Truth
 from cell.scan.executed_scans import ExecutedScan
 from cell.view import coverage_curve, explore_page
 from cell.view.contents import NAME as PAGE
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 MODEL, REPORT, PICTURE = "model.ply", "report.md", "curve.png"
 
 
-def write_model(folder: Path, scans: Sequence[ExecutedScan], place_mm: Floats) -> tuple[float, float, float] | None:
-    """The surface of all scans, explored frame.
-
-    Args:
-        folder: of the exploration.
-        scans: of all stages.
-        place_mm: (3,) middle of the cylinder, base frame [mm].
-
-    Returns:
-        Middle of its bounding box, base frame [mm]; None where the points describe no surface.
-    """
+def write_model(folder: Path, scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
+    """The surface of all scans, explored frame [m]; None where the points describe none."""
     mesh = reconstruct(merge([scan.cloud for scan in scans])).mesh
-    if mesh is None:
-        return None
-    (folder / MODEL).write_bytes(ply.written(mesh))
-    middle = place_mm + 500 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    x, y, z = middle.round(4).tolist()
+    if mesh is not None:
+        (folder / MODEL).write_bytes(ply.written(mesh))
+    return mesh
+
+
+def middle_of(model: TriangleMesh, place_mm: Floats) -> tuple[float, float, float]:
+    """Middle of a model's bounding box, base frame [mm]; `place_mm` is the cylinder's."""
+    x, y, z = (place_mm + 500 * (model.vertices.min(axis=0) + model.vertices.max(axis=0))).round(4).tolist()
     return x, y, z
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from cell import scanners
 from cell.errors import UnreachableError
+from cell.explore import belief
 from cell.explore.policies import Batch
 from cell.explore.reasons import reasons
 from cell.narrator import Narrator
@@ -21,25 +22,30 @@ from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
 from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.problem import Problem
+from cell.plan.request import seconds_of_views
 from cell.plan.steps import Job, Measured, Run
 from cell.plan.summary import Further, plan_report
-from cell.plan.view_plan import ConnectedPlan
+from cell.plan.view_plan import ConnectedPlan, choose_and_connect, first_choice
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.run.explore_json import OpenReason
 from cell.scene.scene import Scene
-from planner.explore.gain import Record
+from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.measurability.columns import spread_measurability
 from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
-_DRAWN, _KEPT = 20_000, 3_000
-"""Samples of the believed surface that are drawn, and of those that are asked for at most."""
+_DRAWN, _ROWS_KEPT, _SCOUTS_KEPT = 20_000, 3_000, 1_000
+"""Samples of the believed surface that are drawn, of those rows of the matrix at most, and scouts at most."""
+
+_SCHEDULE = growth.SCHEDULE[:2]
+"""Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
 
 _ROWS, _SCOUTS = 10, 11  # streams of randomness of their own, beside those of `cell.plan.steps`
 
@@ -111,7 +117,7 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         scanner = limited(job.scene, job.scanner)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
         if job.scene.plan.candidates == GROWN:
-            grown = grow(candidates, reached.reachable, scouts, arm)
+            grown = grow(candidates, reached.reachable, scouts, arm, schedule=_SCHEDULE)
             reached = join_reach([reached, steps.reach_of(job, cell, grown)])
             candidates = join_viewpoints([candidates, grown])
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
@@ -131,7 +137,7 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         prediction = Prediction.of(scouts, scanner, casters, poses, progress)
     problem = steps.ask(run, job, cell, measured, prediction)
     try:
-        problem, chosen = steps.connect(run, problem, surface)
+        problem, chosen = _connected(run, problem, surface, asked.batch)
     except UnreachableError as error:
         raise EnoughError(str(error), explained()) from error
     if told := _too_little(chosen, surface, asked):
@@ -148,10 +154,11 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
     """
     with run.step("decimate and sample"):
         reference = job.part.reference
-        planning = decimate(reference, min(job.settings.faces, len(reference.faces)))
+        planning = decimate(belief.rough(asked.space), job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         rows, scouts = (
-            _open(sample(reference, planning, _DRAWN, run.rng(stream)), asked) for stream in (_ROWS, _SCOUTS)
+            probable(sample(reference, planning, _DRAWN, run.rng(stream)), asked, kept)
+            for stream, kept in ((_ROWS, _ROWS_KEPT), (_SCOUTS, _SCOUTS_KEPT))
         )
         if not len(rows) or not len(scouts):
             raise EnoughError("nothing is open")
@@ -165,19 +172,36 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         )
 
 
-def _open(samples: SurfaceSamples, asked: Asked) -> SurfaceSamples:
-    """What is asked for of the samples, weighted, thinned evenly to `_KEPT`."""
+def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:
+    """What is asked for of the samples, areas times probabilities; of more than `most`, so many of the same product."""
     space = asked.space
     still_open = ~space.seen(samples.points)
-    chosen = np.flatnonzero(still_open | asked.batch.whole)
-    areas = np.where(still_open, asked.record.weights(space.open_at(samples.points)), 1.0) * samples.areas
-    count = min(len(chosen), _KEPT)
-    kept = chosen[np.arange(count) * len(chosen) // max(count, 1)]
-    scale = len(chosen) / max(count, 1)
+    weights = np.where(still_open, asked.record.weights(space.open_at(samples.points)), float(asked.batch.whole))
+    areas = weights * samples.areas
+    kept = np.flatnonzero(areas)
+    if len(kept) > most:
+        until = np.cumsum(areas)
+        kept, times = np.unique(np.searchsorted(until, until[-1] * (np.arange(most) + 0.5) / most), return_counts=True)
+        areas[kept] = until[-1] / most * times
     return SurfaceSamples(
-        samples.points[kept], samples.normals[kept], scale * areas[kept], samples.face[kept],
-        samples.planning_face[kept],
-    )  # fmt: skip
+        samples.points[kept], samples.normals[kept], areas[kept], samples.face[kept], samples.planning_face[kept]
+    )
+
+
+def _connected(run: Run, problem: Problem, surface: PartSurface, batch: Batch) -> tuple[Problem, ConnectedPlan]:
+    """Steps 6 to 8; views that cannot be connected are replaced by those that measure the most."""
+    if not batch.per_second or batch.views is None:
+        return steps.connect(run, problem, surface)
+    with run.step("select, order and connect") as progress:
+        M, reached, plan, rng = problem.M, problem.reached, problem.request.plan, run.rng(steps.SELECTION)
+        seconds = seconds_of_views(plan, reached, problem.world.home, problem.limits)
+        best = most_per_second(M.matrix(), M.features.areas, seconds, problem.usable(()), batch.views)
+        others = tuple(np.setdiff1d(np.arange(len(reached)), best).tolist())
+        request = replace(problem.request, plan=plan.model_copy(update={"banned": others}))
+        selected = first_choice(replace(problem, request=request), rng)
+        return problem, choose_and_connect(
+            problem, selected, selection_rng=rng, motion_rng=run.rng(steps.MOTION), progress=progress
+        )
 
 
 def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> str:

@@ -14,11 +14,13 @@ import json
 import os
 import shutil
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from cell.errors import FileError, UsageError
+from cell.explore import belief
 from cell.run import explore_json, reader
 from cell.run.executions import read_execution
 from cell.run.explore_json import ExploredStage, ExploreFile
@@ -27,14 +29,20 @@ from cell.run.record import npz, open_finished, understood
 from cell.scan.executed_scans import ExecutedScan, usable
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
+from planner.surface.mesh import TriangleMesh
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Known:
     """What is known: the space about the part, and what became of what was open."""
 
     space: VoxelSpace
     record: Record
+
+    @cached_property
+    def believed(self) -> TriangleMesh:
+        """The believed surface [m]."""
+        return belief.surface_of(self.space)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,19 +83,31 @@ class Paths:
                     "command to go on with it, or choose another --out"
                 )
             return known
-        if self.root.exists():
+        if self.root.exists() and not self._only_made():
             raise FileError(f"{self.root} exists and is no exploration; choose another --out")
         try:
-            (self.root / "stages").mkdir(parents=True)
+            (self.root / "stages").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
             raise FileError(f"{self.root} cannot be made: {reason}; choose a writable --out") from error
         self.write(file)
         return file
 
+    def _only_made(self) -> bool:
+        """Whether the folder is one that was stopped between its making and its first explore.json."""
+        try:
+            found = {path.name for path in self.root.rglob("*")}
+        except OSError:
+            return False
+        return found == {"stages"} or found == {"stages", self._temporary.name}
+
+    @property
+    def _temporary(self) -> Path:
+        return self.file.with_name(f"{explore_json.NAME}.tmp")
+
     def write(self, file: ExploreFile) -> None:
         """Write explore.json: whole or not at all."""
-        temporary = self.file.with_name(f"{explore_json.NAME}.tmp")
+        temporary = self._temporary
         try:
             with temporary.open("w", encoding="utf-8") as stream:
                 stream.write(json_text(file.as_json()))

@@ -74,7 +74,12 @@ def arm_of(
 
 
 def grow(
-    candidates: Viewpoints, usable: Bools, scouts: SurfaceSamples, arm: Arm, progress: Progress | None = None
+    candidates: Viewpoints,
+    usable: Bools,
+    scouts: SurfaceSamples,
+    arm: Arm,
+    progress: Progress | None = None,
+    schedule: Sequence[growth.Stage] = growth.SCHEDULE,
 ) -> Viewpoints:
     """Viewpoints for what no usable candidate measures.
 
@@ -84,6 +89,7 @@ def grow(
         scouts: points of the surface of equal area, neither the rows of the matrix nor the held-out samples.
         arm: the scanner and where it gets to.
         progress: called with (stages done, stages).
+        schedule: of the search.
 
     Returns:
         The new ones alone.
@@ -91,5 +97,5 @@ def grow(
     targets = Targets.of(scouts.points, scouts.normals, scouts.region)
     poses = candidates.T_object_scanner[usable] @ arm.T_view_scanner
     seen = coverage.visible(poses, scouts, arm.scanner, arm.casters).covered
-    found = growth.grow(targets, seen, arm, progress=progress)
+    found = growth.grow(targets, seen, arm, schedule=schedule, progress=progress)
     return standing_at(found.T_object_scanner, scouts.points[found.row], scouts.planning_face[found.row])

@@ -32,6 +32,7 @@ class ExploredStage(JsonTable):
     expected_mm2: float = Field(description="of the believed surface that was open, to be measured by the batch")
     surface_mm2: float = Field(description="of the surface that was believed after it")
     open_mm2: float = Field(description="of that, without a measured point beside it")
+    never_entered_mm3: float = Field(description="of the cylinder, by any ray; the part's inside is of it")
 
 
 class OpenReason(JsonTable):
@@ -87,6 +88,9 @@ class ExploreFile(JsonTable):
     open: tuple[OpenReason, ...] = Field(default=(), description="what stays open, largest area first")
     model: str = Field(default="", description='the mesh of all scans, explored frame; "" where there is none yet')
     model_middle_mm: Triple | None = optional("middle of its bounding box, base frame: where cell plan places it")
+    misses_limits: float | None = optional(
+        "where sigma or spacing is limited: share of what was measured that no view measures within the limits"
+    )
     truth: Truth | None = optional()
 
     @property
@@ -103,7 +107,11 @@ class ExploreFile(JsonTable):
             ("ended", self.ended),
             ("stays open", f"{100 * last.open_mm2 / last.surface_mm2:.2f} % of the believed surface"),
         ]
+        rows.append(("never entered", f"{last.never_entered_mm3 / 1000:.1f} cm3 of the cylinder, by any ray"))
         rows += [("", f"{reason.area_mm2:.0f} mm2: {reason.reason}") for reason in self.open[:4]]
+        if self.misses_limits is not None:
+            share = f"{100 * self.misses_limits:.2f} % of what was measured, worse than the sigma or spacing asked for"
+            rows.append(("beyond limits", share))
         if (known := self.truth) is not None:
             rows += [
                 (

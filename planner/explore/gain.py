@@ -6,11 +6,14 @@ worse, the more often others should have measured it and did not. How much so is
 """
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from planner.values import Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Value
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 MOST_TRIES = 2
 """Tries beyond this many are as this many."""
@@ -77,5 +80,26 @@ class Record(Value):
         return replace(self, expected=expected, found=came)
 
     def weights(self, still_open: Open) -> Floats:
-        """(N,) probability that a view which should measure each finds something: the share that did, with the prior."""
+        """(N,) probability that a view which should measure each finds something: the share that did, and the prior."""
         return np.asarray(((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes])
+
+
+def most_per_second(measured: "csr_array", areas: Floats, seconds: Floats, usable: Bools, count: int) -> Ints:
+    """Up to `count` views, each with the most open area per second after those before it; ties go to the smaller.
+
+    Args:
+        measured: (S, V) what each view measures.
+        areas: (S,) expected of each row [m^2].
+        seconds: (V,) that each view takes, above 0.
+        usable: (V,) those that may be taken.
+        count: how many; fewer are returned where no other adds anything.
+    """
+    left, taken = np.array(areas), list[int]()
+    columns = measured.T.tocsr()
+    while len(taken) < count:
+        rates = np.where(usable, columns @ left / seconds, 0.0)
+        if rates[best := int(rates.argmax())] <= 0:
+            break
+        taken.append(best)
+        left[columns[[best]].indices] = 0.0
+    return np.array(taken, dtype=np.int64)

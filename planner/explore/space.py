@@ -52,6 +52,7 @@ class VoxelSpace(Value):
         tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
         radius: of the cylinder [m].
         height: of the cylinder [m].
+        sparse: whether points may lie farther apart than voxels.
     """
 
     low: Annotated[Floats, "3"]
@@ -61,15 +62,17 @@ class VoxelSpace(Value):
     tries: Annotated[NDArray[np.uint8], "X Y Z"]
     radius: float
     height: float
+    sparse: bool
 
     @classmethod
-    def of_cylinder(cls, radius: float, height: float, edge: float) -> "VoxelSpace":
+    def of_cylinder(cls, radius: float, height: float, edge: float, *, sparse: bool = True) -> "VoxelSpace":
         """All unknown.
 
         Args:
             radius: of the cylinder [m].
             height: of the cylinder [m].
             edge: of a voxel [m].
+            sparse: whether points may lie farther apart than voxels.
 
         Raises:
             PlannerError: if one of them is not positive, or the grid would have too many voxels.
@@ -82,12 +85,17 @@ class VoxelSpace(Value):
             raise PlannerError(f"voxels of {1000 * edge:g} mm are too many for the cylinder; choose larger ones")
         low = -half * edge
         nothing = np.zeros(shape, np.uint8)
-        space = cls(low, edge, nothing, nothing.astype(np.int16), nothing, radius, height)
+        space = cls(low, edge, nothing, nothing.astype(np.int16), nothing, radius, height, sparse)
         return replace(space, state=np.where(space._within(edge / 2), UNKNOWN, FREE).astype(np.uint8))
 
     def centres(self, chosen: Bools) -> Floats:
         """(n, 3) middles of the chosen voxels [m]."""
         return np.asarray(self.low + self.edge * (np.argwhere(chosen) + 0.5))
+
+    @property
+    def never_entered(self) -> float:
+        """Volume that no leg crossed and no point lies in [m^3]: the part's inside, solid or hollow, and what hides."""
+        return float((self.state == UNKNOWN).sum() * self.edge**3)
 
     def outside(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) [m] are beyond the cylinder by more than a voxel."""
@@ -155,10 +163,12 @@ class VoxelSpace(Value):
     def seen(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) of a believed surface [m] are as near to a voxel with a point as that surface is.
 
-        Gaps of one voxel between measured ones count as measured: rays that meet the part at an angle lie far apart.
+        Where points may lie farther apart than voxels, gaps of two between measured ones count as measured; elsewhere
+        they are the mouths of what is narrow.
         """
         measured = self.state == OCCUPIED
-        measured |= ndimage.binary_closing(measured, _ALL_ROUND)
+        if self.sparse:
+            measured |= ndimage.binary_closing(measured, _ALL_ROUND)
         if not measured.any():
             return np.zeros(len(points), dtype=np.bool_)
         near = cKDTree(self.centres(measured)).query(points, distance_upper_bound=_NEAR * self.edge)[0]

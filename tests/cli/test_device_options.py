@@ -16,7 +16,9 @@ def test_which_scanner_a_part_of_yours_has_is_printed_with_the_rule(
     """By its longest side; in metres the same part is larger, in tenths of a millimetre smaller."""
     quick = ("--candidates", "optimal-scanning-zone")
     for units, device in (("mm", "generic-area-large"), ("um", "generic-area-small")):
-        done = run_cell("plan", part_file, "--units", units, "--faces", "40", "--place", "9000,0,0", *quick, cwd=tmp_path)
+        done = run_cell(
+            "plan", part_file, "--units", units, "--faces", "40", "--place", "9000,0,0", *quick, cwd=tmp_path
+        )
         assert done.returncode == 4
         assert f"the scanner is {device}, by the part's longest side of " in done.stderr
         assert "--sensor names another" in done.stderr

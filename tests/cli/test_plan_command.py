@@ -155,9 +155,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
     (tmp_path / "blind.toml").write_text("[housing]\nposition_mm = [0, 0, 100]\n")
     (tmp_path / "taken").mkdir()
     quick = ("--faces", "60") if "--faces" not in arguments else ()
-    done = run_cell(
-        *(str(part_file) if word == "PART" else word for word in arguments), *quick, *_QUICK, cwd=tmp_path
-    )
+    done = run_cell(*(str(part_file) if word == "PART" else word for word in arguments), *quick, *_QUICK, cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     assert words in done.stderr

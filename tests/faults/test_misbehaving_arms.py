@@ -141,7 +141,7 @@ def test_an_arm_that_does_something_else(name: str, wire: Any) -> None:
 
 
 def test_a_hold_suspends_the_limits_and_is_told(wire: Any) -> None:
-    """Held for 8 s before it begins, longer than a move may be without progress: the move is driven after that, and a person has read what is waited for."""
+    """Held for 8 s before it begins, longer than without progress: then the move is driven; what is waited for is told."""
     said: list[str] = []
     wire.driver._say = said.append
     controller = wire.endpoint.controller

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
-from planner.explore.gain import MOST_TRIES, Record
+from planner.explore.gain import MOST_TRIES, Open, Record, most_per_second
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.explore.traverse import cross
 from planner.values import Floats, Ints
@@ -98,9 +99,11 @@ def test_space_is_free_only_where_the_part_is_not() -> None:
 
 
 def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
-    """An unknown voxel apart from all points is no part of the belief; before the first point everything is."""
+    """An unknown voxel apart from all points is no part of the belief; before the first point the middle is."""
     space = _space()
-    assert np.array_equal(space.believed(), space.state != FREE)
+    first = space.believed()
+    assert (space.state[first] == UNKNOWN).all()
+    assert 0.1 < first.sum() / (space.state == UNKNOWN).sum() < 0.5
     state = np.full(space.state.shape, FREE, dtype=np.uint8)
     state[10, 10, 10], state[11, 11, 11], state[20, 20, 12] = OCCUPIED, UNKNOWN, UNKNOWN
     believed = replace(space, state=state).believed()
@@ -109,19 +112,43 @@ def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
 
 
 def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
-    """Two points of one voxel are one try."""
+    """Two points of one voxel are one try; a class knows the distance to the nearest measured voxel."""
     space = _space().tried(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
     assert space.tries.max() == 1
-    assert space.tries_at(np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]])).tolist() == [1, 0]
+    points = np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]])
+    assert space.open_at(points).tries.tolist() == [1, 0]
+    assert np.isinf(space.open_at(points).beside).all()
+    state = np.array(space.state)
+    state[tuple(np.floor((points[1] - space.low) / space.edge).astype(int))] = OCCUPIED
+    beside = replace(space, state=state).open_at(points).beside
+    assert beside[1] <= np.sqrt(3) / 2
+    assert beside[0] == pytest.approx(0.026 / space.edge, abs=2)
 
 
-def test_the_probability_follows_the_record_and_never_grows_with_tries() -> None:
-    """Nothing known: halved with each try. Much known: the share that was measured, limited by that of fewer tries."""
-    unknown = Record.empty().probability
-    assert unknown == pytest.approx([0.5 ** max(n, 0) for n in range(MOST_TRIES + 1)])
-    tries = np.repeat([0, 1, 2], 1000)
-    measured = np.concatenate([np.arange(1000) < 600, np.arange(1000) < 100, np.ones(1000)]).astype(float)
-    known = Record.empty().with_stage(tries, np.full(3000, 1.0), measured).probability
-    assert known[:3] == pytest.approx([0.6, 0.1, 0.1], abs=1e-3)
-    assert (np.diff(known) <= 0).all()
-    assert (known > 0).all()
+def test_the_probability_follows_the_record() -> None:
+    """Nothing known: halved with each try, less with distance. Much known: the share of each class that was found."""
+    tries, beside = np.repeat(np.arange(3), 2), np.tile([1.0, 5.0], 3)
+    before = Record.empty().weights(Open(tries, beside))
+    assert before[::2] == pytest.approx(0.5 * 0.5 ** np.arange(3))
+    assert (before[1::2] < before[::2]).all()
+    assert Record.empty().weights(Open(np.array([MOST_TRIES, MOST_TRIES + 5]), np.array([1.0, 1.0]))).std() == 0
+    often = Open(np.repeat(tries, 1000), np.repeat(beside, 1000))
+    shares = [0.6, 0.1, 0.7, 0.0, 1.0, 0.2]
+    found = np.concatenate([np.arange(1000) < 1000 * share for share in shares]).astype(float)
+    known = Record.empty().with_stage(often, np.ones(6000), found).weights(Open(tries, beside))
+    assert known == pytest.approx(shares, abs=1e-3)
+
+
+def test_the_views_of_most_gain_per_second() -> None:
+    """Each is the best of brute force after those before it; what adds nothing or must not be taken is left."""
+    rng = np.random.default_rng(2)
+    measured, areas = rng.random((200, 12)) < 0.2, rng.random(200)
+    seconds, usable = rng.uniform(1, 4, 12), np.arange(12) != 5
+    chosen = most_per_second(csr_array(measured), areas, seconds, usable, 4)
+    left = areas.copy()
+    for view in chosen:
+        rates = [usable[v] * left[measured[:, v]].sum() / seconds[v] for v in range(12)]
+        assert view == int(np.argmax(rates))
+        left[measured[:, view]] = 0
+    assert len(chosen) == 4
+    assert len(most_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0

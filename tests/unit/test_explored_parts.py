@@ -1,0 +1,164 @@
+"""Awkward parts looked at from all round without an arm: what is known of the space about them, what is believed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy import ndimage
+
+from cell import scanners
+from cell.explore import belief
+from cell.explore.prepare import Eye
+from cell.rays import virtual_scan
+from cell.rays.embree import EmbreeRayCaster
+from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+from planner.viewpoints.viewpoints import looking_at
+
+RADIUS, HEIGHT, EDGE = 0.05, 0.08, 0.0015
+NEAR, FAR = 0.05, 0.2
+CLEARANCE = 0.01
+
+_SCANNER = scanners.make(
+    "laser-area",
+    {
+        "fov_deg": (60.0, 60.0), "resolution_deg": (0.5, 0.5), "range_mm": (1000 * NEAR, 1000 * FAR),
+        "baseline_mm": 25.0, "grazing_max_deg": 75.0, "sensor_grazing_max_deg": 75.0,
+    },
+)  # fmt: skip
+
+
+def _mesh(*parts: trimesh.Trimesh) -> TriangleMesh:
+    whole = trimesh.util.concatenate(list(parts))
+    return TriangleMesh(np.asarray(whole.vertices, dtype=np.float64), np.asarray(whole.faces, dtype=np.int32))
+
+
+def _ball(x: float, radius: float = 0.015) -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(3, radius)
+    ball.apply_translation((x, 0.0, 0.0))
+    return ball
+
+
+def _wires() -> TriangleMesh:
+    return _mesh(*(
+        trimesh.creation.cylinder(0.0003, segment=[[x, -0.03, -0.03], [x, 0.03, 0.03]], sections=8)
+        for x in (-0.02, 0.0, 0.02)
+    ))  # fmt: skip
+
+
+def _torus() -> TriangleMesh:
+    return _mesh(trimesh.creation.torus(0.03, 0.008, major_sections=48, minor_sections=24))
+
+
+def _hollow() -> TriangleMesh:
+    inside = trimesh.creation.box((0.04, 0.04, 0.03))
+    inside.invert()
+    return _mesh(trimesh.creation.box((0.05, 0.05, 0.04)), inside)
+
+
+PARTS = {
+    "wires": _wires(),
+    "ring": _torus(),
+    "two bodies": _mesh(_ball(-0.025), _ball(0.025)),
+    "closed box": _hollow(),
+}
+
+
+def _poses(count: int = 14) -> Floats:
+    """(n, 4, 4) poses about the cylinder, evenly, at the middle of the range."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
+    out = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+    views = looking_at(np.zeros((count, 3)), out, np.full(count, -1), [(NEAR + FAR) / 2], [0.0])
+    return np.asarray(views.T_object_scanner[:, 0])
+
+
+def _points(mesh: TriangleMesh, T: Floats) -> Floats:
+    return np.asarray(virtual_scan.scan(_SCANNER, T, EmbreeRayCaster(mesh.vertices, mesh.faces), mesh).points)
+
+
+def _learned(space: VoxelSpace, points: Floats, T: Floats) -> VoxelSpace:
+    rays = np.asarray(_SCANNER.ray_directions())
+    source, sensor = np.asarray(_SCANNER.source), np.asarray(_SCANNER.sensor)
+    eye = Eye(source, sensor, rays, NEAR, FAR, float(np.arccos(rays[0] @ rays[1])))
+    stands = [T[:3, :3] @ at + T[:3, 3] for at in (source, sensor)]
+    space = space.seen_from(points, stands) if len(points) else space
+    return space.judged_from(points, stands[0], eye.blank(points, T), NEAR, FAR)
+
+
+def _explored(mesh: TriangleMesh, noise: float = 0.0, pose: float = 0.0) -> VoxelSpace:
+    """What is known after views from all round, their points with noise and their reported poses off [m]."""
+    rng, space = np.random.default_rng(0), VoxelSpace.of_cylinder(RADIUS, HEIGHT, EDGE)
+    for T in _poses():
+        points = _points(mesh, T)
+        off = rng.normal(0, pose, 3)
+        reported = np.array(T)
+        reported[:3, 3] += off
+        points = points + off + rng.normal(0, noise, points.shape)
+        assert space.contradicted(points) < 0.01
+        space = _learned(space, points, reported)
+    return space
+
+
+def _surface(mesh: TriangleMesh) -> Floats:
+    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    return np.asarray(trimesh.sample.sample_surface(whole, 5000, seed=0)[0])
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_no_surface_is_farther_than_the_clearance_from_what_the_arm_keeps_away_from(name: str) -> None:
+    """Of wires too, of which rays miss most: what was seen free ends within a clearance of the true surface."""
+    space = _explored(PARTS[name])
+    away = ndimage.distance_transform_edt(space.state == FREE) * space.edge
+    assert space.at(_surface(PARTS[name]), away).max() < CLEARANCE
+
+
+def test_what_is_believed_has_the_hole_of_a_ring() -> None:
+    """Views through it vote: its middle is not believed, and nearly all of the ring was seen."""
+    space = _explored(PARTS["ring"])
+    middle = np.zeros((1, 3))
+    assert not space.at(middle, space.believed())[0]
+    assert space.seen(_surface(PARTS["ring"])).mean() > 0.95
+
+
+def test_two_bodies_are_believed_as_two() -> None:
+    """Each with points of its own, and nothing believed between them."""
+    labels, count = ndimage.label(_explored(PARTS["two bodies"]).believed(), np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.ravel())[1:]
+    assert (sizes > 0.2 * sizes.max()).sum() == 2, (count, sizes)
+
+
+def test_the_inside_of_a_closed_box_stays_unknown_and_is_told() -> None:
+    """No voxel in it is free, its walls are not taken for seen, and its volume counts as never entered."""
+    space = _explored(PARTS["closed box"])
+    x, y, z = np.abs(space.centres(space.state == FREE)).T
+    assert not ((x < 0.02) & (y < 0.02) & (z < 0.015)).any()
+    inside = trimesh.creation.box((0.03, 0.03, 0.02))
+    assert (space.at(np.asarray(inside.vertices), space.state) == UNKNOWN).all()
+    assert space.never_entered >= 0.8 * 0.04 * 0.04 * 0.03
+
+
+def test_noise_and_pose_errors_are_no_part_that_moved() -> None:
+    """Points a quarter of a millimetre off and poses half a millimetre: each view agrees with those before it."""
+    space = _explored(PARTS["ring"], noise=0.00025, pose=0.0005)
+    assert (space.state == OCCUPIED).any()
+
+
+@pytest.mark.parametrize("name", ["ring", "two bodies", "closed box"])
+@pytest.mark.parametrize("shift", [(0.008, 0, 0), (-0.008, 0, 0), (0, 0.008, 0), (0, 0, 0.008)])
+def test_a_part_that_was_moved_is_noticed(name: str, shift: tuple[float, float, float]) -> None:
+    """Points of views after the move lie in space that was free, or behind surface that was measured."""
+    space, moved = _explored(PARTS[name]), PARTS[name].vertices + np.array(shift)
+    mesh = replace(PARTS[name], vertices=moved)
+    shares = [space.contradicted(points) for T in _poses(5) if len(points := _points(mesh, T))]
+    assert np.mean(shares) > 0.01
+
+
+def test_a_believed_surface_is_closed_before_and_after() -> None:
+    """Marching cubes about voxels within the grid: each edge has two faces, of tight and of rough surfaces."""
+    unknown = VoxelSpace.of_cylinder(RADIUS, HEIGHT, EDGE)
+    for space in (unknown, _explored(PARTS["ring"])):
+        for mesh in (belief.surface_of(space), belief.rough(space)):
+            assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
