@@ -141,7 +141,7 @@ def test_an_arm_that_does_something_else(name: str, wire: Any) -> None:
 
 
 def test_a_hold_suspends_the_limits_and_is_told(wire: Any) -> None:
-    """Held for 8 s before it begins, longer than without progress: then the move is driven; what is waited for is told."""
+    """Held for 8 s before it begins, longer than without progress, then the move is driven; the wait is told."""
     said: list[str] = []
     wire.driver._say = said.append
     controller = wire.endpoint.controller
