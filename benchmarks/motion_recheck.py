@@ -5,7 +5,8 @@ reach, ten reachable ones are drawn, ordered, connected and timed. `benchmarks.t
 millisecond of the motion. Limits are compared with the samples and with their differences.
 
 SCAN_CELL_SCENES (default 8) is the number of scenes; with SCAN_CELL_RECHECK=FILE finished scenes are kept as lines of
-JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes.
+JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes. With SCAN_CELL_TABLE=1 a rotary
+table turns the part of each.
 """
 
 import json
@@ -36,7 +37,7 @@ def run() -> list[dict[str, Any]]:
     for number in range(count):
         if any(row["scene"] == number for row in done):
             continue
-        done.append(judged(number))
+        done.append(judged(number, table=bool(os.environ.get("SCAN_CELL_TABLE"))))
         if kept:
             with kept.open("a") as file:
                 file.write(json.dumps(done[-1]) + "\n")
@@ -62,10 +63,10 @@ def run() -> list[dict[str, Any]]:
     return [summary, *found]
 
 
-def judged(number: int) -> dict[str, Any]:
-    """One scene planned and judged."""
+def judged(number: int, *, table: bool = False) -> dict[str, Any]:
+    """One scene planned and judged, with or without a rotary table."""
     begin = perf_counter()
-    cell = usable(number, least=_VIEWS)
+    cell = usable(number, least=_VIEWS, table=table)
     rng = np.random.default_rng(number)
     views = rng.choice(cell.reachable, _VIEWS, replace=False)
     poses = cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0]

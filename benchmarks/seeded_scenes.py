@@ -15,7 +15,6 @@ from cell.checks.possible import require_possible
 from cell.errors import SceneError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
@@ -60,17 +59,18 @@ class SeededCell:
         return np.flatnonzero(self.reach.reachable)
 
 
-def usable(number: int, least: int = 2) -> SeededCell:
+def usable(number: int, least: int = 2, *, table: bool = False) -> SeededCell:
     """The first draw of a scene that can be and of which enough candidates are reachable.
 
     Args:
         number: of the scene.
         least: reachable candidates that are needed.
+        table: whether a rotary table turns the part.
     """
     for draw in range(_DRAWS):
-        scene = Scene.model_validate(content(number, draw))
+        scene = Scene.model_validate(content(number, draw) | ({"table": _table(number, draw)} if table else {}))
         part, planning = _part(scene.part.name)
-        try:
+        try:  # a table may be too low for its part
             world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=75.0)
             require_possible(world)
         except SceneError:
@@ -79,12 +79,28 @@ def usable(number: int, least: int = 2) -> SeededCell:
         checker = MujocoCollisionChecker(world)
         if not checker.free(world.home[None])[0]:
             continue
-        kinematics = Kr16Kinematics.from_model(world.model)
-        found = reach.solve(candidates, world.T_base_object, world.T_flange_scanner, kinematics, checker)
+        found = reach.solve(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
         if found.reachable.sum() >= least:
             faces = TriangleMesh(part.reference.vertices, part.reference.faces)
             return SeededCell(number, world, checker, faces, candidates, found)
     raise RuntimeError(f"none of {_DRAWS} draws of scene {number} can be used")
+
+
+def _table(number: int, draw: int) -> dict[str, Any]:
+    """A rotary table: every second one with limits, and the part beside its axis."""
+    rng = np.random.default_rng([number, draw, 1])
+    keys: dict[str, Any] = {
+        "diameter_mm": round(float(rng.uniform(200, 500)), 1),
+        "angles": int(rng.choice([24, 36, 72])),
+    }
+    if number % 2:
+        middle = np.array(content(number, draw)["placement"]["position_mm"])
+        beside = [*rng.uniform(-150, 150, 2), -rng.uniform(350, 550)]
+        keys |= {
+            "position_mm": (middle + beside).round(1).tolist(),
+            "limits_deg": rng.uniform([-180, 20], [-20, 180]).round(1).tolist(),
+        }
+    return keys
 
 
 @lru_cache

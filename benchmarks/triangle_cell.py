@@ -57,12 +57,17 @@ class TriangleCell:
             self._half.append(np.abs(vertices).max(axis=0))
             self._radius.append(float(np.linalg.norm(vertices, axis=1).max()))
             self._rest.append(T)
-            self._link.append(int(name[5:]) if name.startswith("link_") else 6 if name in ("housing", "bracket") else 0)
+            turns = world.table is not None and model.body(model.geom_bodyid[geom]).name in ("object", "post")
+            tool = 6 if name in ("housing", "bracket") else 0
+            self._link.append(int(name[5:]) if name.startswith("link_") else 7 if turns else tool)
+        if world.table is not None:  # a seventh axis, of what stands on the table
+            self._axes = np.concatenate([self._axes, world.table.T_base_table[None, :3, 2]])
+            self._anchors = np.concatenate([self._anchors, world.table.T_base_table[None, :3, 3]])
         self._names = world.entities
         self._pairs = sorted(map(tuple, world.pairs.tolist()))
 
     def _places(self, q: Floats) -> Floats:
-        """(N, shapes, 4, 4) poses at (N, 6) joint angles."""
+        """(N, shapes, 4, 4) poses at (N, axes) joint angles."""
         carried = [np.tile(np.eye(4), (len(q), 1, 1))]
         for axis, anchor, angle in zip(self._axes, self._anchors, q.T, strict=True):
             x, y, z = axis
@@ -71,11 +76,11 @@ class TriangleCell:
             T = np.tile(np.eye(4), (len(q), 1, 1))
             T[:, :3, :3] = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
             T[:, :3, 3] = anchor - T[:, :3, :3] @ anchor
-            carried.append(carried[-1] @ T)
+            carried.append(carried[-1 if len(carried) < 7 else 0] @ T)  # the table stands on the floor
         return np.stack([carried[link] @ rest for link, rest in zip(self._link, self._rest, strict=True)], axis=1)
 
     def contacts(self, q: Floats) -> dict[str, int]:
-        """How many of (N, 6) configurations have triangles that meet, by pair."""
+        """How many of (N, axes) configurations have triangles that meet, by pair."""
         found: dict[str, int] = {}
         for places, a, b, near in self._near(q, 0.0):
             for i in near:
@@ -85,11 +90,11 @@ class TriangleCell:
         return found
 
     def nearest(self, q: Floats, reach: float = 0.05) -> float:
-        """Smallest distance of triangles over (N, 6) configurations [m], at most `reach`."""
+        """Smallest distance of triangles over (N, axes) configurations [m], at most `reach`."""
         return min(self.distances(q, reach).values(), default=reach)
 
     def distances(self, q: Floats, reach: float) -> dict[str, float]:
-        """Smallest distance over (N, 6) configurations [m] of each pair that comes nearer than `reach`."""
+        """Smallest distance over (N, axes) configurations [m] of each pair that comes nearer than `reach`."""
         found: dict[str, float] = {}
         for places, a, b, near in self._near(q, reach):
             best = reach
