@@ -191,8 +191,8 @@ class MujocoCollisionChecker:
     def travel(self, q_from: Floats, q_to: Floats) -> Floats:
         """An upper bound on how far any point of arm or tool moves along the straight joint segment, beside the part.
 
-        Where a table turns the part, what the arm and what the part moves are added: seen from the part, only the arm
-        moves, by no more than both.
+        Where a table turns the part, what the arm and what the part move in base are added: no distance between the
+        two, and none from what stands, changes by more.
 
         Args:
             q_from: (N, axes) [rad].

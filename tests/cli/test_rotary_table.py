@@ -1,0 +1,146 @@
+"""`cell plan --table` to `cell scan`: files, the certificate made again, points in the part's frame, refusals."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.narrator import Quiet
+from cell.proof.proof import prove
+from cell.replay.replay import load_show
+from cell.run.reader import motion, reached
+from cell.run.record import open_run
+from planner.timing.motion import move_time
+
+RunCell = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def turned(made_once: Callable[..., Path], part_file: Path, small_plan: tuple[str, ...], run_cell: RunCell) -> Path:
+    """A plan of the small part on a table, and one execution of it."""
+
+    def make(folder: Path) -> None:
+        done = run_cell(
+            "plan", part_file, "--units", "mm", *small_plan, "--table", "--out", "run", "--json", cwd=folder
+        )
+        assert done.returncode == 0, done.stderr
+        done = run_cell("scan", "run", "--resolution", "1", cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once("turned", make) / "run"
+
+
+def _json(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_files_hold_the_angle_beside_the_arm(turned: Path) -> None:
+    """via_q stays (N, 6), via_e is (N, 1); every view has e_deg and where the part is then; layout 2."""
+    stored = np.load(turned / "motion.npz")
+    assert stored["via_q"].shape[1] == 6
+    assert stored["via_e"].shape == (len(stored["via_q"]), 1)
+    assert stored["limit_velocity"].shape == (7,)
+    plan, manifest = _json(turned / "plan.json"), _json(turned / "manifest.json")
+    assert manifest["schema"] == plan["schema"] == "scan-cell/run/2"
+    scene = _json(turned / "scene.resolved.json")
+    axis = np.array(scene["table"]["T_base_table"])[:3, 3]
+    for view in plan["views"]:
+        (angle,) = np.radians(view["e_deg"])
+        T = np.eye(4)
+        T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        T[:3, 3] = axis - T[:3, :3] @ axis
+        np.testing.assert_allclose(view["T_base_object"], T @ np.array(scene["T_base_object"]), atol=1e-12)
+        seen = np.array(view["T_base_object"]) @ np.array(view["T_object_scanner"])
+        np.testing.assert_allclose(view["T_base_scanner"], seen, atol=1e-12)
+    assert len({tuple(view["e_deg"]) for view in plan["views"]}) > 1
+    assert reached(open_run(turned)).q.shape[1] == 7
+
+
+def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
+    """No array, no key, layout 1."""
+    assert not {"via_e", "e", "ed", "edd"} & set(np.load(planned / "motion.npz").files)
+    assert "e" not in np.load(planned / "reach.npz").files
+    assert "table" not in _json(planned / "scene.resolved.json")
+    assert all("e_deg" not in view and "T_base_object" not in view for view in _json(planned / "plan.json")["views"])
+    assert _json(planned / "manifest.json")["schema"] == "scan-cell/run/1"
+
+
+def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
+    """Every move takes as long as all seven limits need, the table's among them for at least one."""
+    done = motion(open_run(turned))
+    times = move_time(done.via_q[:-1], done.via_q[1:], done.limits)
+    assert done.duration == pytest.approx(times.sum())
+    lower, upper = done.limits.lower, done.limits.upper
+    assert ((done.q >= lower - 1e-9) & (done.q <= upper + 1e-9)).all()
+    assert (np.abs(done.qd) <= done.limits.velocity + 1e-9).all()
+    assert (done.via_q[[0, -1], 6] == 0).all()
+
+
+def test_the_certificate_is_made_again_and_a_changed_table_is_told(turned: Path, tmp_path: Path) -> None:
+    """What may be driven is proven from the folder; an angle or a table that was changed is not."""
+    assert prove(turned).world.table is not None
+    copy = tmp_path / "run"
+    shutil.copytree(turned, copy)
+    text = (copy / "scene.resolved.json").read_text(encoding="utf-8")
+    (copy / "scene.resolved.json").write_text(text.replace('"diameter_mm": 400.0', '"diameter_mm": 300.0'))
+    with pytest.raises(Exception, match=r"scene\.resolved\.json"):
+        prove(copy)
+
+
+def test_an_execution_measures_what_was_predicted(turned: Path) -> None:
+    """Scans are taken of the turned part and lie in its own frame: coverage is the plan's, points are on it."""
+    report = _json(turned / "executions" / "0001" / "report.json")
+    coverage = report["coverage"]
+    assert coverage["visible"] == pytest.approx(coverage["predicted"], abs=1e-6)
+    assert report["deviation"]["rms_mm"] < 0.5
+    scan = np.load(turned / "executions" / "0001" / "scans" / "0001.npz")
+    assert scan["q_reported"].shape == (6,)
+    assert scan["e_reported"].shape == (1,)
+
+
+def test_the_show_turns_the_part(turned: Path) -> None:
+    """At each stop the engine's part stands where plan.json says."""
+    show = load_show(open_run(turned), None, Quiet())
+    for stop, view in zip(show.timeline.stops, _json(turned / "plan.json")["views"], strict=True):
+        show.pose(stop.begin)
+        np.testing.assert_allclose(show.data.body("object").xpos, np.array(view["T_base_object"])[:3, 3], atol=1e-6)
+
+
+def test_the_page_puts_the_part_on_a_link_of_its_own(
+    turned: Path, run_cell: RunCell, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
+) -> None:
+    """The part turns with the last link of the chain, driven by the seventh angle."""
+    done = run_cell("view", turned, "--out", tmp_path / "page.html", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    shown = data_of((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert shown["turns"] == len(shown["arm"]["parent"])
+    assert shown["arm"]["driver"][-1] == 6
+    assert {piece["name"] for piece in shown["pieces"] if piece["link"] == shown["turns"]} == {"post"}
+
+
+@pytest.mark.parametrize(
+    "command", [("why",), ("edit", "--drop", "1"), ("locate", "--from-scan", "latest"), ("export",)]
+)
+def test_what_does_not_know_a_table_refuses_it(
+    turned: Path, run_cell: RunCell, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """One sentence and exit code 2, never a wrong answer."""
+    done = run_cell(command[0], turned, *command[1:], cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    if command[0] != "locate":
+        assert "turns its part on a rotary table" in done.stderr
+
+
+def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: Path, tmp_path: Path) -> None:
+    """Several set-ups, an exploration, and a scanner that sweeps."""
+    (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\n')
+    part = (part_file, "--units", "mm", "--table")
+    for command in (("setups", *part), ("explore", *part), ("plan", *part, "--scene", "line.toml")):
+        done = run_cell(*command, cwd=tmp_path)
+        assert done.returncode == 2, (command, done.stderr)
+        assert "cannot have a rotary table yet" in done.stderr

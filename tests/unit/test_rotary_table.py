@@ -1,0 +1,172 @@
+"""The rotary table: turns in closed form, the chain of seven axes, travel, what it may not be and not touch."""
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from cell.checks.possible import impossible
+from cell.errors import SceneError
+from cell.robot import model as robot
+from cell.robot.arm import kinematics_of
+from cell.scene.options import scene_of
+from cell.scene.scene import Scene
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import World, compile_world
+from cell.world.rotary_table import Turner
+from planner.reach.rotary_table import ArmOnTable, RotaryTable
+
+BLOCK = trimesh.creation.box((0.2, 0.1, 0.3))
+
+
+def _table(x: float = 0.0, y: float = 0.0, lower: float = -180.0, upper: float = 180.0) -> RotaryTable:
+    T = np.eye(4)
+    T[:3, 3] = x, y, 0.3
+    return RotaryTable(T, np.radians(lower), np.radians(upper), 2.0, 4.0, 40.0)
+
+
+def _world(**tables: object) -> World:
+    scene = Scene.model_validate({"table": {"enabled": True}} | tables)
+    return compile_world(scene, BLOCK.vertices, part_faces=BLOCK.faces, baseline_mm=75.0)
+
+
+@pytest.fixture(scope="module")
+def off_axis() -> World:
+    """A block 300 mm beside the axis, a clamp on it, a pillar that it passes on its way round."""
+    clamp = {
+        "name": "clamp",
+        "shape": "box",
+        "size_mm": [20, 20, 20],
+        "position_mm": [0, 0, 170],
+        "attached_to": "object",
+    }
+    pillar = {"name": "pillar", "shape": "cylinder", "size_mm": [100, 800], "position_mm": [1200, 200, 0]}
+    return _world(
+        table={"position_mm": [1200.0, 500.0, -400.0]},
+        placement={"position_mm": [1500.0, 500.0, 0.0], "abc_deg": [20.0, 0.0, 10.0]},
+        fixtures=[clamp, pillar],
+    )
+
+
+def test_a_quarter_turn_takes_a_point_beside_the_axis_round_it() -> None:
+    """Right-handed about the upright axis: 100 mm in x of it becomes 100 mm in y of it."""
+    turned = _table(1.0, 2.0).turn(np.radians([0.0, 90.0])) @ np.array([1.1, 2.0, 0.7, 1.0])
+    np.testing.assert_allclose(turned[:, :3], [[1.1, 2.0, 0.7], [1.0, 2.1, 0.7]], atol=1e-12)
+
+
+def test_a_table_about_the_first_axis_of_the_arm_is_that_axis() -> None:
+    """By symmetry: with the table's axis on that of A1, which turns the other way, both do the same to a view."""
+    arm = kinematics_of(robot.load())
+    chain = ArmOnTable(arm, _table(), np.zeros(7), 36)
+    q = np.radians([[10, -80, 100, 20, 60, 30, 25], [-40, -70, 80, -30, -50, 10, -110]])
+    same = q[:, :6].copy()
+    same[:, 0] += q[:, 6]
+    np.testing.assert_allclose(chain.forward(q), arm.forward(same), atol=1e-12)
+
+
+def test_every_solution_takes_the_pose_and_the_first_is_nearest_home() -> None:
+    """Each branch at each angle within the limits, in the order of the slowest axis' time from home."""
+    arm, home = kinematics_of(robot.load()), np.append(np.radians([0.0, -90, 90, 0, 90, 0]), 0.0)
+    chain = ArmOnTable(arm, _table(1.2, 0.5, -90.0, 60.0), home, 24)
+    T = chain.forward(np.radians([[-20, -60, 110, 40, 50, 70, 15], [5, -75, 100, -20, 60, 0, -45]]))
+    for pose, found in zip(T, chain.inverse(T), strict=True):
+        real = found[~np.isnan(found[:, 0])]
+        assert len(real) >= 8
+        assert np.isnan(found[len(real) :]).all()
+        np.testing.assert_allclose(chain.forward(real), np.broadcast_to(pose, (len(real), 4, 4)), atol=1e-9)
+        seconds = (np.abs(real - home) / chain.limits.velocity).max(axis=1)
+        assert (np.diff(seconds) >= 0).all()
+        angles = np.degrees(np.unique(real[:, 6])).round(4)
+        assert set(angles) <= {-90.0 + 15 * k for k in range(11)}
+    assert len(chain.limits.lower) == 7
+
+
+def test_limits_without_room_for_a_step_leave_their_middle() -> None:
+    """24 angles have steps of 15 deg; a range of 4 deg beside them has one angle."""
+    np.testing.assert_allclose(np.degrees(_table(0, 0, 2.0, 6.0).angles(24)), [4.0], atol=1e-9)
+    assert len(_table().angles(36)) == 36
+
+
+def test_the_engine_has_the_part_where_the_transform_says(off_axis: World) -> None:
+    """MuJoCo's own kinematics of the mocap bodies against `T_base_part`."""
+    data, q = off_axis.data(), off_axis.home.copy()
+    turner = Turner(off_axis.model, data, off_axis.table)
+    for angle in (0.7, -2.0, 0.0):
+        q[6] = angle
+        turner(data, q)
+        mujoco.mj_kinematics(off_axis.model, data)
+        part, T = data.body("object"), off_axis.T_base_part(q)
+        np.testing.assert_allclose(part.xpos, T[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(part.xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
+        clamp = data.geom("clamp").xpos
+        np.testing.assert_allclose(clamp, (T @ [0, 0, 0.17, 1])[:3], atol=1e-9)
+
+
+def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(off_axis: World) -> None:
+    """Flange to a corner of the part, and that corner to a place that stands, between ends drawn at random."""
+    checker, arm = MujocoCollisionChecker(off_axis), kinematics_of(off_axis.model)
+    rng = np.random.default_rng(3)
+    low, high = off_axis.limits.lower, off_axis.limits.upper
+    q_from = rng.uniform(low, high, (400, 7))
+    q_to = np.clip(q_from + rng.uniform(-0.3, 0.3, (400, 7)), low, high)
+    q_to[:100, :6] = q_from[:100, :6]  # the table alone
+    travel = checker.travel(q_from, q_to)
+    for corner in BLOCK.vertices:
+        at = [(off_axis.T_base_part(q) @ [*corner, 1.0])[:, :3] for q in (q_from, q_to)]
+        flange = [arm.forward(q[:, :6])[:, :3, 3] for q in (q_from, q_to)]
+        for other in (flange, [np.array([1.2, 0.2, 0.0])] * 2):
+            before, after = (np.linalg.norm(a - b, axis=1) for a, b in zip(at, other, strict=True))
+            assert (np.abs(after - before) <= travel + 1e-12).all()
+    assert (travel[:100] > 0.3 * np.abs(q_to - q_from)[:100, 6]).all()  # the block's middle alone is 300 mm off
+
+
+def test_a_part_that_turns_into_what_stands_is_not_free(off_axis: World) -> None:
+    """The pillar stands where the block comes at -90 deg: found there, by name, and not at 0 and 90 deg."""
+    checker = MujocoCollisionChecker(off_axis)
+    q = np.repeat(off_axis.home[None], 4, axis=0)
+    q[:, 6] = np.radians([0.0, 90.0, -90.0, -60.0])
+    assert checker.free(q).tolist() == [distance >= off_axis.clearance for distance in checker.distance(q)[0]]
+    assert checker.free(q).tolist()[:3] == [True, True, False]
+    assert checker.contacts(q[2])[0] == "pillar with part"
+
+
+def test_the_switch_of_the_command_line_and_the_table_of_a_scene_say_the_same() -> None:
+    """`--table` takes the default one; keys of [table] are there without `enabled`."""
+    assert scene_of(None, {"table": True}).table == Scene.model_validate({"table": {"enabled": True}}).table
+    assert Scene.model_validate({"table": {"diameter_mm": 300.0}}).table.enabled
+    assert not Scene().table.enabled
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({"table": {"swing_mm": 100.0}}, "swings through a circle of 224 mm, and the rotary table carries 100 mm"),
+        ({"table": {"position_mm": [1200.0, 500.0, -100.0]}}, "lowest point is -50.0 mm above the face"),
+        (
+            {"table": {"position_mm": [1200.0, 500.0, -150.0]}},
+            "a part that stands on the face itself needs post.enabled = false",
+        ),
+        (
+            {"fixtures": [{"name": "rotary table", "shape": "box", "size_mm": [9, 9, 9], "position_mm": [0, 900, 0]}]},
+            "'rotary table', a shape of the cell's own",
+        ),
+    ],
+)
+def test_a_table_that_cannot_be_is_refused_in_a_sentence(tables: dict[str, object], said: str) -> None:
+    """Too narrow, too high, its name taken."""
+    with pytest.raises(SceneError, match=said):
+        _world(**tables)
+
+
+def test_a_table_in_the_robot_is_told_with_the_way_out() -> None:
+    """Its body reaches into the pedestal's corner or the robot's base, and the sentence says what to type."""
+    found = impossible(
+        _world(table={"position_mm": [100.0, 450.0, 100.0]}, placement={"position_mm": [300.0, 700.0, 600.0]})
+    )
+    assert any("rotary table" in sentence and "table.position_mm" in sentence for sentence in found), found
+
+
+def test_limits_must_hold_the_angle_of_home() -> None:
+    """0 is where every motion begins and ends."""
+    with pytest.raises(ValueError, match="with 0, where motions begin and end"):
+        Scene.model_validate({"table": {"limits_deg": [10.0, 90.0]}})
