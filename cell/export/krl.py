@@ -29,15 +29,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.errors import UsageError
-from cell.export.krl_routines import BEGIN, ROUTINES
+from cell.export.krl_routines import BEGIN, routines
 from cell.export.options import ExportOptions
 from cell.export.program import Kind, Program, Sweep, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
 from planner.path.sweeps.line import rotation_vectors
+from planner.ports import ARM_AXES, axis_name
 from planner.reach.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
 from planner.values import Floats
 
-_EXTERNAL = ",E1 0,E2 0,E3 0,E4 0,E5 0,E6 0"
+_MOST_EXTERNAL = 6
 _AT_STOP_DEG = 0.1  # an axis farther from the last stop is not there: the program halts
 _TURNS_DEG = 0.001  # a line that turns by less is straight: set-points of 1e-4 deg turn it by up to 0.0006
 _LEAST_SPEED = 0.001  # of a line that has no length: KRL takes no speed 0 [m/s]
@@ -158,7 +159,7 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
         else:
             yield f"SC_SCAN({program.stop[row]}) ; candidate {program.candidate[row]}"
     yield from ("", "END", "")
-    yield from ROUTINES
+    yield from routines([axis_name(axis) for axis in range(program.q.shape[1])])
 
 
 def _sweep(program: Program, sweep: Sweep, slower: float) -> Iterator[str]:
@@ -231,27 +232,36 @@ def _comments(program: Program) -> Iterator[str]:
     yield f"; {program.views} views of {program.told.part}, planned by scan-cell; run folder {program.told.run}"
     yield f"; digest of the plan {program.told.digest}"
     yield "; before it runs: the same robot, tool, base, part and fixtures as in the plan; first in T1 at 10 %"
-    yield "; external axes: every motion sends E1 to E6 to 0; the plan knows of none"
+    if program.q.shape[1] > ARM_AXES:
+        yield "; external axes: E1 is the rotary table, 0 where the part stands as below, positive anticlockwise from"
+        yield "; above; it moves together with A1 to A6; every motion sends E2 to E6 to 0"
+    else:
+        yield "; external axes: every motion sends E1 to E6 to 0; the plan knows of none"
     yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"
     if np.isfinite(program.told.clearance):
         nearest = f"{program.told.clearance * 1000:.1f} mm ({program.told.between})"
         yield f"; nearest distance found along the planned motion: {nearest}"
     low, high = to_steps(program.q).min(axis=0), to_steps(program.q).max(axis=0)
     bounds = np.degrees(np.stack([program.limits.lower, program.limits.upper]))
-    for axis in range(6):
+    for axis in range(program.q.shape[1]):
         used = f"{low[axis] / STEPS_PER_DEGREE:.4f} to {high[axis] / STEPS_PER_DEGREE:.4f} deg"
-        yield f"; A{axis + 1} from {used}; planned within {bounds[0, axis]:.1f} to {bounds[1, axis]:.1f}"
+        yield f"; {axis_name(axis)} from {used}; planned within {bounds[0, axis]:.1f} to {bounds[1, axis]:.1f}"
 
 
 def e6axis(q: Floats) -> str:
-    """(6,) joint angles [rad] as an aggregate."""
-    angles = ",".join(f"A{axis} {angle:.4f}" for axis, angle in enumerate(angles_deg(q), start=1))
-    return "{E6AXIS: " + angles + _EXTERNAL + "}"
+    """(axes,) joint angles [rad] as an aggregate; external axes that the plan does not have are 0."""
+    angles = ",".join(f"{axis_name(axis)} {angle:.4f}" for axis, angle in enumerate(angles_deg(q)))
+    return "{E6AXIS: " + angles + _at_0(len(q) - ARM_AXES) + "}"
+
+
+def _at_0(used: int) -> str:
+    """The external axes behind those that are used."""
+    return "".join(f",E{axis} 0" for axis in range(used + 1, _MOST_EXTERNAL + 1))
 
 
 def e6pos(T_base_tcp: Floats) -> str:
     """(4, 4) a pose [m] as an aggregate; without S and T, which LIN does not read."""
-    return "{E6POS: " + _xyzabc(T_base_tcp) + _EXTERNAL + "}"
+    return "{E6POS: " + _xyzabc(T_base_tcp) + _at_0(0) + "}"
 
 
 def frame(T: Floats) -> str:

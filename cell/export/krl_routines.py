@@ -9,6 +9,8 @@
 Their variables stand in the program's `.dat`.
 """
 
+from collections.abc import Sequence
+
 BEGIN = (
     ";FOLD INI",
     "  ;FOLD BASISTECH INI",
@@ -19,7 +21,14 @@ BEGIN = (
     ";ENDFOLD (INI)",
 )
 
-ROUTINES = (
+
+def routines(axes: Sequence[str]) -> tuple[str, ...]:
+    """The routines, for a robot whose axes have these names: A1 to A6, then external ones."""
+    far = [(f"IF ABS($AXIS_ACT.{axis}-SC_STOP.{axis})>SC_NEAR THEN", "  RETURN FALSE", "ENDIF") for axis in axes]
+    return (*_ROUTINES, *(line for lines in far for line in lines), "RETURN TRUE", "ENDFCT")
+
+
+_ROUTINES = (
     "DEF SC_SCAN(NUMBER :IN )",
     "; scan a view at rest; after a time-out halt, and on Start scan it again",
     "DECL INT NUMBER",
@@ -74,11 +83,4 @@ ROUTINES = (
     "",
     "DEFFCT BOOL SC_AT_STOP( )",
     "; whether no axis is farther from the last stop than SC_NEAR [deg]",
-    *(
-        line
-        for axis in range(1, 7)
-        for line in (f"IF ABS($AXIS_ACT.A{axis}-SC_STOP.A{axis})>SC_NEAR THEN", "  RETURN FALSE", "ENDIF")
-    ),
-    "RETURN TRUE",
-    "ENDFCT",
 )

@@ -27,7 +27,7 @@ from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from planner.path.sweeps.line import rotation_vectors
-from planner.ports import JointLimits, Kinematics
+from planner.ports import ARM_AXES, JointLimits, Kinematics
 from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
@@ -92,7 +92,7 @@ class Program(Value):
     Attributes:
         told: what is said about it.
         kinds: N ways in which the via points are reached; the first is where the motion begins.
-        q: (N, 6) via points [rad], multiples of 1e-4 deg.
+        q: (N, axes) via points [rad], multiples of 1e-4 deg.
         leg: (N,) leg that ends at or passes the via point, from 0.
         stop: (N,) number of the view that is scanned at the via point, from 1 in visiting order; 0 for none.
         pose: (N,) pose of that view: 0 of a view at rest, -1 where none is.
@@ -110,7 +110,7 @@ class Program(Value):
 
     told: Told
     kinds: Annotated[tuple[Kind, ...], "N"]
-    q: Annotated[Floats, "N 6"]
+    q: Annotated[Floats, "N axes"]
     leg: Annotated[NDArray[np.int64], "N"]
     stop: Annotated[NDArray[np.int64], "N"]
     pose: Annotated[NDArray[np.int64], "N"]
@@ -149,7 +149,6 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
     if name is not None:
         check_name(name)
     proven = prove(run_folder)
-    run_reader.require_fixed_part(proven.run, "cell export")
     scene_now.require_same(proven, now, narrator, wire=False)
     scene = proven.scene
     clearance, between = run_reader.nearest(proven.run)
@@ -175,18 +174,18 @@ def of_motion(
 
     Args:
         motion: from home to home.
-        kinematics: of the arm.
+        kinematics: of the arm alone.
         T_flange_tcp: (4, 4) the tool [m].
-        T_base_object: (4, 4) placement of the part [m].
+        T_base_object: (4, 4) placement of the part, a rotary table at 0 [m].
         told: what is said about it.
     """
-    T_base_flange = kinematics.forward(motion.via_q)
+    T_base_flange = kinematics.forward(motion.via_q[:, :ARM_AXES])
     T_base_tcp = T_base_flange @ T_flange_tcp
     at_view = np.flatnonzero(motion.view >= 0)
     stop = np.zeros(len(motion.view), dtype=np.int64)
     stop[at_view] = np.cumsum(np.diff(motion.view[at_view], prepend=-1) != 0)
     kuka = kinematics if isinstance(kinematics, Kr16Kinematics) else None
-    status, turn = (None, None) if kuka is None else status_and_turn(motion.via_q, kuka)
+    status, turn = (None, None) if kuka is None else status_and_turn(motion.via_q[:, :ARM_AXES], kuka)
     return Program(
         told=told,
         kinds=(Kind.START, *(Kind.LIN if line >= 0 else Kind.PTP for line in motion.line[1:])),
@@ -211,7 +210,7 @@ def status_and_turn(q: Floats, kinematics: Kr16Kinematics) -> tuple[NDArray[np.i
     """S and T of E6POS.
 
     Args:
-        q: (N, 6) joint angles [rad], KUKA signs.
+        q: (N, axes) joint angles [rad], KUKA signs.
         kinematics: of the arm.
 
     Returns:

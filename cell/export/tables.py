@@ -12,21 +12,21 @@ import numpy as np
 from cell.export.program import Program, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
 from cell.run.folder import SCHEMA
+from planner.ports import axis_name
 from planner.values import Floats
 
 _DIGITS = 6
-_AXES = tuple(f"A{axis}_deg" for axis in range(1, 7))
 _POSE = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
-
-COLUMNS = (
-    "number", "leg", "kind", "view", "pose", "candidate", "t_s", *_AXES,
-    *(f"tcp_{name}" for name in _POSE), *(f"flange_{name}" for name in _POSE), "status", "turn",
-)  # fmt: skip
 
 
 def csv(program: Program) -> bytes:
     """The content of `<name>.csv`: a header and one line per via point."""
-    lines = [",".join(COLUMNS)]
+    axes = (f"{axis_name(axis)}_deg" for axis in range(program.q.shape[1]))
+    columns = (
+        "number", "leg", "kind", "view", "pose", "candidate", "t_s", *axes,
+        *(f"tcp_{name}" for name in _POSE), *(f"flange_{name}" for name in _POSE), "status", "turn",
+    )  # fmt: skip
+    lines = [",".join(columns)]
     for point in _via_points(program):
         cells = [cell for value in point.values() for cell in (value if isinstance(value, list) else [value])]
         lines.append(",".join("" if cell is None else str(cell) for cell in cells))
@@ -63,7 +63,7 @@ def as_json(program: Program) -> bytes:
 
 
 def _via_points(program: Program) -> list[dict[str, object]]:
-    """Each via point as `as_json` tells it and in the order of `COLUMNS`; None where there is none."""
+    """Each via point as `as_json` tells it and in the order of the columns; None where there is none."""
     return [
         {
             "number": row + 1,

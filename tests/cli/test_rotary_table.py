@@ -1,6 +1,7 @@
 """`cell plan --table` to `cell scan`: files, the certificate made again, points in the part's frame, refusals."""
 
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -123,9 +124,7 @@ def test_the_page_puts_the_part_on_a_link_of_its_own(
     assert {piece["name"] for piece in shown["pieces"] if piece["link"] == shown["turns"]} == {"post"}
 
 
-@pytest.mark.parametrize(
-    "command", [("why",), ("edit", "--drop", "1"), ("locate", "--from-scan", "latest"), ("export",)]
-)
+@pytest.mark.parametrize("command", [("why",), ("edit", "--drop", "1"), ("locate", "--from-scan", "latest")])
 def test_what_does_not_know_a_table_refuses_it(
     turned: Path, run_cell: RunCell, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
@@ -134,6 +133,23 @@ def test_what_does_not_know_a_table_refuses_it(
     assert done.returncode == 2, done.stderr
     if command[0] != "locate":
         assert "turns its part on a rotary table" in done.stderr
+
+
+def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """Every PTP has the seven angles of its via point, and the arm stands only where E1 does too; so do the tables."""
+    via = np.degrees(motion(open_run(turned)).via_q).round(4)
+    done = run_cell("export", turned, "--out", tmp_path / "krl", "--name", "TURNED", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "krl" / "TURNED.src").read_text(encoding="ascii")
+    number = r"(-?\d+\.\d{4})"
+    axes = ",".join(f"{name} {number}" for name in ("A1", "A2", "A3", "A4", "A5", "A6", "E1"))
+    driven = re.findall(r"^PTP \{E6AXIS: " + axes + ",E2 0,E3 0,E4 0,E5 0,E6 0", text, flags=re.MULTILINE)
+    np.testing.assert_allclose(np.array(driven, dtype=float), via, atol=1e-9)
+    assert "ABS($AXIS_ACT.E1-SC_STOP.E1)>SC_NEAR" in text
+    done = run_cell("export", turned, "--out", tmp_path / "csv", "--format", "csv", "--name", "TURNED", cwd=tmp_path)
+    header, *rows = (tmp_path / "csv" / "TURNED.csv").read_text(encoding="utf-8").splitlines()
+    column = header.split(",").index("E1_deg")
+    np.testing.assert_allclose([float(row.split(",")[column]) for row in rows], via[:, 6], atol=1e-9)
 
 
 def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: Path, tmp_path: Path) -> None:
