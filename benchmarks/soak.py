@@ -155,7 +155,7 @@ def _random_points(driver: Driver, soak: Soak, rng: np.random.Generator) -> SetP
     _patiently(soak, lambda: axes.append(driver.state().axes))
     able = driver.capabilities
     n = 40 if rng.random() < 0.05 else int(rng.integers(1, 4))
-    steps = rng.integers(-60_000, 60_001, (n, 6)) // (1 if n < 4 else 20)
+    steps = rng.integers(-60_000, 60_001, (n, len(able.lower))) // (1 if n < 4 else 20)
     low, high = able.lower.astype(np.int64) // 2, able.upper.astype(np.int64) // 2
     points = axes[0].astype(np.int64) + np.cumsum(steps, axis=0)
     return np.clip(points, np.minimum(low, axes[0]), np.maximum(high, axes[0])).astype(np.int32)
@@ -203,7 +203,7 @@ def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
     began, ended = Counter[int](), dict[int, int]()
     faulted: set[int] = set()  # done, and a fault was latched before the next one
     last, current = -1, (-1, -1, -1)
-    path: NDArray[Any] = np.zeros((1, 6))
+    path: NDArray[Any] = np.zeros((1, 0))
     for entry in journal:
         if entry["event"] == "move":
             k = index.get(json.dumps(entry["set_points"]), -1)

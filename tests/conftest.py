@@ -378,6 +378,26 @@ def executed(
     return made_once("executed", make) / "run"
 
 
+@pytest.fixture(scope="session")
+def turned(
+    made_once: Callable[..., Path],
+    part_file: Path,
+    small_plan: tuple[str, ...],
+    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+) -> Path:
+    """A plan of the small part on a table, and one execution of it."""
+
+    def make(folder: Path) -> None:
+        done = run_cell(
+            "plan", part_file, "--units", "mm", *small_plan, "--table", "--out", "run", "--json", cwd=folder
+        )
+        assert done.returncode == 0, done.stderr
+        done = run_cell("scan", "run", "--resolution", "1", cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once("turned", make) / "run"
+
+
 @dataclass
 class Emulated:
     """A process of `cell emulate`.

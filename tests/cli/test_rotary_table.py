@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.api import locate
+from cell.errors import UsageError
 from cell.narrator import Quiet
 from cell.proof.proof import prove
 from cell.replay.replay import load_show
@@ -19,21 +21,6 @@ from cell.run.record import open_run
 from planner.timing.motion import move_time
 
 RunCell = Callable[..., subprocess.CompletedProcess[str]]
-
-
-@pytest.fixture(scope="module")
-def turned(made_once: Callable[..., Path], part_file: Path, small_plan: tuple[str, ...], run_cell: RunCell) -> Path:
-    """A plan of the small part on a table, and one execution of it."""
-
-    def make(folder: Path) -> None:
-        done = run_cell(
-            "plan", part_file, "--units", "mm", *small_plan, "--table", "--out", "run", "--json", cwd=folder
-        )
-        assert done.returncode == 0, done.stderr
-        done = run_cell("scan", "run", "--resolution", "1", cwd=folder)
-        assert done.returncode == 0, done.stderr
-
-    return made_once("turned", make) / "run"
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -124,15 +111,16 @@ def test_the_page_puts_the_part_on_a_link_of_its_own(
     assert {piece["name"] for piece in shown["pieces"] if piece["link"] == shown["turns"]} == {"post"}
 
 
-@pytest.mark.parametrize("command", [("why",), ("edit", "--drop", "1"), ("locate", "--from-scan", "latest")])
+@pytest.mark.parametrize("command", [("why",), ("edit", "--drop", "1")])
 def test_what_does_not_know_a_table_refuses_it(
     turned: Path, run_cell: RunCell, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
-    """One sentence and exit code 2, never a wrong answer."""
+    """One sentence and exit code 2, never a wrong answer; Python says it too."""
     done = run_cell(command[0], turned, *command[1:], cwd=tmp_path)
     assert done.returncode == 2, done.stderr
-    if command[0] != "locate":
-        assert "turns its part on a rotary table" in done.stderr
+    assert "turns its part on a rotary table" in done.stderr
+    with pytest.raises(UsageError, match="which cell locate does not know yet"):
+        locate(turned)
 
 
 def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
@@ -150,6 +138,26 @@ def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunC
     header, *rows = (tmp_path / "csv" / "TURNED.csv").read_text(encoding="utf-8").splitlines()
     column = header.split(",").index("E1_deg")
     np.testing.assert_allclose([float(row.split(",")[column]) for row in rows], via[:, 6], atol=1e-9)
+
+
+@pytest.mark.parametrize("protocol", ["serial", "modbus"])
+def test_seven_axes_travel_on_a_wire(
+    turned: Path, run_cell: RunCell, emulate: Callable[..., Any], tmp_path: Path, protocol: str
+) -> None:
+    """A scan through an emulated controller of the run's arm and table measures what the simulated one did."""
+    copy = tmp_path / "run"
+    shutil.copytree(turned, copy)
+    emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000")
+    digest = _json(copy / "manifest.json")["digest"]
+    word = ("--driver", emulated.url, "--accept-time-scale", "1000", "--speed", "100", "--confirm-motion", digest)
+    done = run_cell("scan", copy, "--resolution", "1", *word, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    first, second = (_json(copy / "executions" / name / "report.json") for name in ("0001", "0002"))
+    assert second["coverage"]["visible"] == pytest.approx(first["coverage"]["visible"], abs=1e-6)
+    scan = np.load(copy / "executions" / "0002" / "scans" / "0001.npz")
+    np.testing.assert_allclose(
+        np.degrees(scan["e_reported"]), _json(copy / "plan.json")["views"][0]["e_deg"], atol=1e-3
+    )
 
 
 def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: Path, tmp_path: Path) -> None:
