@@ -265,13 +265,14 @@ def explore(
     from cell.explore.exploration import Exploration
     from cell.explore.explore import explore as run
     from cell.explore.options import OF_SCAN, ExploreOptions
+    from cell.plan.asked import scene_and_part
     from cell.scan.options import ScanOptions
     from cell.scene.option import offers, read
 
     own, of_scan = (
         {name: wishes.pop(name) for name in names if name in wishes} for names in (offers(ExploreOptions), OF_SCAN)
     )
-    checked, _ = _scene(part, scene, wishes)
+    checked, _ = scene_and_part(part, scene, wishes)
     wanted = read(ExploreOptions, own) if options is None else options
     scans = read(ScanOptions, of_scan) if scanning is None else scanning
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
