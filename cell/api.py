@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from cell.locate.located import Located
     from cell.locate.options import Locating
     from cell.narrator import Narrator
-    from cell.part.workpiece import Workpiece
     from cell.run.executed import ExecutedRun
     from cell.run.planned import PlannedRun
     from cell.scan.of_setups import SetupsOutcome
@@ -81,6 +80,7 @@ def plan(
     """
     from cell.edit.editable import EditableRun
     from cell.plan import pipeline
+    from cell.plan.asked import scene_and_part
 
     scene_path = None if scene is None else Path(scene)
     where, narrator = None if out is None else Path(out), _narrator(progress)
@@ -99,7 +99,7 @@ def plan(
             earlier, checked, scene_path=scene_path, out=where, argv=argv, use_cache=use_cache, narrator=narrator
         )
         return EditableRun.opened(folder)
-    checked, workpiece = _scene(part, scene, wishes)
+    checked, workpiece = scene_and_part(part, scene, wishes)
     folder = pipeline.plan(
         checked, part=workpiece, scene_path=scene_path, out=where, argv=argv, use_cache=use_cache, narrator=narrator
     )
@@ -134,10 +134,11 @@ def plan_setups(
     Raises:
         CellError: in one sentence; the folder keeps what was finished.
     """
+    from cell.plan.asked import scene_and_part
     from cell.setups.plan_setups import plan_setups as planned
     from cell.setups.planned_setups import PlannedSetups
 
-    checked, workpiece = _scene(part, scene, wishes)
+    checked, workpiece = scene_and_part(part, scene, wishes)
     checked.require_fixed_part("a plan of several set-ups")
     folder = planned(
         checked, part=workpiece, most=most, offer=offer, scene_path=None if scene is None else Path(scene),
@@ -264,13 +265,14 @@ def explore(
     from cell.explore.exploration import Exploration
     from cell.explore.explore import explore as run
     from cell.explore.options import OF_SCAN, ExploreOptions
+    from cell.plan.asked import scene_and_part
     from cell.scan.options import ScanOptions
     from cell.scene.option import offers, read
 
     own, of_scan = (
         {name: wishes.pop(name) for name in names if name in wishes} for names in (offers(ExploreOptions), OF_SCAN)
     )
-    checked, _ = _scene(part, scene, wishes)
+    checked, _ = scene_and_part(part, scene, wishes)
     wanted = read(ExploreOptions, own) if options is None else options
     scans = read(ScanOptions, of_scan) if scanning is None else scanning
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
@@ -344,34 +346,6 @@ def open_run(folder: "str | Path") -> "EditableRun":
     from cell.edit.editable import EditableRun
 
     return EditableRun.opened(Path(folder))
-
-
-def _scene(
-    part: "str | Path | trimesh.Trimesh | Scene | None", path: "str | Path | None", wishes: dict[str, object]
-) -> "tuple[Scene, Workpiece | None]":
-    """The checked scene, and the part where it is no file's."""
-    from cell.errors import UsageError
-    from cell.scene.options import BUILT_IN, scene_of
-    from cell.scene.scene import Scene
-
-    if isinstance(part, Scene):
-        if wishes:
-            raise UsageError(
-                f"{', '.join(wishes)} beside a whole Scene: a Scene says all of it; set them there, or give a scene "
-                "file in its place"
-            )
-        return part, None
-    file = None if path is None else Path(path)
-    if part is None or isinstance(part, str | Path):
-        return scene_of(file, wishes, part), None
-    from cell.part import workpiece
-
-    units = wishes.pop("units", None)
-    name = Path(str(part.metadata.get("file_name") or "mesh")).stem
-    loaded = workpiece.from_arrays(
-        "mesh" if name in BUILT_IN else name, part.vertices, part.faces, None if units is None else str(units)
-    )
-    return scene_of(file, wishes), loaded
 
 
 def _folder(run: "PlannedRun | str | Path") -> Path:

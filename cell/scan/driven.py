@@ -5,6 +5,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from pydantic import JsonValue
 
 from cell.acquisition import SIMULATED, sources
@@ -30,6 +31,27 @@ def cell_with(stands: TriangleMesh | None, cell: RunCell) -> RunCell:
     if stands is None:
         return cell
     return replace(cell, reference=stands, part_caster=EmbreeRayCaster(stands.vertices, stands.faces))
+
+
+def part_may_be_near(options: ScanOptions, cell: RunCell, nearest: float) -> str:
+    """A sentence where the part may stand farther off its place than the motion keeps clear of it; else none.
+
+    Args:
+        options: how far off it may stand.
+        cell: the part.
+        nearest: smallest distance of the motion from anything [m].
+    """
+    if options.search is None:
+        return ""
+    vertices, centre = cell.reference.vertices, cell.scene.T_object_centre[:3, 3]
+    radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+    moved = options.search[0] + 2 * float(np.sin(options.search[1] / 2)) * radius
+    if not moved > nearest:  # of older runs it is not known
+        return ""
+    return (
+        f"the part may stand up to {1000 * moved:.1f} mm off, and the motion comes as near as {1000 * nearest:.1f} mm: "
+        "find it with cell locate first, or plan with more clearance"
+    )
 
 
 def drive(

@@ -21,10 +21,18 @@ from cell.proof.proof import prove
 from cell.run import process
 from cell.run.cell import RunCell, read_cell
 from cell.run.executions import RecordedExecution, read_execution
+from cell.run.reader import nearest
 from cell.run.record import RunRecord, read_manifest, understood
 from cell.scan import driver as scan_driver
 from cell.scan import execute, lock, resources, safety
-from cell.scan.driven import acquisition_of, cell_with, drive, drivers_errors_as_ours, write_motion
+from cell.scan.driven import (
+    acquisition_of,
+    cell_with,
+    drive,
+    drivers_errors_as_ours,
+    part_may_be_near,
+    write_motion,
+)
 from cell.scan.executed_scans import usable
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import legs_of
@@ -100,6 +108,8 @@ def execute_and(
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = scan_driver.prepare(options, motion, cell, factory.of_run(run), narrator.note)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
+    if doubt := part_may_be_near(options, cell, nearest(run)[0]):
+        narrator.note(doubt)
     acquisition_of(kept, cell, seed, run.folder, narrator)  # what cannot be asked of it leaves no execution behind
     if options.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)

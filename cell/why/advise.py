@@ -85,14 +85,14 @@ def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
             share, error = _share(samples, left, arm(world.placed(T_base_centre)))
             open_share = 1.0 - visible
             found.append(
-                Advice(what, visible + open_share * share, open_share * error, _open_of(run, T_base_centre))
+                Advice(what, visible + open_share * share, open_share * error, open_of(run, T_base_centre))
             )  # fmt: skip
     places: list[Advice] = []
     some = np.sort(rng.permutation(len(samples))[:ASKED])
     with narrator.stage("other places"):
-        for what, T_base_centre in _elsewhere(world):
+        for what, T_base_centre in _places(world):
             share, error = _share(samples, some, arm(world.placed(T_base_centre)))
-            places.append(Advice(what, share, error, _command(run, T_base_centre)))
+            places.append(Advice(what, share, error, elsewhere(run, T_base_centre)))
     places.sort(key=lambda advice: -advice.share)
     return visible, [*found, *places[:TOLD]]
 
@@ -117,7 +117,7 @@ def _turned(world: World) -> Iterator[tuple[str, Floats]]:
         yield f"a second set-up with the part {how}, beside this plan", T
 
 
-def _elsewhere(world: World) -> Iterator[tuple[str, Floats]]:
+def _places(world: World) -> Iterator[tuple[str, Floats]]:
     """The part moved aside and up."""
     for up in _ABOVE:
         for x, y in _ASIDE:
@@ -133,7 +133,7 @@ def _place(T_base_centre: Floats) -> str:
     return ",".join(f"{value + 0.0:g}" for value in [*(position * 1000).round(3), *(np.degrees(abc).round(3))])
 
 
-def _open_of(run: RunRecord, T_base_centre: Floats) -> str:
+def open_of(run: RunRecord, T_base_centre: Floats) -> str:
     """The command that plans a further set-up for what a run leaves open, or all set-ups of a folder together."""
     beside = run.folder.absolute().parent.parent / "setups.json"
     runs = sorted(run.folder.parent.iterdir()) if beside.is_file() else [run.folder]
@@ -141,7 +141,7 @@ def _open_of(run: RunRecord, T_base_centre: Floats) -> str:
     return shlex.join(["cell", "plan", *named, "--place", _place(T_base_centre)])
 
 
-def _command(run: RunRecord, T_base_centre: Floats) -> str:
+def elsewhere(run: RunRecord, T_base_centre: Floats) -> str:
     """The run's own command line at another placement; the option alone where `cell edit` or Python began it."""
     place = _place(T_base_centre)
     words = list(run.manifest.argv)

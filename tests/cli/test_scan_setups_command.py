@@ -34,6 +34,7 @@ def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, ru
     """From 5 mm and 2 deg off: within 0.05 mm and 0.02 deg of the truth along all that is called determined."""
     done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
+    assert "the part may stand up to" in done.stderr
     first = json.loads(done.stdout)
     assert (first["missing"], len(first["setups"]), first["shared"]) == ([2], 1, [])
     assert first["open"]["to_come"] > 0.05

@@ -73,10 +73,25 @@ def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: P
     assert "made holds several set-ups; give the run folder of one of them: made/setups/1" in done.stderr
 
 
+def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
+    """`cell view` tells the page of each run; one file cannot hold them."""
+    done = run_cell("view", "made", "--no-open", cwd=made.parent)
+    assert done.returncode == 0, done.stderr
+    for number in ("1", "2"):
+        assert str(Path("made", "setups", number, "view.html")) in done.stdout
+    done = run_cell("view", "made", "--no-open", "--out", "x.html", cwd=made.parent)
+    assert done.returncode == 2
+    assert "holds several set-ups, each with a page of its own" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
         (("--max-views", "3"), 2, "plan.max_views is no wish that a cover of several set-ups answers"),
+        (("--pin", "3"), 2, "plan.pinned is no wish that a cover of several set-ups answers"),
+        (("--ban", "3"), 2, "plan.banned is no wish that a cover of several set-ups answers"),
+        (("--k-fold", "2"), 2, "plan.multiplicity is no wish that a cover of several set-ups answers"),
+        (("--offer", "0"), 2, "no set-up is offered: give [[setup]] tables in the scene"),
         (("--place", "9000,0,100"), 4, "none of the 1 set-ups offered can be planned"),
     ],
 )

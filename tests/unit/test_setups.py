@@ -10,12 +10,15 @@ import trimesh
 from cell.api import open_run
 from cell.errors import UsageError
 from cell.rays.occluders import Occluder
+from cell.run.manifest_json import Manifest
+from cell.run.record import RunRecord
 from cell.scene.option import flag
 from cell.scene.scene import Scene
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
 from cell.setups.offered import proposed
+from cell.why import advise
 from cell.world.model import compile_world
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
@@ -131,3 +134,18 @@ def test_a_box_is_offered_on_its_six_sides() -> None:
     assert [offer.placement for offer in proposed(world, TriangleMesh(box.vertices, box.faces), 5)] == [
         offer.placement for offer in offers[:5]
     ]
+
+
+def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
+    """Of one of several set-ups it goes on from all of them; another place takes the command that began the run."""
+    T = np.eye(4)
+    T[:3, 3] = 1.2, 0.5, 0
+    for number in ("1", "2"):
+        (tmp_path / "setups" / number).mkdir(parents=True)
+    one = RunRecord(tmp_path / "setups" / "1", Manifest(argv=("setups", "mug", "--place", "1,2,3", "--most", "2")))
+    alone = "cell plan --open-of {} --place 1200,500,0,0,0,0"
+    assert advise.open_of(one, T) == alone.format(one.folder)
+    (tmp_path / "setups.json").touch()
+    both = f"{one.folder} --open-of {tmp_path / 'setups' / '2'}"
+    assert advise.open_of(one, T) == alone.format(both)
+    assert advise.elsewhere(one, T) == "cell setups mug --most 2 --place 1200,500,0,0,0,0"

@@ -1,0 +1,83 @@
+"""What two set-ups share holds their scans together, or leaves them free: shapes whose motions are known."""
+
+import numpy as np
+import pytest
+
+from cell.reconstruction.freedom import of_surface
+from cell.run.setups_json import SharedSurface
+from cell.setups.shared import apart, joining, left_free, shared
+from planner.measurability.matrix import Measurability
+from planner.surface.sample import SurfaceSamples
+from planner.values import Bools
+
+
+def _box() -> tuple[SurfaceSamples, Bools]:
+    """Samples on the six sides of a box of 60 x 80 x 100 mm, and (S, 6) on which each lies: +x, -x, +y, -y, +z, -z."""
+    rng = np.random.default_rng(0)
+    half, points, normals = np.array([0.03, 0.04, 0.05]), [], []
+    for axis in range(3):
+        for sign in (1, -1):
+            own = rng.uniform(-1, 1, (200, 3)) * half
+            own[:, axis] = sign * half[axis]
+            points.append(own)
+            normals.append(np.tile(sign * np.eye(3)[axis], (200, 1)))
+    flat = np.zeros(1200, dtype=np.int32)
+    samples = SurfaceSamples(np.concatenate(points), np.concatenate(normals), np.ones(1200), flat, flat)
+    return samples, np.repeat(np.eye(6, dtype=bool), 200, axis=0)
+
+
+def _ball() -> SurfaceSamples:
+    normals = np.random.default_rng(1).normal(size=(2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = np.zeros(2000, dtype=np.int32)
+    return SurfaceSamples(0.05 * normals, normals, np.ones(2000), flat, flat)
+
+
+@pytest.mark.parametrize(("sides", "free"), [((4,), 3), ((2, 4), 1), ((0, 2, 4), 0), ((0, 1, 2, 3), 1), ((), 6)])
+def test_sides_of_a_box_leave_free_what_slides_along_them(sides: tuple[int, ...], free: int) -> None:
+    """One plane leaves three motions, two one along their edge, three none; four slide; nothing leaves six."""
+    samples, side = _box()
+    seen = side[:, list(sides)].any(axis=1)
+    assert len(of_surface(samples.points[seen], samples.normals[seen])) == free
+
+
+def test_a_ball_turns_and_nothing_is_lost_by_it() -> None:
+    """A cap of it turns three ways, and so does all of it: what set-ups share of a ball holds them together."""
+    samples = _ball()
+    lower, upper = samples.normals[:, 2] < 0.2, samples.normals[:, 2] > -0.2
+    assert len(of_surface(samples.points, samples.normals)) == 3
+    assert left_free(lower, upper, samples) == ()
+
+
+def test_set_ups_are_apart_where_their_common_side_slides() -> None:
+    """Two that share a plane, three in a chain, one that shares nothing."""
+    samples, side = _box()
+    seen = {
+        1: side[:, [0, 2, 4]].any(axis=1),
+        2: side[:, [0, 1, 2, 4]].any(axis=1),
+        3: side[:, [1, 3, 5]].any(axis=1),
+    }
+    pairs = shared(seen, samples)
+    assert [pair.setups for pair in pairs] == [(1, 2), (1, 3), (2, 3)]
+    assert [bool(pair.free) for pair in pairs] == [False, True, True]
+    assert [pair.share for pair in pairs] == pytest.approx([0.5, 0, 1 / 6])
+    assert apart(pairs, (1, 2, 3)) == (3,)
+    assert apart([SharedSurface(setups=(2, 3), share=0.1, free=())], (1, 2, 3)) == (2, 3)
+
+
+def test_the_view_that_joins_is_the_one_that_ends_the_freedom() -> None:
+    """Of a side more, an edge more and both, only both do; a column that may not be chosen is not."""
+    samples, side = _box()
+
+    def columns(*sides: tuple[int, ...]) -> Measurability:
+        dense = np.stack([side[:, list(each)].any(axis=1) for each in sides], axis=1)
+        indptr = np.concatenate([[0], np.cumsum(dense.sum(axis=1))])
+        return Measurability(indptr, np.nonzero(dense)[1].astype(np.int32), samples, len(sides))
+
+    M = {0: columns((0, 2, 4)), 5: columns((1, 3, 5), (0,), (2, 4), (0, 2, 4))}
+    views = {0: np.array([0]), 5: np.array([0])}
+    usable = {0: np.ones(1, dtype=bool), 5: np.ones(4, dtype=bool)}
+    assert joining(M, usable, views) == (5, 3)
+    assert joining(M, usable, {0: views[0], 5: np.array([0, 3])}) is None
+    usable[5][3] = False
+    assert joining(M, usable, views) is None
