@@ -102,14 +102,15 @@ class ArmKinematics:
             raise PlannerError(f"T_base_flange has shape {T.shape}; it must be (N, 4, 4)")
         fitted = self.fit
         to_root, to_end = inverted(fitted.T_base_root), inverted(fitted.T_end_flange)
+        signs, offsets = np.tile(fitted.signs, BRANCHES), np.tile(fitted.signs * fitted.offsets, BRANCHES)
         q = np.empty((len(T), BRANCHES, 6))
         for start in range(0, len(T), _CHUNK):
             chunk = slice(start, start + _CHUNK)
             fitted.form.inverse(_seen(to_root, T[chunk], to_end), q[chunk], start)
-            for axis in np.flatnonzero((fitted.offsets != 0.0) | (fitted.signs < 0.0)):
-                angles = fitted.signs[axis] * (q[chunk, :, axis] - fitted.offsets[axis])
-                _wrap(angles)
-                q[chunk, :, axis] = angles
+            rows = q[chunk].reshape(-1, BRANCHES * 6)  # long rows: a loop of six numbers takes twice as long
+            rows *= signs
+            rows -= offsets
+            _wrap(rows)
         if fitted.residual > POLISHED_ABOVE:
             self._polish(T, q)
             _wrap(q)
@@ -185,5 +186,4 @@ def _seen(to_root: Floats, T: Floats, to_end: Floats) -> Floats:
 
 def _wrap(q: Floats) -> None:
     """A turn less or more, into (-pi, pi]; q lies within 3 pi. In place."""
-    q[q <= -np.pi] += 2.0 * np.pi
-    q[q > np.pi] -= 2.0 * np.pi
+    q += 2.0 * np.pi * ((q <= -np.pi).view(np.int8) - (q > np.pi).view(np.int8))
