@@ -32,8 +32,10 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
             _panel(axes, mine, over == 1)
         panels[0, column].set_title(name, fontsize=9.5, loc="left")
     panels[0, 0].set_ylim(0, 102)
-    for axes, label in zip(panels[:, 0], ("views", "seconds of motion"), strict=False):
-        axes.set_ylabel(f"visible coverage [%] over {label}", fontsize=8.5)
+    for row, label in zip(panels, ("views", "seconds of motion"), strict=False):
+        row[0].set_ylabel("visible coverage [%]", fontsize=8.5)
+        for axes in row:
+            axes.set_xlabel(label, fontsize=8.5)
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False)
     figure.savefig(path, metadata={"Software": "scan-cell"})
 

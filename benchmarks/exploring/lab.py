@@ -6,7 +6,7 @@ the same voxels (`planner.explore.space`) and the same points, and is judged on 
 part. Explored frame, metres: its origin is the cylinder's middle.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -175,14 +175,14 @@ class Lab:
 
     def candidates(
         self, planning: TriangleMesh, scouts: SurfaceSamples, casters: tuple[EmbreeRayCaster, ...],
-        free: Callable[[Floats], Bools],
+        free: Callable[[Floats], Bools], schedule: Sequence[growth.Stage] = growth.SCHEDULE,
     ) -> Floats:  # fmt: skip
         """(V, 4, 4) candidates of a plan of a surface: before its faces, and grown for what those leave open."""
         zone = optimal_scanning_zone(planning, self.settings.standoffs, self.settings.rolls).T_object_scanner[:, 0]
         zone = zone[free(zone)]
         seen = measured(zone[:, None], scouts, self.scanner, casters) if len(zone) else np.zeros(len(scouts), bool)
         arm = growth.Arm(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
-        grown = growth.grow(Targets.of(scouts.points, scouts.normals), seen, arm)
+        grown = growth.grow(Targets.of(scouts.points, scouts.normals), seen, arm, schedule=schedule)
         return np.concatenate([zone, grown.T_object_scanner])
 
 

@@ -11,9 +11,10 @@ from numpy.random import Generator
 from benchmarks.exploring.lab import Known, Lab, NextView
 from cell.explore import belief
 from cell.explore.policies import Batch
-from cell.explore.stage import _DRAWN, Asked, _open
+from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, Asked, probable
 from cell.rays.embree import EmbreeRayCaster
 from planner.explore.gain import Record
+from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
@@ -25,33 +26,39 @@ class _Ours:
 
     def __init__(self, lab: Lab, rng: Generator) -> None:
         self._lab, self._rng = lab, rng
-        self._record, self._tries = Record.empty(), lab.unknown.tries
-        self._expected: tuple[SurfaceSamples, Floats] | None = None
+        self._record, self._before = Record.empty(), lab.unknown
+        self._expected: tuple[SurfaceSamples, float] | None = None
 
     def __call__(self, known: Known) -> Floats | None:
-        lab, space = self._lab, replace(known.space, tries=self._tries)
-        if self._expected is not None:
-            rows, shares = self._expected
-            seen = space.seen(rows.points).astype(np.float64)
-            self._record = self._record.with_stage(space.tries_at(rows.points), shares, seen)
-            space = space.tried(rows.points[space.open_still(rows.points, rows.normals)])
-            self._tries = space.tries
+        lab, space = self._lab, self._learned(known)
         mesh = belief.surface_of(space)
-        planning = decimate(mesh, min(lab.settings.faces, len(mesh.faces)))
+        planning = decimate(belief.rough(space), lab.settings.faces)
         asked = Asked(space, self._record, Batch(1), 0.0)
-        rows, scouts = (_open(sample(mesh, planning, _DRAWN, self._rng), asked) for _ in range(2))
+        rows, scouts = (
+            probable(sample(mesh, planning, DRAWN, self._rng), asked, kept) for kept in (ROWS_KEPT, SCOUTS_KEPT)
+        )
         if not len(rows) or not len(scouts):
             return None
         casters = (EmbreeRayCaster(mesh.vertices, mesh.faces),)
-        poses = lab.candidates(planning, scouts, casters, lab.free(space))
+        poses = lab.candidates(planning, scouts, casters, lab.free(space), SCHEDULE)
         M = measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
             return None
         best = int(np.argmax(rows.areas @ M))
-        expected = pick_samples(rows, M[:, best])
-        weights = self._record.weights(space.tries_at(expected.points))
-        self._expected = expected, expected.areas / weights / float(mesh.areas.sum())
+        self._expected, self._before = (pick_samples(rows, M[:, best]), float(mesh.areas.sum())), space
         return poses[best]
+
+    def _learned(self, known: Known) -> VoxelSpace:
+        """The voxels with the tries of all views; the record learns of the last as in `cell.explore.explore`."""
+        space = replace(known.space, tries=self._before.tries)
+        if self._expected is None:
+            return space
+        (rows, surface), before = self._expected, self._before
+        new = known.points[-1][~before.seen(known.points[-1])]
+        found = self._lab.eye.answered(rows.points, new, known.poses[-1]).astype(np.float64)
+        of = before.open_at(rows.points)
+        self._record = self._record.with_stage(of, rows.areas / self._record.weights(of) / surface, found)
+        return space.tried(rows.points[space.open_still(rows.points, rows.normals)])
 
 
 def stepwise(lab: Lab, rng: Generator) -> NextView:

@@ -41,10 +41,10 @@ from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
-_DRAWN, _ROWS_KEPT, _SCOUTS_KEPT = 20_000, 3_000, 1_000
+DRAWN, ROWS_KEPT, SCOUTS_KEPT = 20_000, 3_000, 1_000
 """Samples of the believed surface that are drawn, of those rows of the matrix at most, and scouts at most."""
 
-_SCHEDULE = growth.SCHEDULE[:2]
+SCHEDULE = growth.SCHEDULE[:2]
 """Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
 
 _ROWS, _SCOUTS = 10, 11  # streams of randomness of their own, beside those of `cell.plan.steps`
@@ -117,7 +117,7 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         scanner = limited(job.scene, job.scanner)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
         if job.scene.plan.candidates == GROWN:
-            grown = grow(candidates, reached.reachable, scouts, arm, schedule=_SCHEDULE)
+            grown = grow(candidates, reached.reachable, scouts, arm, schedule=SCHEDULE)
             reached = join_reach([reached, steps.reach_of(job, cell, grown)])
             candidates = join_viewpoints([candidates, grown])
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
@@ -157,8 +157,8 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         planning = decimate(belief.rough(asked.space), job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         rows, scouts = (
-            probable(sample(reference, planning, _DRAWN, run.rng(stream)), asked, kept)
-            for stream, kept in ((_ROWS, _ROWS_KEPT), (_SCOUTS, _SCOUTS_KEPT))
+            probable(sample(reference, planning, DRAWN, run.rng(stream)), asked, kept)
+            for stream, kept in ((_ROWS, ROWS_KEPT), (_SCOUTS, SCOUTS_KEPT))
         )
         if not len(rows) or not len(scouts):
             raise EnoughError("nothing is open")
