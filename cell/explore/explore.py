@@ -133,7 +133,7 @@ def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
 
 def _learned(known: Known, folder: Path, scans: Sequence[ExecutedScan], work: Exploring) -> Known:
     """What is known after a stage."""
-    _require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
+    require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
     before, after = known.space, known.space
     expected, sees, surface = _expected(folder, before)
     found = np.zeros(len(expected), dtype=np.bool_)
@@ -150,7 +150,7 @@ def _learned(known: Known, folder: Path, scans: Sequence[ExecutedScan], work: Ex
     return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record)
 
 
-def _require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
+def require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
     """Stop where a stage's points (N, 3) [m] cannot be.
 
     Raises:

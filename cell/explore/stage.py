@@ -34,6 +34,8 @@ from cell.scene.scene import Scene
 from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.measurability.columns import spread_measurability
+from planner.order.tour_search import DEFAULT_BUDGET
+from planner.path.path import CHECKS
 from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
@@ -46,6 +48,9 @@ DRAWN, ROWS_KEPT, SCOUTS_KEPT = 20_000, 3_000, 1_000
 
 SCHEDULE = growth.SCHEDULE[:2]
 """Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
+
+_BRIEF = replace(DEFAULT_BUDGET, path_checks=CHECKS // 4, polish=0, guesses=DEFAULT_BUDGET.guesses[:1])
+"""Of the motion through the few views of a batch: searching on for a shorter one takes longer than it saves."""
 
 _ROWS, _SCOUTS = 10, 11  # streams of randomness of their own, beside those of `cell.plan.steps`
 
@@ -199,6 +204,7 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, batch: Batch) -
         others = tuple(np.setdiff1d(np.arange(len(reached)), best).tolist())
         request = replace(problem.request, plan=plan.model_copy(update={"banned": others}))
         selected = first_choice(replace(problem, request=request), rng)
+        problem = replace(problem, request=replace(problem.request, motion=_BRIEF))
         return problem, choose_and_connect(
             problem, selected, selection_rng=rng, motion_rng=run.rng(steps.MOTION), progress=progress
         )

@@ -25,6 +25,7 @@ from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.order.seconds_of_views import least_moves
 from planner.order.tour import Tour
+from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget
 from planner.ports import JointLimits
 from planner.reach.reach import Reach, Verdict
 from planner.values import Floats, Ints
@@ -56,6 +57,7 @@ class Request:
         goals: what regions of the part ask for; None where it has none.
         order: candidates in the order in which they are visited, others where they cost least; None: in any order.
         known: gives the motion through (n,) candidates at their (m, 6) joint solutions [rad] where one is known.
+        motion: work that planning the motion may use.
     """
 
     plan: PlanSettings = field(default_factory=PlanSettings)
@@ -64,6 +66,7 @@ class Request:
     goals: RegionGoals | None = None
     order: tuple[int, ...] | None = None
     known: Callable[[Ints, Sequence[Floats]], Tour | None] | None = None
+    motion: MotionBudget = DEFAULT_BUDGET
 
     @property
     def overlap(self) -> Overlap | None:

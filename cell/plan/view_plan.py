@@ -252,7 +252,9 @@ def _motion(
     if problem.request.known is not None and (known := problem.request.known(groups.views, groups.configurations)):
         return known
     ordering = _ordering(problem.request, selected)
-    return tour.plan_motion(visits, problem.checker, problem.limits, rng, progress=progress, ordering=ordering)
+    return tour.plan_motion(
+        visits, problem.checker, problem.limits, rng, problem.request.motion, progress, ordering=ordering
+    )
 
 
 def _plan(

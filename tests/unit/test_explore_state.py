@@ -1,0 +1,101 @@
+"""An exploration's folder that was killed early, and the limits of sigma and spacing that its model is judged by."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.errors import FileError
+from cell.explore import specification
+from cell.explore.explore import require_plausible
+from cell.explore.options import ExploreOptions
+from cell.explore.policies import POLICIES, So
+from cell.explore.prepare import begun, prepared
+from cell.explore.state import Paths
+from cell.narrator import Quiet
+from cell.run.explore_json import ExploreFile
+from cell.scan.options import ScanOptions
+from cell.scene.options import scene_of
+from cell.scene.scene import Scene
+from planner.explore.space import FREE, VoxelSpace
+from planner.surface.mesh import TriangleMesh
+from planner.values import Floats
+from planner.viewpoints.viewpoints import looking_at
+
+
+def _scene(**wishes: float) -> Scene:
+    return scene_of(None, {"place": (1100, 400, 100), **wishes}, "mug")
+
+
+def _begun(root: Path) -> ExploreFile:
+    return begun(prepared(_scene(), ExploreOptions(), ScanOptions(), root, (), Quiet(), None))
+
+
+@pytest.mark.parametrize("left", [(), ("stages",), ("stages", "explore.json.tmp")])
+def test_a_kill_before_the_first_explore_json_is_gone_on_after(left: tuple[str, ...], tmp_path: Path) -> None:
+    """What is there between the making of the folder and the first file is an exploration that was begun."""
+    root = tmp_path / "explored"
+    for name in left:
+        (root / "stages").mkdir(parents=True, exist_ok=True)
+        if name != "stages":
+            (root / name).write_text('{"half')
+    file = _begun(root)
+    assert Paths(root).begin(file) == file
+    assert Paths(root).begin(file) == file  # and again, from what it wrote
+    assert Paths(root).file.is_file()
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    """Nothing is written beside another's files, nor into a folder that is merely empty."""
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(FileError, match="no exploration"):
+        Paths(tmp_path).begin(_begun(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("points", "told"),
+    [
+        (np.empty((0, 3)), "no ray of stages/0001 came back"),
+        (np.tile([[0.2, 0.0, 0.0]], (5, 1)), "outside the cylinder"),
+        (np.tile([[0.0, 0.0, 0.0]], (5, 1)), "the part was moved"),
+    ],
+    ids=["nothing hit", "outside its cylinder", "moved"],
+)
+def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) -> None:
+    """In one sentence that names the stage and what to do."""
+    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004)
+    space = replace(space, state=np.full_like(space.state, FREE))
+    with pytest.raises(FileError, match=told):
+        require_plausible(space, Path("stages/0001"), points)
+
+
+def test_limits_hold_in_the_fine_stage_alone() -> None:
+    """The rough stage of two-stage is planned without them, the fine one and all of stepwise with them."""
+    scene = _scene(max_sigma=0.05, max_spacing=1.0)
+    assert specification.asked(scene)
+    rough = specification.without(scene)
+    assert not specification.asked(rough)
+    assert rough.plan.model_copy(update={"max_sigma_mm": 0.05}) == scene.plan
+    batches = {name: [policy(ExploreOptions(), So(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()}
+    said = {name: [batch is not None and batch.rough for batch in each] for name, each in batches.items()}
+    assert said == {"stepwise": [False, False], "two-stage": [True, False]}
+
+
+def test_what_the_model_misses_of_the_limits() -> None:
+    """A square seen from one place: of it lies beyond a limit of spacing what the law of the grid's tangents says."""
+    square = trimesh.creation.box((0.08, 0.08, 0.002))
+    mesh = TriangleMesh(np.asarray(square.vertices, dtype=np.float64), np.asarray(square.faces, dtype=np.int32))
+    up = np.array([[0.0, 0.0, 1.0]])
+    poses = looking_at(np.zeros((1, 3)), up, np.array([-1]), [0.1], [0.0]).T_object_scanner[:, 0]
+    step = 0.1 * np.radians(0.25)
+    shares = [
+        specification.missed(_scene(max_spacing=1000 * limit * step), mesh, poses)
+        for limit in (0.9, 1.0, 1.05, 1.1, 4.0)
+    ]
+    assert shares[0] == 1.0
+    assert shares[-1] == 0.0
+    assert (np.diff(shares) <= 0).all()
+    assert 0 < shares[2] < 1
