@@ -10,6 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.surface.mesh import cross_products
 from planner.values import Floats, Ints
 
 
@@ -203,12 +204,13 @@ def bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
 
 def _body_volumes(vertices: Floats, faces: Ints, body: Ints, n_bodies: int) -> Floats:
     """(n_bodies,) signed volume; an open body is closed towards the middle of its own vertices."""
-    corners = vertices[faces]
-    counts = np.bincount(body, minlength=n_bodies)
-    centres = corners.mean(axis=1)
-    middle = np.stack([np.bincount(body, weights=centres[:, j], minlength=n_bodies) / counts for j in range(3)], axis=1)
-    corners = corners - middle[body][:, None]
-    six = np.einsum("fj,fj->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    counts = 3 * np.bincount(body, minlength=n_bodies)
+    sums = [np.bincount(body, weights=axis, minlength=n_bodies) for axis in (a + b + c).T]
+    middle = (np.stack(sums, axis=1) / counts[:, None])[body]
+    for corners in (a, b, c):
+        corners -= middle
+    six = np.einsum("fj,fj->f", a, np.cross(b, c))
     return np.bincount(body, weights=six, minlength=n_bodies) / 6
 
 
@@ -260,8 +262,7 @@ def _first_of_equals(faces: Ints) -> Ints:
 
 def double_areas(vertices: Floats, faces: Ints) -> Floats:
     """(F,) twice the area of each face."""
-    corners = vertices[faces]
-    doubled: Floats = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    doubled: Floats = np.linalg.norm(cross_products(vertices, faces), axis=1)
     return doubled
 
 

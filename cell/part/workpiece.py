@@ -59,7 +59,7 @@ class Workpiece(Value):
     T_object_centre: Annotated[Floats, "4 4"] = field(init=False)
 
     def __post_init__(self) -> None:
-        vertices = self.reference.vertices[np.unique(self.reference.faces)]
+        vertices = self.reference.vertices[_named(self.reference.vertices, self.reference.faces)]
         bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
         T_object_centre = np.eye(4)
         T_object_centre[:3, 3] = bounds.mean(axis=0)
@@ -165,14 +165,21 @@ def from_mesh(
     faces, kept, findings = repair(vertices, faces.astype(np.int64))
     if not len(faces):
         raise FileError(f"every face of {name} has zero area; export the mesh again, or check its scale")
-    used, compact = np.unique(faces, return_inverse=True)
+    used = _named(vertices, faces)
     metres = vertices[used] * UNITS[units]
-    mesh = TriangleMesh(metres, compact.reshape(-1, 3).astype(np.int32))
+    mesh = TriangleMesh(metres, (np.cumsum(used, dtype=np.int32) - np.int32(1))[faces])
     given = units if cad is None else None
     findings = (*findings, *size_findings(np.ptp(metres, axis=0), given), *_place_findings(metres))
     return Workpiece(
         name, mesh, sha256, findings, None if cad is None else replace(cad, of_triangle=cad.of_triangle[kept])
     )
+
+
+def _named(vertices: Floats, faces: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """(V,) which vertices a face uses."""
+    named = np.zeros(len(vertices), dtype=np.bool_)
+    named[faces] = True
+    return named
 
 
 def _check_name(path: Path, names: tuple[str, ...]) -> None:
