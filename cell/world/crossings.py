@@ -29,8 +29,7 @@ def crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Floats]) ->
             count += 2
             continue
         for t in range(first[node - leaves], first[node - leaves + 1]):
-            ux, uy, uz = _edge(triangles, t, 1, 0), _edge(triangles, t, 1, 1), _edge(triangles, t, 1, 2)
-            vx, vy, vz = _edge(triangles, t, 2, 0), _edge(triangles, t, 2, 1), _edge(triangles, t, 2, 2)
+            ux, uy, uz, vx, vy, vz = _edges(triangles[t])
             hx, hy, hz = ray[1] * vz - ray[2] * vy, ray[2] * vx - ray[0] * vz, ray[0] * vy - ray[1] * vx
             det = ux * hx + uy * hy + uz * hz
             if det == 0.0:
@@ -49,5 +48,9 @@ def crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Floats]) ->
 
 
 @compiled
-def _edge(triangles: Floats, t: int, corner: int, axis: int) -> float:
-    return float(triangles[t, corner, axis] - triangles[t, 0, axis])
+def _edges(corners: Floats) -> tuple[float, float, float, float, float, float]:
+    """From the first of three corners to the second and to the third: one specialisation, whatever the corner."""
+    x, y, z = corners[0, 0], corners[0, 1], corners[0, 2]
+    return (
+        corners[1, 0] - x, corners[1, 1] - y, corners[1, 2] - z, corners[2, 0] - x, corners[2, 1] - y, corners[2, 2] - z
+    )  # fmt: skip

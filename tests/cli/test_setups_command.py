@@ -100,6 +100,7 @@ def test_what_cannot_be_is_said(
 ) -> None:
     """One sentence and a code; no finished folder is left."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "40", "--standoff", "250")
+    small += ("--candidates", "optimal-scanning-zone")
     done = run_cell("setups", part_file, *small, "--offer", "1", *options, "--out", "made", cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert told in done.stderr
