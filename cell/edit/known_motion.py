@@ -58,6 +58,5 @@ def _tour(run: PlannedRun, index: Mapping[int, int], order: Ints, entered: Ints,
         dropped=(),
         status=TourStatus.COMPLETE,
         home_blocker="",
-        checks=0,
         rounds=0,
     )

@@ -7,7 +7,7 @@ show.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from cell.replay import marks
 from cell.run.plan_json import PlanFile
 from cell.run.timeline import Timeline
 from cell.view import rays
-from planner.values import Floats, readonly
+from planner.values import Floats, Value
 
 if TYPE_CHECKING:
     import mujoco
@@ -29,7 +29,7 @@ _SKIN = 0.012  # m; a shape that hides less than this of a point's own surroundi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closest:
+class Closest(Value):
     """Two things that are nearest in all of the motion.
 
     Attributes:
@@ -39,13 +39,10 @@ class Closest:
         time: of the show [s].
     """
 
-    points: Floats
+    points: Annotated[Floats, "2 3"]
     distance: float
     between: str
     time: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points", readonly("points", self.points, (2, 3)))
 
     @property
     def sentence(self) -> str:

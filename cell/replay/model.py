@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from cell.view.rays import frustum
 from cell.world.gap import Shapes, is_convex, meshes_of
 from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh
-from planner.values import Floats, readonly
+from planner.values import Floats, Value
 
 if TYPE_CHECKING:
     import mujoco
@@ -40,7 +40,7 @@ GLYPH_SHARE = 0.16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Theatre:
+class Theatre(Value):
     """The dressed model of a run and what is drawn into it.
 
     Attributes:
@@ -49,7 +49,6 @@ class Theatre:
         T_flange_scanner: (4, 4) the mount [m]; the scanner's frame is where frustum and TCP path are drawn.
         T_base_object: (4, 4) placement [m].
         centre: (3,) middle of the part's bounding box, base frame [m].
-        part_radius: half the diagonal of the part's bounding box [m].
         frustum_mesh: number of the mesh of the scanner's measuring volume, scanner frame.
         glyph_mesh: number of the mesh of its first part, a pyramid with its tip in the source.
         frustum_corners: (8, 3) its corners, near four and far four, scanner frame [m].
@@ -62,27 +61,19 @@ class Theatre:
     """
 
     model: mujoco.MjModel
-    home: Floats
-    T_flange_scanner: Floats
-    T_base_object: Floats
-    centre: Floats
-    part_radius: float
+    home: Annotated[Floats, "n"]
+    T_flange_scanner: Annotated[Floats, "4 4"]
+    T_base_object: Annotated[Floats, "4 4"]
+    centre: Annotated[Floats, "3"]
     frustum_mesh: int
     glyph_mesh: int
-    frustum_corners: Floats
+    frustum_corners: Annotated[Floats, "8 3"]
     cloud_mesh: tuple[int, ...]
     entities: tuple[str, ...]
     clearance: float
     near: Mapping[tuple[int, int], float]
     shapes: Shapes
     table: RotaryTable | None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "home", readonly("home", self.home, (None,)))
-        object.__setattr__(self, "centre", readonly("centre", self.centre, (3,)))
-        object.__setattr__(self, "frustum_corners", readonly("frustum_corners", self.frustum_corners, (8, 3)))
-        for name in ("T_flange_scanner", "T_base_object"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (4, 4)))
 
 
 def dress(
@@ -139,7 +130,6 @@ def dress(
         T_flange_scanner=scene.T_flange_scanner,
         T_base_object=scene.T_base_object,
         centre=centre,
-        part_radius=radius,
         frustum_mesh=mesh_of["frustum"],
         glyph_mesh=mesh_of["glyph"],
         frustum_corners=corners,

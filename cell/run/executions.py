@@ -7,7 +7,7 @@ read is told beside what can. Lengths in metres, angles in radians.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,13 @@ from cell.run.reader import motion_of
 from cell.run.record import RunRecord, file_bytes, npz, read_manifest, understood
 from planner.errors import PlannerError
 from planner.timing.motion import Motion
-from planner.values import Floats, readonly
+from planner.values import Floats, Value, freeze
 
 FOLDER = "executions"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordedScan:
+class RecordedScan(Value):
     """One file of `scans/`; its other arrays are in `stored`.
 
     Attributes:
@@ -39,15 +39,13 @@ class RecordedScan:
 
     name: str
     view: int
-    q_commanded: Floats
-    q_reported: Floats
-    points: Floats
+    q_commanded: Annotated[Floats, "n"]
+    q_reported: Annotated[Floats, "n"]
+    points: Annotated[Floats, "P 3"]
     stored: Mapping[str, NDArray[Any]]
 
     def __post_init__(self) -> None:
-        for name in ("q_commanded", "q_reported"):
-            object.__setattr__(self, name, readonly(name, getattr(self, name), (None,)))
-        object.__setattr__(self, "points", readonly("points", self.points, (None, 3)))
+        freeze(self)
         for name in ("q_commanded", "q_reported", "points"):
             if not np.isfinite(getattr(self, name)).all():
                 raise PlannerError(f"{name} contains infinity; every value must be finite")

@@ -8,12 +8,13 @@ which `notes` tells. Angles in radians, KUKA signs; times in seconds.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from cell.run.executions import RecordedExecution, RecordedScan
 from planner.timing.motion import Motion
-from planner.values import Floats, readonly
+from planner.values import Floats, Value
 
 REST = 0.6
 """How long the show rests at a stop [s]."""
@@ -41,7 +42,7 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Timeline:
+class Timeline(Value):
     """Joint angles over the time of the show.
 
     Attributes:
@@ -52,15 +53,11 @@ class Timeline:
         n_views: of the plan, as far as it is known: the largest number that a stop can have.
     """
 
-    t: Floats
-    q: Floats
+    t: Annotated[Floats, "M"]
+    q: Annotated[Floats, "M n"]
     stops: tuple[Stop, ...]
     notes: tuple[str, ...] = ()
     n_views: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "t", readonly("t", self.t, (None,)))
-        object.__setattr__(self, "q", readonly("q", self.q, (len(self.t), None)))
 
     @property
     def duration(self) -> float:

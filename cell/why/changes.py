@@ -76,7 +76,7 @@ class Changes:
     def views(self, targets: Targets, rows: Ints) -> list[WhatIf]:
         """One candidate more, and the few that measure nearly all of the rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
-        pairs = what_if.measures(targets, rows, T, self.cell.scanner, self.casters, each=True).pairs
+        pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.casters)
         chosen = what_if.few_views(pairs, len(rows))
         found = []
         for count in sorted({1, len(chosen)} if chosen else ()):

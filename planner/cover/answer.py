@@ -94,16 +94,6 @@ class Cover(Value):
         return 100.0 * max(self.upper_area - self.covered_area, 0.0) / coverable if coverable > 0 else 0.0
 
     @property
-    def curve(self) -> Floats:
-        """(n,) area covered by the first 1, 2, ... n views [m^2]."""
-        return np.cumsum(self.marginal_area)
-
-    @property
-    def uncoverable_area(self) -> float:
-        """Area of the rows that no usable column covers [m^2]."""
-        return max(self.total_area - self.coverable_area, 0.0)
-
-    @property
     def sentence(self) -> str:
         """The status in words with its numbers."""
         if self.status is CoverStatus.NOTHING_COVERABLE:

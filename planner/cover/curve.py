@@ -5,8 +5,7 @@ at once (`planner.cover.bound`), so that the linear programme goes on from one n
 the fewest views for any coverage, from below and above.
 """
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -43,7 +42,7 @@ class CoverageCurve(Value):
         views: n selections, columns of the matrix in ascending order.
         coverable_area: area that all usable columns cover [m^2].
         total_area: area of all rows [m^2].
-        time_limited: whether the clock, or Ctrl-C, stopped the work.
+        interrupted: whether Ctrl-C stopped the work.
     """
 
     first: int
@@ -52,7 +51,7 @@ class CoverageCurve(Value):
     views: Annotated[tuple[Ints, ...], "n"]
     coverable_area: float
     total_area: float
-    time_limited: bool
+    interrupted: bool
 
     def __post_init__(self) -> None:
         views = tuple(readonly("views", v, (None,), np.int64) for v in self.views)
@@ -91,8 +90,6 @@ def coverage_curve(
     known: Sequence[ArrayLike] = (),
     fewest_for_all: int = 0,
     budget: int = CURVE_WORK,
-    time_limit_s: float | None = None,
-    clock: Callable[[], float] = time.perf_counter,
 ) -> CoverageCurve:
     """The curve from the pinned views on to everything, or to a number of views.
 
@@ -103,8 +100,6 @@ def coverage_curve(
         known: selections that are known (columns of the matrix), for instance the plan: the curve is nowhere below.
         fewest_for_all: no fewer views cover everything (`Cover.lower_bound` of a full cover).
         budget: units of work for search and bound together.
-        time_limit_s: wall-clock guard [s].
-        clock: seconds, for the guard.
 
     Raises:
         PlannerError: for a problem that `planner.cover.solve` refuses, or a known selection that leaves out a pinned
@@ -112,7 +107,7 @@ def coverage_curve(
     """
     most = np.shape(problem.matrix)[1] if problem.max_views is None else problem.max_views
     found = canonical(replace(problem, max_views=most, coverage=1.0))
-    work = Budget(budget, time_limit_s, clock)
+    work = Budget(budget)
     whole, sets, pins = found.whole, found.rest, len(found.pinned)
     selections = [np.zeros(0, dtype=np.int64)]
     for views in known:
@@ -145,7 +140,7 @@ def coverage_curve(
         views=tuple(np.sort(np.concatenate((found.columns[columns], found.idle))) for columns in chosen),
         coverable_area=coverable,
         total_area=float(found.areas.sum()),
-        time_limited=work.time_limited or work.interrupted,
+        interrupted=work.interrupted,
     )
 
 

@@ -10,8 +10,6 @@ a cover whose columns bring different loads (`planner.cover.Problem`): each view
 Parts are rounded down to multiples of 2^-16 of the demand, so that the promise is kept exactly.
 """
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil, log
 from typing import Annotated, Any
@@ -111,8 +109,6 @@ def robust_cover(
     alpha: float = ALPHA,
     rng: np.random.Generator,
     budget: int = ROBUST_WORK,
-    time_limit_s: float | None = None,
-    clock: Callable[[], float] = time.perf_counter,
 ) -> RobustCover:
     """Choose few columns with which enough area is measured with probability 1 - alpha or more.
 
@@ -124,8 +120,6 @@ def robust_cover(
         alpha: probability with which a sample may be missed, above 0 and below 1.
         rng: random choices of the search.
         budget: units of work.
-        time_limit_s: wall-clock guard [s].
-        clock: seconds, for the guard.
 
     Raises:
         PlannerError: for input that `planner.cover.solve` refuses, or an alpha that is no probability of a miss.
@@ -136,12 +130,12 @@ def robust_cover(
     nominal = canonical(replace(problem, coverage=0.0))
     enough = np.asarray(brought[:, nominal.columns].sum(axis=1)).ravel() >= DEMAND
     if layer.members == 0:
-        cover = solve(problem, rng=rng, time_limit_s=time_limit_s, clock=clock)
+        cover = solve(problem, rng=rng)
     else:
         kept = sp.csr_array(brought)
         kept.data = kept.data * np.repeat(enough, np.diff(kept.indptr))
         asked = replace(problem, matrix=kept, demand=DEMAND)
-        promised = solve(asked, rng=rng, budget=budget, time_limit_s=time_limit_s, clock=clock)
+        promised = solve(asked, rng=rng, budget=budget)
         chosen = np.flatnonzero(np.isin(nominal.columns, promised.views))
         cover = told(nominal, chosen, 0, solver="robust", work=Budget(0), problem=problem)
         cover = replace(cover, status=promised.status, lower_bound=promised.lower_bound, work=promised.work)

@@ -51,11 +51,6 @@ class Coverage(Value):
         """Covered area over total area, 0 to 1."""
         return self.area / self.total_area
 
-    @property
-    def count(self) -> int:
-        """Number of covered samples."""
-        return int(self.covered.sum())
-
 
 def visible(
     T_object_scanner: Floats,

@@ -88,13 +88,11 @@ class Found:
             directions in which the lower of the two neighbours of the start comes first.
         cost: cost of the closed tour.
         lower_bound: no tour costs less.
-        steps: tours that were looked at.
     """
 
     tour: Ints
     cost: float
     lower_bound: float
-    steps: int
 
     @property
     def optimal(self) -> bool:
@@ -150,7 +148,7 @@ def solve(
     steps = grown(problem, steps)
     if bound_work is None:
         cost, tour = search(problem, tour, int(rng.integers(2**63)), steps)
-        return _found(problem, tour, cost, 0.0, steps)
+        return _found(problem, tour, cost, 0.0)
     quick = min(tour_bound.one_tree(problem.either, problem.first), cost)
     seed, bound = int(rng.integers(2**63)), quick
     # A first part of the search often ends at a tour that the strong bound proves; the rest is only run where not.
@@ -163,7 +161,7 @@ def solve(
             if strong.tour is not None and problem.length(strong.tour) < cost:
                 tour = strong.tour
                 cost = problem.length(tour)
-    return _found(problem, tour, cost, bound, steps)
+    return _found(problem, tour, cost, bound)
 
 
 def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
@@ -201,10 +199,10 @@ def exact_work(problem: Instance) -> int:
 def exact(problem: Instance) -> Found:
     """The optimum over all orders and nodes, by dynamic programming over subsets; see `exact_work` for its price."""
     if problem.n_clusters == 1:
-        return Found(np.zeros(1, dtype=np.int64), 0.0, 0.0, 1)
+        return Found(np.zeros(1, dtype=np.int64), 0.0, 0.0)
     found = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
     cost, tour = min(found, key=lambda pair: pair[0])
-    return _found(problem, tour, cost, cost, 1)
+    return _found(problem, tour, cost, cost)
 
 
 def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float, Ints]:
@@ -261,11 +259,11 @@ def _exact_from(problem: Instance, start: int) -> tuple[float, Ints]:
         ends = best[subset] + cost[:, last]
 
 
-def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float, steps: int) -> Found:
+def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float) -> Found:
     """The tour; where costs are symmetric, in the direction in which its second cluster has the smaller number."""
     clusters = problem.clusters_of(tour)
     if problem.symmetric and len(tour) > 2 and clusters[1] > clusters[-1]:
         tour = np.concatenate((tour[:1], tour[:0:-1]))
     if (problem.cost == np.floor(problem.cost)).all():  # so is every tour's
         lower_bound = float(np.ceil(lower_bound * (1.0 - 1e-9)))
-    return Found(tour, cost, min(lower_bound, cost), steps)
+    return Found(tour, cost, min(lower_bound, cost))

@@ -43,7 +43,6 @@ def in_order(given: Numbers[int]) -> Ordering:
             baseline_duration=float("inf") if free is None else free.baseline_duration,
             lower_bound=0.0 if free is None else free.lower_bound,
             status=OrderStatus.HEURISTIC if drivable else OrderStatus.NO_TOUR,
-            steps=n,
         )
 
     return ordering

@@ -41,7 +41,6 @@ class Sequence(Value):
             driven.
         lower_bound: no order of these views through these joint solutions takes less [s].
         status: what is known about the result.
-        steps: tours that were looked at.
     """
 
     order: Annotated[Ints, "n"]
@@ -51,7 +50,6 @@ class Sequence(Value):
     baseline_duration: float
     lower_bound: float
     status: OrderStatus
-    steps: int
 
 
 class Ordering(Protocol):
@@ -165,7 +163,6 @@ def _result(problem: gtsp.Instance, moves: Moves, found: gtsp.Found, baseline: I
         baseline_duration=_time(gtsp.best_nodes(problem, baseline)[0]),
         lower_bound=_time(found.lower_bound),
         status=status,
-        steps=found.steps,
     )
 
 

@@ -78,7 +78,6 @@ class Tour(Value):
         dropped: views that are not visited, with reasons.
         status: what became of the views.
         home_blocker: what home is nearest to, where it collides; else "".
-        checks: configurations checked.
         rounds: orderings computed.
     """
 
@@ -97,7 +96,6 @@ class Tour(Value):
     dropped: tuple[Dropped, ...]
     status: TourStatus
     home_blocker: str
-    checks: int
     rounds: int
 
 
@@ -208,6 +206,5 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
         dropped=dropped,
         status=TourStatus.VIEWS_DROPPED if dropped else TourStatus.COMPLETE,
         home_blocker="",
-        checks=roadmap.checks,
         rounds=search.rounds,
     )

@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.values import Floats, Ints
 
+_ONE_TREE_STEPS = 40
 _MEMORIES = 11  # members of an NG set at most: 2048 memories a cluster
 _NEAREST, _EVALUATIONS = 5, 30  # members to begin with, where the work allows at least so many evaluations then
 _DEFLECTION = 0.6  # share of the last direction in the next one
@@ -34,21 +35,18 @@ class Bound:
     Attributes:
         value: no tour costs less.
         tour: (m,) nodes of a shortest tour, beginning in cluster 0, where the ascent met one; else None.
-        work: edges looked at.
     """
 
     value: float
     tour: Ints | None
-    work: int
 
 
-def one_tree(cost: Floats, first: Ints, rounds: int = 40) -> float:
+def one_tree(cost: Floats, first: Ints) -> float:
     """The quick bound.
 
     Args:
         cost: (N, N) symmetric costs.
         first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1.
-        rounds: steps of the ascent.
     """
     m = len(first) - 1
     if m == 1:
@@ -57,7 +55,7 @@ def one_tree(cost: Floats, first: Ints, rounds: int = 40) -> float:
     if m == 2:
         return float(2.0 * cheapest[0, 1])
     penalty, bound, step = np.zeros(m), 0.0, 0.5 * float(np.median(cheapest[0, 1:])) / (m - 1)
-    for _ in range(rounds):
+    for _ in range(_ONE_TREE_STEPS):
         lifted = cheapest + penalty[:, None] + penalty[None, :]
         total, degree = _cheapest_one_tree(lifted)
         bound = max(bound, total - 2.0 * float(penalty.sum()))
@@ -90,7 +88,7 @@ def by_walks(cost: Floats, first: Ints, tour_cost: float, work: int) -> Bound:
             break
         if tour_cost - ascent.best < _WORTH_LEAVING_OUT * tour_cost:
             ascent.leave_out()
-    return Bound(min(ascent.best, tour_cost), ascent.tour, ascent.work)
+    return Bound(min(ascent.best, tour_cost), ascent.tour)
 
 
 class _Ascent:

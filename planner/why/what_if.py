@@ -21,6 +21,9 @@ from planner.viewpoints.viewpoints import Viewpoints, looking_at
 NEARLY = 0.9
 """Share of the largest gain from which on a change counts as gaining as much: then the smaller change is preferred."""
 
+MANY = 10
+"""Views that are named together at most."""
+
 WORTH = 0.01
 """Share of the points below which a change does not count as helping them."""
 
@@ -67,63 +70,35 @@ class WhatIf(Value):
 
     def measures(self, targets: Targets, rows: Ints) -> Bools:
         """(n,) which of the rows at least one candidate measures under the change."""
-        return measures(targets, rows, self.T_object_scanner, self.scanner, self.casters).any_pose
+        found = np.zeros(len(targets), dtype=np.bool_)
+        still = rows
+        poses = flat_poses(self.T_object_scanner)
 
-    def useful(self, targets: Targets, rows: Ints) -> Bools:
-        """(n,) which of the candidates measure any of the rows."""
-        return measures(targets, rows, self.T_object_scanner, self.scanner, self.casters, each=True).any_row
+        def rows_of(pose: int) -> Ints:
+            return in_view(targets, poses[pose], self.scanner, still)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """Which rows and which views take part in a measurement.
-
-    Attributes:
-        any_pose: (n,) rows that at least one view measures.
-        any_row: (m,) views that measure at least one row; where a row is measured once is enough, only its first views.
-        pairs: (p, 2) row (index into the rows asked about) and view, where each pair was asked for.
-    """
-
-    any_pose: Bools
-    any_row: Bools
-    pairs: Ints
-
-
-def measures(
-    targets: Targets, rows: Ints, T_object_scanner: Floats, scanner: Scanner, casters: Sequence[RayCaster],
-    *, each: bool = False,
-) -> Measured:  # fmt: skip
-    """Ask views about some of the targets; legs end where those of all targets end, however few are asked about.
-
-    Args:
-        targets: surface points.
-        rows: (n,) those asked about.
-        T_object_scanner: (m, K, 4, 4) views [m].
-        scanner: the sensor's law.
-        casters: the part's and those of occluders.
-        each: ask every view about every row; otherwise a row is asked about until a view measures it.
-    """
-    poses = flat_poses(T_object_scanner)
-    K = np.shape(T_object_scanner)[1]
-    found = np.zeros(len(targets), dtype=np.bool_)
-    view_used = np.zeros(len(T_object_scanner), dtype=np.bool_)
-    kept: list[tuple[Ints, Ints]] = []
-    still = np.asarray(rows, dtype=np.int64)
-
-    def rows_of(pose: int) -> Ints:
-        return in_view(targets, poses[pose], scanner, still)
-
-    for _, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else BUNDLE // 8):
-        found[row] = True
-        view_used[pose // K] = True
-        if each:
-            kept.append((row, pose // K))
-        else:
+        for _, _, row in free_pairs(poses, targets, self.scanner, self.casters, rows_of, BUNDLE // 8):
+            found[row] = True
             still = still[~found[still]]
+        return found[rows]
+
+
+def measured_pairs(
+    targets: Targets, rows: Ints, T_object_scanner: Floats, scanner: Scanner, casters: Sequence[RayCaster]
+) -> Ints:
+    """(p, 2) row (index into the `rows` asked about) and view of the (m, K, 4, 4) that measures it, each pair once."""
+    poses = flat_poses(T_object_scanner)
     place = np.zeros(len(targets), dtype=np.int64)
     place[rows] = np.arange(len(rows))
-    pairs = np.concatenate([np.stack([place[row], view], axis=1) for row, view in kept] or [np.empty((0, 2), np.int64)])
-    return Measured(found[rows], view_used, np.unique(pairs, axis=0))
+
+    def rows_of(pose: int) -> Ints:
+        return in_view(targets, poses[pose], scanner, rows)
+
+    found = [
+        np.stack([place[row], pose // T_object_scanner.shape[1]], axis=1)
+        for _, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE)
+    ]
+    return np.unique(np.concatenate([*found, np.empty((0, 2), np.int64)]), axis=0)
 
 
 def choose(gains: Floats, kinds: Sequence[Kind], changes: Sequence[float], *, most: int = 3) -> list[int]:
@@ -148,19 +123,17 @@ def choose(gains: Floats, kinds: Sequence[Kind], changes: Sequence[float], *, mo
     return named
 
 
-def few_views(pairs: Ints, rows: int, *, share: float = NEARLY, most: int = 10) -> list[int]:
-    """Views that together measure a share of the rows, greedily, the most useful first.
+def few_views(pairs: Ints, rows: int) -> list[int]:
+    """At most `MANY` views that together measure nearly all of the rows that can be, greedily, the most useful first.
 
     Args:
         pairs: (p, 2) row and view that measures it.
         rows: how many rows there are.
-        share: of the measurable rows that is enough.
-        most: how many views at most.
     """
     chosen: list[int] = []
     left = pairs
     open_rows = total = len(np.unique(pairs[:, 0]))
-    while len(left) and len(chosen) < most and open_rows > (1 - share) * min(total, rows):
+    while len(left) and len(chosen) < MANY and open_rows > (1 - NEARLY) * min(total, rows):
         counts = np.bincount(left[:, 1])
         view = int(counts.argmax())
         chosen.append(view)

@@ -152,7 +152,7 @@ def test_views_are_ordered_by_what_they_add(solver):
         assert marginal == pytest.approx(areas[M[:, view] & ~seen].sum())
         seen |= M[:, view]
     assert (np.diff(result.marginal_area) <= 1e-12).all()
-    assert result.curve[-1] == pytest.approx(result.covered_area) == pytest.approx(areas[seen].sum())
+    assert result.marginal_area.sum() == pytest.approx(result.covered_area) == pytest.approx(areas[seen].sum())
     assert result.coverable_area == pytest.approx(areas[M.any(axis=1)].sum())
     assert result.total_area == pytest.approx(areas.sum())
 

@@ -33,7 +33,7 @@ def test_fractions_are_of_area_not_of_count():
     samples = _samples([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], [7, 1, 1, 1])
     near = coverage.sampled(np.array([[0, 0, 0.05]]), samples, 0.1)
     assert near.fraction == 0.7
-    assert near.count == 1
+    assert near.covered.sum() == 1
     assert near.covered.tolist() == [True, False, False, False]
 
 
