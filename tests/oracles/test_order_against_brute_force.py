@@ -155,7 +155,7 @@ def test_bounds_of_whole_numbers_are_whole_and_never_above_the_optimum(seed: int
     first = np.arange(0, 29, 4)
     problem = gtsp.instance(np.rint(np.linalg.norm(places[:, None] - places, axis=2)), first)
     cost, tour = gtsp.best_nodes(problem, np.arange(1, 7))
-    found = gtsp._found(problem, tour, cost, tour_bound.one_tree(problem.cost, first), 1)
+    found = gtsp._found(problem, tour, cost, tour_bound.one_tree(problem.cost, first))
     assert found.lower_bound == np.floor(found.lower_bound)
     assert found.lower_bound <= gtsp.exact(problem).cost
 
