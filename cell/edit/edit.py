@@ -24,18 +24,18 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, region_report, steps
-from cell.plan.appended import appended
+from cell.plan.appended_candidates import appended
 from cell.plan.candidates import limited
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Cell, Job, Measured, Run
-from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.run import reader
-from cell.run.cell import placed, scene_of_run
 from cell.run.planned import PlannedRun
 from cell.run.report_json import Report
+from cell.run.scene_of_run import placed, scene_of_run
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.scene import Scene

@@ -19,18 +19,18 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
-from cell.plan.appended import behind
+from cell.plan.appended_candidates import behind
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.steps import Cell, Job, Run
-from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles
 from cell.run import reader
-from cell.run.cell import scene_of_run
 from cell.run.plan_json import OpenOf
 from cell.run.planned import PlannedRun
+from cell.run.scene_of_run import scene_of_run
 from cell.scene.scene import Scene
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
