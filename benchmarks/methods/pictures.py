@@ -94,6 +94,7 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     ("collision_fidelity.png",): _benchmark("fidelity"),
     ("coverage_requests.png",): _benchmark("coverage_requests"),
     ("edge_resolution.png",): _benchmark("edge_resolution"),
+    ("explore_rivals.png",): _benchmark("explore"),
     ("fill_speed_accuracy.png",): _benchmark("fill"),
     ("mug_resolution.png",): _benchmark("mug"),
     ("ordering_budget.png",): _benchmark("gtsp"),
