@@ -213,7 +213,9 @@ def compile_world(
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
     clearance, arm = scene.clearance_mm / 1000.0, _compiled(spec)
-    wrist.settle_pairs(spec, arm, _shapes(arm, entities, {}), clearance, by_hand=scene.robot.model == robot.KR16)
+    hollow = [name for name, mesh in _links(arm, entities).items() if not is_convex(mesh)]
+    shapes = Shapes(arm, _links(arm, entities), hollow)
+    wrist.settle_pairs(spec, arm, shapes, clearance, by_hand=scene.robot.model == robot.KR16)
     T_base_object = scene.placement.T @ np.linalg.inv(T_object_centre)
     table = rotary_table(scene, T_base_object, hull)
     fixture_meshes = _add_what_stands(spec, scene, hull, T_base_object, table)
@@ -224,6 +226,7 @@ def compile_world(
     limits = joint_limits.given(
         robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
     )
+    exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
     near = {pair: keep for pair, keep in told.kept_near(model).items() if keep < clearance}
     return World(
         scene=scene,
@@ -242,7 +245,7 @@ def compile_world(
         part_hull=hull,
         part_mesh=part.get("part", hull),
         collision=scene.plan.collision if part else "hull",
-        shapes=_shapes(model, entities, {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}),
+        shapes=Shapes(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
         nearer={pair: clearance - keep for pair, keep in near.items()},
         finer=guarded.finer(model, clearance, near),
         followers=robot.Followers.of(model),
@@ -310,10 +313,9 @@ def _at_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
     return scene.model_copy(update={"robot": scene.robot.model_copy(update={"home_deg": home})})
 
 
-def _shapes(model: mujoco.MjModel, of_robot: Collection[str], exact: Mapping[str, TriangleMesh]) -> Shapes:
-    """Who measures distances: by triangles of the robot's geoms of these names, and by those of part and fixtures."""
-    links = {name: mesh for name, mesh in meshes_of(model).items() if name in of_robot}
-    return Shapes(model, {**links, **exact}, [*exact, *(name for name, mesh in links.items() if not is_convex(mesh))])
+def _links(model: mujoco.MjModel, of_robot: Collection[str]) -> dict[str, TriangleMesh]:
+    """The triangles of the robot's geoms of these names that are meshes."""
+    return {name: mesh for name, mesh in meshes_of(model).items() if name in of_robot}
 
 
 def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
