@@ -46,8 +46,17 @@ class Terminal:
         log.info("stage: %s", name)
         left: tuple[ProgressColumn, ...] = (TextColumn("left"), TimeRemainingColumn()) if time_left else ()
         with self._bars(*left, spinner=True) as bars:
-            task = bars.add_task(name, total=None)
-            yield lambda done, total: bars.update(task, completed=done, total=total)
+            task, tenths = bars.add_task(name, total=None), 0
+
+            def told(done: int, total: int) -> None:
+                nonlocal tenths
+                bars.update(task, completed=done, total=total)
+                reached = 10 * done // max(total, 1)
+                if time_left and not self._errors.is_terminal and reached > tenths:  # minutes to hours, into a file
+                    tenths = reached
+                    self.error(f"{name}: {done} of {total}")
+
+            yield told
 
     @contextmanager
     def rounds(self) -> Iterator[Callable[[str, int, int], None]]:

@@ -54,3 +54,15 @@ def test_borders_are_whole_at_any_width(
     assert {word for cell in (*columns, *(each for row in rows for each in row)) for word in cell.split()} <= set(
         " ".join(lines).split()
     )
+
+
+def test_a_long_stage_tells_each_tenth_where_no_bar_is_seen(capsys: pytest.CaptureFixture[str]) -> None:
+    """Into a file or a pipe: ten lines at most, the last of them the end; other stages say nothing there."""
+    with Terminal().stage("short") as progress:
+        progress(1, 1)
+    assert capsys.readouterr().err == ""
+    with Terminal().stage("long", time_left=True) as progress:
+        for done in range(87):
+            progress(done, 86)
+    lines = capsys.readouterr().err.splitlines()
+    assert (len(lines), lines[0], lines[-1]) == (10, "long: 9 of 86", "long: 86 of 86")
