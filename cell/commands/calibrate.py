@@ -1,14 +1,12 @@
 """`cell calibrate ...` as the command line gives it: scans in, lines of a scene file out."""
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cell.calibrate.options import HandEye
-from cell.commands.options import AsJson, from_fields
+from cell.commands.options import AsJson, from_fields, print_json
 
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode="rich", help="Measure what the scene file says of the cell itself."
@@ -47,7 +45,7 @@ def hand_eye(
     terminal = Terminal(quiet_stdout=as_json)
     found = api.hand_eye(files, wanted, progress=terminal)
     if as_json:
-        sys.stdout.write(json.dumps(found.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(found.as_json())
     else:
         terminal.pairs(f"Mount from {len(files)} scans of a {found.target}", found.rows())
         if not found.undetermined:

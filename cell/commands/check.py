@@ -1,13 +1,11 @@
 """`cell check` as the command line gives it: options in, a table or one JSON object out."""
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, Wishes, from_fields
+from cell.commands.options import AsJson, Wishes, from_fields, print_json
 from cell.scene.option import flag, offers
 from cell.scene.options import scene_of
 from cell.scene.posed import PART
@@ -34,7 +32,7 @@ def check(
 
     result = check_scene(scene_of(scene, wishes, part, flag))
     if as_json:
-        sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
+        print_json(result.summary())
     else:
         terminal = Terminal()
         terminal.pairs("Scene", result.rows())

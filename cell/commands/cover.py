@@ -1,6 +1,5 @@
 """`cell cover` as the command line gives it: a set-cover file in, the cover and its bound or one JSON object out."""
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson
+from cell.commands.options import AsJson, print_json
 
 _SEARCH = "Search"
 
@@ -74,7 +73,7 @@ def cover(
         seed=seed,
     )
     if as_json:
-        sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(outcome.as_json())
     else:
         from cell.commands.terminal import Terminal, without
 

@@ -1,14 +1,12 @@
 """`cell diff` as the command line gives it: options in, tables or one JSON object out."""
 
-import json
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.commands.options import AsJson
+from cell.commands.options import AsJson, print_json
 
 if TYPE_CHECKING:
     from cell.commands.terminal import Terminal
@@ -41,7 +39,7 @@ def diff(
     terminal = Terminal(quiet_stdout=as_json)
     found = compare(a, b, terminal, out)
     if as_json:
-        sys.stdout.write(json.dumps(found.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(found.as_json())
     elif found.empty:
         terminal.say("nothing differs")
     else:

@@ -1,13 +1,12 @@
 """`cell edit` as the command line gives it: options in, a table and what the edit gains or costs out."""
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.commands.options import AsJson, from_fields
+from cell.commands.options import AsJson, from_fields, print_json
 from cell.edit.options import Edit
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ def edit(
     against = compare(run, made.folder, terminal)
     if as_json:
         found = made.as_json() | {"against": against.as_json()}
-        sys.stdout.write(json.dumps(found, indent=2, allow_nan=False) + "\n")
+        print_json(found)
     else:
         rows = [*table(made.report), (f"against {run}", sentence(against)), ("run folder", str(made.folder))]
         terminal.pairs(f"Edited view plan of {made.report.part.name}", rows)

@@ -1,13 +1,12 @@
 """`cell explore` as the command line gives it: options in, a table or one JSON object out."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfScene, Part, SceneFile, Wishes, from_fields
+from cell.commands.options import AsJson, OfScene, Part, SceneFile, Wishes, from_fields, print_json
 from cell.explore.options import OF_SCAN, ExploreOptions
 from cell.scan.options import ScanOptions
 from cell.scene.option import flag, offers, read
@@ -55,7 +54,7 @@ def explore(
     scans = read(ScanOptions, scanning, flag)
     done = api.explore(checked, options, scanning=scans, out=out, progress=terminal, argv=sys.argv[1:], ask=ask)
     if as_json:
-        sys.stdout.write(json.dumps(done.file.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(done.file.as_json())
         return
     terminal.pairs(f"Exploration of {done.file.part}", [*done.file.rows(), ("folder", str(done.folder))])
     if done.place is not None:

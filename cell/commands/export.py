@@ -1,13 +1,12 @@
 """`cell export` as the command line gives it: options in, the names of the files or one JSON object out."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, from_fields
+from cell.commands.options import AsJson, from_fields, print_json
 from cell.export.options import ExportOptions
 
 EPILOG = (
@@ -42,7 +41,7 @@ def export(
             "it in T1 first"
         )
     if as_json:
-        sys.stdout.write(json.dumps(outcome.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(outcome.as_json())
     else:
         sys.stdout.write("".join(f"{path}\n" for path in outcome.files))
         Terminal(quiet_stdout=True).then(("cell", "scan" if several else "replay", run))

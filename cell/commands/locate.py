@@ -1,13 +1,12 @@
 """`cell locate` as the command line gives it: options in, a table or one JSON object out, and the plan there."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, from_fields
+from cell.commands.options import AsJson, from_fields, print_json
 from cell.errors import UsageError
 from cell.locate.options import Locating
 
@@ -71,7 +70,7 @@ def locate(
         )
     if as_json:
         there = {} if made is None else {"made": made.as_json()}
-        sys.stdout.write(json.dumps(found.as_json() | there, indent=2, allow_nan=False) + "\n")
+        print_json({**found.as_json(), **there})
     elif made is not None:
         from cell.plan.report import table
 

@@ -2,6 +2,8 @@
 
 import functools
 import inspect
+import json
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, get_origin
@@ -34,6 +36,11 @@ Wishes = dict[str, object]
 """Texts and switches by the names of their options, only those that were given; `Annotated` with what is offered."""
 OfScene = Annotated[Wishes, offers(Scene)]
 OfPart = Annotated[Wishes, offers(Scene, "units")]
+
+
+def print_json(content: Mapping[str, object]) -> None:
+    """What `--json` asks for: one object on stdout."""
+    sys.stdout.write(json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def from_fields(command: Callable[..., None]) -> Callable[..., None]:

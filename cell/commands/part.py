@@ -1,14 +1,12 @@
 """`cell part` as the command line gives it: a part's file in, its faces as a table, a picture and a page out."""
 
-import json
-import sys
 import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, Wishes, from_fields
+from cell.commands.options import AsJson, Wishes, from_fields, print_json
 from cell.scene.option import offers
 from cell.scene.scene import Scene
 
@@ -53,7 +51,7 @@ def part(
         if loaded.cad is not None:
             faces_picture(folder / "faces.png", loaded, loaded.cad)
     if as_json:
-        sys.stdout.write(json.dumps(summary(loaded), indent=2, allow_nan=False) + "\n")
+        print_json(summary(loaded))
         return
     if loaded.cad is not None:
         heading, rows = heading_and_rows(loaded, loaded.cad)

@@ -1,11 +1,9 @@
 """`cell place` as the command line gives it: a part and a range in, the best place and how sure it is out."""
 
-import json
 import shlex
-import sys
 from typing import Annotated
 
-from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields
+from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields, print_json
 from cell.commands.study import plan_words, tell
 from cell.scene.option import flag, offers
 from cell.scene.options import scene_of
@@ -54,6 +52,6 @@ def place(
     seconds = [{"round": name, "places": count} for name, count in found.places.items()]
     write_folder("place", "Where the part should stand", result, pictures(found), seconds)
     if as_json:
-        sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
+        print_json(result.summary())
     else:
         tell(terminal, result)

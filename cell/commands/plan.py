@@ -1,13 +1,12 @@
 """`cell plan` as the command line gives it: options in, a table or one JSON object out."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields
+from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields, print_json
 from cell.scene.option import flag
 from cell.scene.options import scene_of
 from cell.scene.posed import PART
@@ -69,7 +68,7 @@ def plan(
         argv=sys.argv[1:],
     )  # fmt: skip
     if as_json:
-        sys.stdout.write(json.dumps(run.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(run.as_json())
     else:
         rows = [*table(run.report), ("digest", run.digest[:SHOWN]), ("run folder", str(run.folder))]
         terminal.pairs(f"View plan of {run.report.part.name}", rows)

@@ -1,13 +1,11 @@
 """`cell robot` as the command line gives it: an arm's file in, a table or one JSON object and a picture out."""
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson
+from cell.commands.options import AsJson, print_json
 from cell.errors import UsageError
 
 EPILOG = (
@@ -45,7 +43,7 @@ def robot(
     with terminal.stage("read the arm"):
         found, model = report(file, base_link, flange_link, packages)
     if as_json:
-        sys.stdout.write(json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
+        print_json(found.summary())
     else:
         terminal.pairs(f"Robot {file.name}", found.rows())
     if out is not None:

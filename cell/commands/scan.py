@@ -1,13 +1,12 @@
 """`cell scan` as the command line gives it: options in, a table or one JSON object out."""
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cell.commands.options import AsJson, from_fields
+from cell.commands.options import AsJson, from_fields, print_json
 from cell.errors import UsageError
 from cell.scan.options import OF_EACH_TIME, STEEL, ScanOptions
 
@@ -81,7 +80,7 @@ def scan(
         executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=ask)
         outcome = ScanOutcome(executed.folder, executed.exit_code, executed.report)
     if as_json:
-        sys.stdout.write(json.dumps(outcome.summary.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(outcome.summary.as_json())
     else:
         rows = [*execution_page.table(outcome.summary), ("execution", str(outcome.folder))]
         terminal.pairs(f"Scan of {outcome.summary.part.name}", rows)
@@ -113,7 +112,7 @@ def _scan_setups(
         )  # fmt: skip
     made = outcome.report
     if as_json:
-        sys.stdout.write(json.dumps(made.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(made.as_json())
     else:
         terminal.pairs(f"Scan of {made.part}", [*rows(made), ("folder", str(outcome.folder))])
         if made.missing:

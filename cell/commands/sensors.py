@@ -1,9 +1,6 @@
 """`cell sensors` as the command line gives it: options in, a table or one JSON object out."""
 
-import json
-import sys
-
-from cell.commands.options import AsJson
+from cell.commands.options import AsJson, print_json
 
 EPILOG = (
     "Examples:\n\n"
@@ -22,7 +19,7 @@ def sensors(
 
     if as_json:
         known = [library.load(name).summary() for name in library.names()]
-        sys.stdout.write(json.dumps({"schema": SCHEMA, "sensors": known}, indent=2, allow_nan=False) + "\n")
+        print_json({"schema": SCHEMA, "sensors": known})
     else:
         from cell.commands.terminal import Terminal
 

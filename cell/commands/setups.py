@@ -1,13 +1,12 @@
 """`cell setups` as the command line gives it: a part in, the poses it is measured in and their plans out."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields
+from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields, print_json
 from cell.scene.option import flag
 from cell.scene.options import scene_of
 
@@ -62,7 +61,7 @@ def setups(
         argv=sys.argv[1:],
     )  # fmt: skip
     if as_json:
-        sys.stdout.write(json.dumps(made.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(made.as_json())
     else:
         terminal.pairs(f"Set-ups of {made.file.part}", [*rows(made.file), ("folder", str(made.folder))])
         terminal.then(("cell", "scan", made.folder, "--setup", 1), ("cell", "view", made.folder))

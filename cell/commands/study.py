@@ -1,15 +1,13 @@
 """`cell study ...`: one command a study, all with the same options for where it runs and what it leaves."""
 
-import json
 import shlex
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, from_fields
+from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, from_fields, print_json
 from cell.errors import UsageError
 from cell.scene.option import flag
 from cell.scene.options import spelled, tables
@@ -53,7 +51,7 @@ def conducted(
     with open_workers(run.count, run.cluster) as workers:
         result = conduct(make(), workers, out=run.out, narrator=terminal, plan=plan)
     if as_json:
-        sys.stdout.write(json.dumps(result.summary(), indent=2, allow_nan=False) + "\n")
+        print_json(result.summary())
     else:
         tell(terminal, result)
     if not result.rows:

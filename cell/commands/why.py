@@ -1,14 +1,12 @@
 """`cell why` as the command line gives it: options in, a table or one JSON object out."""
 
-import json
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.commands.options import AsJson
+from cell.commands.options import AsJson, print_json
 
 if TYPE_CHECKING:
     from cell.commands.terminal import Terminal
@@ -49,7 +47,7 @@ def why(
         return
     outcome = explain(run, terminal, samples=samples)
     if as_json:
-        sys.stdout.write(json.dumps(outcome.summary.as_json(), indent=2, allow_nan=False) + "\n")
+        print_json(outcome.summary.as_json())
     else:
         summary = outcome.summary
         if summary.groups:
@@ -72,7 +70,7 @@ def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
     visible, found = advise(open_finished(run), terminal)
     if as_json:
         content = {"visible": visible, "advice": [advice.as_json() for advice in found]}
-        sys.stdout.write(json.dumps(content, indent=2, allow_nan=False) + "\n")
+        print_json(content)
         return
     rows = [
         (str(number), advice.what, f"{100 * advice.share:.2f} % (+- {100 * advice.standard_error:.2f})")

@@ -3,7 +3,6 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,7 +32,7 @@ class CoverOutcome:
     result: cover.Cover
     seconds: float
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """The object that `--json` prints; columns are numbered from 1, as in the file."""
         rows, columns = self.problem.matrix.shape
         return {
@@ -63,16 +62,17 @@ class CoverOutcome:
 
     def rows(self) -> list[tuple[str, str]]:
         """What a terminal shows: the problem, the cover, what is proven about it, and the columns."""
-        said, result = self.as_json(), self.result
+        rows, columns = self.problem.matrix.shape
+        result = self.result
         return [
-            ("problem", f"{said['rows']} rows, {said['columns']} columns, {said['entries']} ones ({said['format']})"),
-            ("columns", str(said["n_views"])),
-            *([] if result.price is None else [("cost", f"{said['cost']:.10g}")]),
-            ("lower bound", f"{said['lower_bound']:.10g}"),
-            ("gap", f"{100 * said['gap']:.1f} %"),
+            ("problem", f"{rows} rows, {columns} columns, {self.problem.matrix.nnz} ones ({self.problem.format})"),
+            ("columns", str(len(result.views))),
+            *([] if result.price is None else [("cost", f"{result.cost:.10g}")]),
+            ("lower bound", f"{result.cost_bound:.10g}"),
+            ("gap", f"{100 * result.gap:.1f} %"),
             *([("rows without a column", str(len(result.uncoverable_rows)))] if len(result.uncoverable_rows) else []),
-            ("solver", f"{said['solver']}, {said['seconds']:.2f} s"),
-            ("chosen", " ".join(map(str, said["views"]))),
+            ("solver", f"{result.solver}, {self.seconds:.2f} s"),
+            ("chosen", " ".join(str(view + 1) for view in sorted(result.views.tolist()))),
         ]
 
 

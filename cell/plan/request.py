@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cell.errors import SceneError
 from cell.plan.region_goals import RegionGoals
 from cell.rays.prediction import Prediction
 from cell.scene.plan_settings import PlanSettings
@@ -26,7 +25,7 @@ from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.order.seconds_of_views import least_moves
 from planner.order.tour import Tour
 from planner.ports import JointLimits
-from planner.reach.reach import Reach, Verdict
+from planner.reach.reach import Reach
 from planner.values import Floats, Ints
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -262,26 +261,6 @@ def _cover(
     chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, budget=work)
     weighted = wish.weights is not None
     return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound, weighted=weighted)
-
-
-def check_named(plan: PlanSettings, reached: Reach) -> None:
-    """Refuse pinned and banned candidates that do not exist, and pinned ones that the arm does not reach.
-
-    Raises:
-        SceneError: with the candidate and its verdict.
-    """
-    for key in ("pinned", "banned"):
-        for view in getattr(plan, key):
-            if view >= len(reached):
-                raise SceneError(f"plan.{key} names candidate {view}; there are candidates 0 to {len(reached) - 1}")
-    for view in plan.pinned:
-        if not reached.reachable[view]:
-            verdict = Verdict(int(reached.verdict[view]))
-            blocker = f" ({reached.blocker[view]})" if reached.blocker[view] else ""
-            raise SceneError(
-                f"plan.pinned names candidate {view}, which is {verdict.sentence}{blocker}; pin another one, or move "
-                "the part"
-            )
 
 
 def seconds_of_views(plan: PlanSettings, reached: Reach, home: Floats | None, limits: JointLimits) -> Floats:

@@ -1,5 +1,8 @@
 """The binary PLY files of a run folder: exactly the numbers that were used, and read back with nothing merged."""
 
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,7 +10,9 @@ from planner.errors import PlannerError
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
-_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uchar": "u1"}
+_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "ushort": "<u2", "uchar": "|u1"}
+_NAMES = {kind: name for name, kind in _TYPES.items()}
+_CORNERS = "corners"  # how many a face has, before their numbers
 
 
 def mesh(content: bytes) -> TriangleMesh:
@@ -29,20 +34,43 @@ def written(mesh: TriangleMesh) -> bytes:
 
     Vertices are doubles, so that the file holds exactly what was used; trimesh's writer would round to float32.
     """
-    vertices = np.ascontiguousarray(mesh.vertices * 1000.0, dtype="<f8")
-    regions = mesh.region is not None
-    faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3), *[("region", "<i4")] * regions])
-    faces["n"], faces["v"] = 3, mesh.faces
-    if mesh.region is not None:
-        faces["region"] = mesh.region
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment object frame, millimetres\n"
-        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
-        + "property int region\n" * regions
-        + "end_header\n"
-    )
-    return header.encode() + vertices.tobytes() + faces.tobytes()
+    regions = {} if mesh.region is None else {"region": mesh.region.astype("<i4")}
+    face = triangles(mesh.faces, regions)
+    return b"".join(file(["object frame, millimetres"], {"vertex": points(mesh.vertices, {}), "face": face}))
+
+
+def points(places: Floats, more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
+    """Places (N, 3) [m] as an element in millimetres, and further columns (N,) of the types that the file gets."""
+    return _element({axis: places[:, i] * 1000.0 for i, axis in enumerate("xyz")} | dict(more))
+
+
+def triangles(faces: NDArray[np.int32], more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
+    """Faces (F, 3) as an element, and further columns (F,)."""
+    corners = {_CORNERS: np.full(len(faces), 3, dtype=np.uint8), "vertex_indices": faces.astype("<i4")}
+    return _element(corners | dict(more))
+
+
+def _element(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
+    """Columns as rows, one behind the other."""
+    kinds = [(name, column.dtype, column.shape[1:]) for name, column in columns.items()]
+    rows = np.empty(len(next(iter(columns.values()))), dtype=kinds)
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
+
+
+def file(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]]) -> Iterator[bytes]:
+    """A file of elements by name, piece by piece; comments are of ASCII, one line each."""
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    for element, rows in elements.items():
+        header.append(f"element {element} {len(rows)}")
+        for name, (kind, *_) in (rows.dtype.fields or {}).items():
+            if name != _CORNERS:
+                listed = "list uchar " if kind.shape else ""
+                header.append(f"property {listed}{_NAMES[kind.base.str]} {name}")
+    yield ("\n".join([*header, "end_header"]) + "\n").encode("ascii")
+    for rows in elements.values():
+        yield rows.tobytes()
 
 
 def places(vertices: NDArray[np.void]) -> Floats:
@@ -68,7 +96,7 @@ def elements(content: bytes) -> dict[str, NDArray[np.void]]:
             case ["element", name, count]:
                 kinds[name], counts[name] = [], int(count)
             case ["property", "list", _, kind, name]:
-                kinds[list(kinds)[-1]] += [("corners", "u1"), (name, _TYPES[kind], 3)]
+                kinds[list(kinds)[-1]] += [(_CORNERS, "u1"), (name, _TYPES[kind], 3)]
             case ["property", kind, name]:
                 kinds[list(kinds)[-1]].append((name, _TYPES[kind]))
     arrays, at = {}, 0

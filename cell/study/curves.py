@@ -7,7 +7,6 @@ the surface (within half a point of the most, which nobody would pay for) with t
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -17,7 +16,7 @@ from cell.scene.scene import Scene
 from cell.study.again import options
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
-from cell.study.trial import Outcome, Trial
+from cell.study.trial import JsonTable, Outcome, Trial
 from cell.study.views import views
 from cell.view.palette import BLACK, BLUE, GREEN, GREY, VERMILION
 
@@ -101,7 +100,7 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, r
     )  # fmt: skip
 
 
-def _row(title: str, value: float | str, values: Mapping[str, Any]) -> Row:
+def _row(title: str, value: float | str, values: JsonTable) -> Row:
     return {
         title: value,
         "standoff mm": values["standoff_mm"],

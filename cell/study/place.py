@@ -28,7 +28,7 @@ from cell.study.placement_trial import COVERAGE_ONLY, WHOLE, placement
 from cell.study.run import run
 from cell.study.scenes import scene_settings
 from cell.study.study import Row
-from cell.study.trial import Outcome, Trial
+from cell.study.trial import JsonTable, Outcome, Trial
 from cell.study.workers import Workers
 from cell.view.palette import VERMILION
 from planner.values import Floats, Ints
@@ -108,7 +108,7 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
     places: dict[str, int] = {}
     asked: set[Place] = set()
 
-    def ask(name: str, points: Sequence[Place], **what: Any) -> list[Mapping[str, Any]]:
+    def ask(name: str, points: Sequence[Place], **what: Any) -> list[JsonTable]:
         trials = [
             Trial.of(placement, {**base, "position_mm": p[:3], "abc_deg": (p[3], b, c), "solver": "auto", **what})
             for p in points

@@ -5,9 +5,8 @@ time estimated from straight joint moves. One set of maps for each height and tu
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,7 +16,7 @@ from cell.scene.scene import Scene
 from cell.study.placement_trial import WHOLE, placement
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
-from cell.study.trial import Outcome, Trial
+from cell.study.trial import JsonTable, Outcome, Trial
 from cell.view.palette import VERMILION
 
 AXES = ("x mm", "y mm", "z mm", "yaw deg")
@@ -75,7 +74,7 @@ def placement_study(
     )  # fmt: skip
 
 
-def row_of(place: tuple[float, ...], tilt: tuple[float, float], values: Mapping[str, Any]) -> Row:
+def row_of(place: tuple[float, ...], tilt: tuple[float, float], values: JsonTable) -> Row:
     """The row of a place (values of `AXES`), tilted by the scene's B and C [deg], from the values of its trial."""
     return {
         **dict(zip(AXES, place, strict=True)),

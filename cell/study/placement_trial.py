@@ -5,9 +5,6 @@ post, floor and fixtures in the way; views are greedy with their lower bound; th
 straight joint moves, which ignores what the arm has to go round.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from cell import scanners
@@ -16,6 +13,7 @@ from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
 from cell.study.bench import Bench
 from cell.study.scenes import bench_of
+from cell.study.trial import JsonTable
 from planner import cover
 from planner.measurability import coverage
 from planner.measurability.columns import join_measurability, pick_measurability
@@ -34,7 +32,7 @@ from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_view
 COVERAGE_ONLY, WHOLE = "coverage", "whole"
 
 
-def placement(settings: Mapping[str, Any]) -> dict[str, object]:
+def placement(settings: JsonTable) -> dict[str, object]:
     """A placement's numbers.
 
     Args:

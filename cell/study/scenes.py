@@ -2,15 +2,14 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from cell.errors import FileError
 from cell.robot.model import KR16
 from cell.scene.scene import Scene
 from cell.study.bench import Bench
+from cell.study.trial import JsonTable
 
 
 def scene_settings(scene: Scene) -> dict[str, object]:
@@ -23,7 +22,7 @@ def scene_settings(scene: Scene) -> dict[str, object]:
     return {"scene": content, "files": {path: _sha256(path) for path in paths if path is not None}}
 
 
-def scene_of(settings: Mapping[str, Any]) -> Scene:
+def scene_of(settings: JsonTable) -> Scene:
     """The scene of a trial's settings.
 
     Raises:
@@ -35,7 +34,7 @@ def scene_of(settings: Mapping[str, Any]) -> Scene:
     return Scene.model_validate(settings["scene"])
 
 
-def bench_of(settings: Mapping[str, Any]) -> Bench:
+def bench_of(settings: JsonTable) -> Bench:
     """The bench of a trial's scene; trials of one process share it, so a map of placements loads its part once."""
     return _bench(json.dumps({key: settings[key] for key in ("scene", "files")}, sort_keys=True))
 

@@ -5,15 +5,15 @@ neither has seen, and scanned on the same fine grid.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from time import perf_counter
-from typing import Any
 
 from cell.scene.options import Tables
 from cell.scene.scene import load_scene
 from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
+from cell.study.trial import JsonTable
 
 FINE_RESOLUTION_DEG = 0.25
 """Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
@@ -22,7 +22,7 @@ PAPER_SCANNER = {"sensor": "paper", "grazing_max_deg": 75.0, "sensor_grazing_max
 """The paper limits the incidence of the laser alone, whatever the defaults are."""
 
 
-def row(settings: Mapping[str, Any]) -> dict[str, object]:
+def row(settings: JsonTable) -> dict[str, object]:
     """Both methods on one row.
 
     Args:
@@ -80,7 +80,7 @@ def _bench(settings: str) -> Bench:
     return Bench(load_scene(None, keys))
 
 
-def scene_keys(asked: Mapping[str, Any]) -> Tables:
+def scene_keys(asked: JsonTable) -> Tables:
     """Tables of the scene of a row's settings (`row`)."""
     keys: Tables = {"part": {"name": asked["part"]}, "scanner": dict(PAPER_SCANNER)}
     keys["plan"] = {"rolls_deg": [0.0], "candidates": "optimal-scanning-zone"}

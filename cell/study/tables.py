@@ -5,8 +5,7 @@ judged on the same samples that neither has seen, and scanned on the same fine g
 of the paper's other space of viewpoints, the view sphere (Section 3.4).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,7 +16,7 @@ from cell.study import again, table_row
 from cell.study.bench import DENSER
 from cell.study.paper import TABLES, PaperRow
 from cell.study.study import Row, Study
-from cell.study.trial import Outcome, Trial
+from cell.study.trial import JsonTable, Outcome, Trial
 from cell.view.palette import BLUE, GREY, VERMILION
 
 PARAMETER = "parameter"
@@ -84,7 +83,7 @@ def _parameter(paper: PaperRow) -> float | str:
             return value
 
 
-def _row(table: str, paper: PaperRow, values: Mapping[str, Any]) -> Row:
+def _row(table: str, paper: PaperRow, values: JsonTable) -> Row:
     """Paper, the paper's method and ours in one row."""
     rays, ours = values["rays"], values["ours"]
     return {

@@ -19,7 +19,10 @@ from typing import Any
 from cell.errors import CellError
 from planner.errors import PlannerError
 
-TrialFunction = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+JsonTable = Mapping[str, Any]
+"""What JSON holds of a trial, by name: its settings, or the values that it comes to."""
+
+TrialFunction = Callable[[JsonTable], JsonTable]
 
 _SOURCES = ("planner", "cell", "drivers")
 
@@ -70,7 +73,7 @@ class Outcome:
     """
 
     trial: Trial
-    values: Mapping[str, Any]
+    values: JsonTable
     failure: str
     seconds: Mapping[str, float]
     cached: bool = False

@@ -1,16 +1,14 @@
 """One scene without a motion: how many views measure how much. The trial of the studies of standoff and scanner."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from cell.robot.frames import pose_from_kuka_abc
 from cell.study.bench import Bench
 from cell.study.scenes import scene_of
+from cell.study.trial import JsonTable
 
 
-def views(settings: Mapping[str, Any]) -> dict[str, object]:
+def views(settings: JsonTable) -> dict[str, object]:
     """Views and coverage of a scene's scanner on its part.
 
     Args:

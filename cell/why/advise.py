@@ -16,10 +16,10 @@ from cell.narrator import Narrator
 from cell.plan.candidates import arm_of
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import held_out
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell, world_of
 from cell.run.record import RunRecord
+from cell.why.turns import place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.measurability.matrix import measured
@@ -29,7 +29,6 @@ from planner.viewpoints.attainable import ASKED, attainable
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
 
-_TURNS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees
 _ASIDE = ((0, 0), (200, 0), (-200, 0), (0, 200), (0, -200))  # mm, x and y of other places
 _ABOVE = (0, 200, 400)  # mm
 _STREAM = 10  # of randomness: which samples are asked about
@@ -81,12 +80,10 @@ def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
     found: list[Advice] = []
     left = np.sort(rng.permutation(np.flatnonzero(~seen))[:ASKED])
     with narrator.stage("second set-ups"):
-        for what, T_base_centre in _turned(world):
+        for turn, _, T_base_centre in turned(world):
             share, error = _share(samples, left, arm(world.placed(T_base_centre)))
-            open_share = 1.0 - visible
-            found.append(
-                Advice(what, visible + open_share * share, open_share * error, open_of(run, T_base_centre))
-            )  # fmt: skip
+            what, command = f"{turn}, beside this plan", open_of(run, T_base_centre)
+            found.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
     places: list[Advice] = []
     some = np.sort(rng.permutation(len(samples))[:ASKED])
     with narrator.stage("other places"):
@@ -106,17 +103,6 @@ def _share(samples: SurfaceSamples, rows: Ints, arm: Arm | None) -> tuple[float,
     return share, float(np.sqrt(share * (1 - share) / len(rows)))
 
 
-def _turned(world: World) -> Iterator[tuple[str, Floats]]:
-    """The part turned about its centre."""
-    for axis, angle in _TURNS:
-        turn = np.zeros(3)
-        turn[2 - axis] = np.radians(angle)  # KUKA's angles are about z, y, x
-        T = np.array(world.T_base_object @ world.T_object_centre)
-        T[:3, :3] = pose_from_kuka_abc(np.zeros(3), turn)[:3, :3] @ T[:3, :3]
-        how = "turned upside down" if axis != 2 else f"turned by {angle:g} deg about the vertical"
-        yield f"a second set-up with the part {how}, beside this plan", T
-
-
 def _places(world: World) -> Iterator[tuple[str, Floats]]:
     """The part moved aside and up."""
     for up in _ABOVE:
@@ -127,23 +113,17 @@ def _places(world: World) -> Iterator[tuple[str, Floats]]:
                 yield f"another place, moved by {x:g}, {y:g}, {up:g} mm", T
 
 
-def _place(T_base_centre: Floats) -> str:
-    """What `--place` takes for a pose of the part's centre."""
-    position, abc = kuka_abc_from_pose(T_base_centre)
-    return ",".join(f"{value + 0.0:g}" for value in [*(position * 1000).round(3), *(np.degrees(abc).round(3))])
-
-
 def open_of(run: RunRecord, T_base_centre: Floats) -> str:
     """The command that plans a further set-up for what a run leaves open, or all set-ups of a folder together."""
     beside = run.folder.absolute().parent.parent / "setups.json"
     runs = sorted(run.folder.parent.iterdir()) if beside.is_file() else [run.folder]
     named = [word for folder in runs for word in ("--open-of", str(folder))]
-    return shlex.join(["cell", "plan", *named, "--place", _place(T_base_centre)])
+    return shlex.join(["cell", "plan", *named, "--place", place_of(T_base_centre)])
 
 
 def elsewhere(run: RunRecord, T_base_centre: Floats) -> str:
     """The run's own command line at another placement; the option alone where `cell edit` or Python began it."""
-    place = _place(T_base_centre)
+    place = place_of(T_base_centre)
     words = list(run.manifest.argv)
     if words[:1] not in (["plan"], ["setups"]):
         return f"--place {place}"

@@ -15,9 +15,9 @@ import numpy as np
 from cell.plan.candidates import GROWN
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.arm import kinematics_of
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.run.cell import RunCell
 from cell.why.scanner_changes import ScannerChanges, round_mm
+from cell.why.turns import place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.ports import RayCaster
@@ -67,7 +67,7 @@ class Changes:
             changes of one kind, the smallest first.
         """
         yield from self._of_the_plan(aims)
-        yield [self._turned(axis, angle) for axis, angle in ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))]
+        yield [self._turned(*turn) for turn in turned(self.world)]
         for fixture in self.cell.scene.fixtures:
             if not fixture.built_in or fixture.name == "post":
                 yield [self._without(fixture.name)]
@@ -136,22 +136,14 @@ class Changes:
             for tilt in _TILTS_DEG if tilt <= limit - 2 and len(aims[0])
         ]  # fmt: skip
 
-    def _turned(self, axis: int, angle_deg: float) -> WhatIf:
+    def _turned(self, how: str, change: float, T_base_centre: Floats) -> WhatIf:
         """The part turned about its centre: a second set-up, in which everything is asked again."""
-        world = self.world
-        turn = np.zeros(3)
-        turn[2 - axis] = np.radians(angle_deg)  # KUKA's angles are about z, y, x
-        T_base_centre = np.array(world.T_base_object @ world.T_object_centre)
-        T_base_centre[:3, :3] = pose_from_kuka_abc(np.zeros(3), turn)[:3, :3] @ T_base_centre[:3, :3]
-        T_base_object = world.placed(T_base_centre)
-        position, abc = kuka_abc_from_pose(T_base_centre)
-        place = ",".join(f"{value:g}" for value in [*(position * 1000).round(3), *(np.degrees(abc).round(3) + 0.0)])
-        how = "turned upside down" if axis != 2 else f"turned by {angle_deg:g} deg about the vertical"
-        reached = _reach(self.candidates, world, T_base_object)
+        T_base_object = self.world.placed(T_base_centre)
+        reached = _reach(self.candidates, self.world, T_base_object)
         return WhatIf(
-            Kind.TURN, abs(angle_deg) + 360 * (axis != 2), f"a second set-up with the part {how}", f"--place {place}",
+            Kind.TURN, change, how, f"--place {place_of(T_base_centre)}",
             self.candidates.T_object_scanner[reached], self.cell.scanner,
-            (self.cell.part_caster, caster_of(occluder_triangles(world, T_base_object))),
+            (self.cell.part_caster, caster_of(occluder_triangles(self.world, T_base_object))),
         )  # fmt: skip
 
     def _without(self, name: str) -> WhatIf:

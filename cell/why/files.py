@@ -59,7 +59,7 @@ def write(run: RunRecord, answer: Answer, report: WhyReport) -> Path:
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
         (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
-        (part / "why.ply").write_bytes(picture.ply(answer))
+        (part / "why.ply").write_bytes(picture.points(answer))
         picture.draw(part / "why.png", answer)
         reasons = [(group.rows, group.title) for group in answer.groups]
         (part / contents.NAME).write_text(

@@ -300,7 +300,7 @@ def _highs(integer: bool) -> Any:
     """A silent solver of one thread."""
     highs = highspy.Highs()  # type: ignore[no-untyped-call] # highspy types this call not
     highs.silent()
-    options: dict[str, Any] = {"threads": 1, "random_seed": 0}
+    options: dict[str, float | str] = {"threads": 1, "random_seed": 0}
     if integer:
         options |= {
             "mip_rel_gap": 0.0, "mip_abs_gap": 1e-9, "mip_heuristic_effort": 0.0, "mip_pscost_minreliable": 1,
