@@ -31,8 +31,8 @@ def place(
 ) -> None:
     """Search where the part should stand: most coverage, then fewest views, then the shortest cycle."""
     from cell.commands.terminal import Terminal
-    from cell.study.place import pictures, search, sentences
-    from cell.study.placement import place_option
+    from cell.study.place_search import pictures, search, sentences
+    from cell.study.placement_map import place_option
     from cell.study.study import StudyResult, study_folder, write_folder
     from cell.study.workers import open_workers
 

@@ -142,7 +142,7 @@ def placement(
     as_json: AsJson = False,
 ) -> None:
     """Map where the part can stand: reach, coverage, views and cycle time over its position."""
-    from cell.study.placement import placement_study
+    from cell.study.placement_map import placement_study
     from cell.study.ranges import values
 
     grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]

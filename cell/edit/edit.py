@@ -24,11 +24,11 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, region_report, steps
-from cell.plan.appended import appended
+from cell.plan.appended_candidates import appended
 from cell.plan.candidates import limited
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Cell, Job, Measured, Run
-from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction

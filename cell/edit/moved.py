@@ -17,7 +17,7 @@ from cell.plan import steps
 from cell.plan.steps import Cell, Job, Measured, Run
 from cell.rays.matrix import PartSurface
 from cell.run.planned import PlannedRun
-from planner.measurability.columns import spread_measurability
+from planner.measurability.candidate_columns import spread_measurability
 from planner.reach.reach import Reach, Verdict
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 

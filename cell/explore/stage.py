@@ -21,11 +21,12 @@ from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
 from cell.plan.candidates import GROWN, arm_of, first, grow, limited
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.request import seconds_of_views
 from cell.plan.steps import Job, Measured, Run
 from cell.plan.summary import Further, plan_report
-from cell.plan.view_plan import ConnectedPlan, choose_and_connect, first_choice
+from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
@@ -33,7 +34,7 @@ from cell.run.explore_json import OpenReason
 from cell.scene.scene import Scene
 from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
-from planner.measurability.columns import spread_measurability
+from planner.measurability.candidate_columns import spread_measurability
 from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate

@@ -3,9 +3,9 @@
 import numpy as np
 
 from cell.part.workpiece import Workpiece
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
-from cell.plan.view_plan import ConnectedPlan
 from cell.robot.arm import wrist_places
 from cell.run.folder import RunFolder
 from cell.run.plan_json import PlanFile

@@ -10,12 +10,14 @@ from pydantic import JsonValue
 
 from cell.errors import FileError
 from cell.part.workpiece import Workpiece
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.report import markdown
-from cell.plan.view_plan import ConnectedPlan
 from cell.robot import model as robot
 from cell.robot.mesh_paths import mesh_files
 from cell.run.axes import apart
-from cell.run.described import (
+from cell.run.folder import RunFolder
+from cell.run.manifest_json import NamedFile
+from cell.run.plan_facts import (
     degrees,
     fixture_file,
     limits_deg,
@@ -26,8 +28,6 @@ from cell.run.described import (
     sweep_of,
     turned_at,
 )
-from cell.run.folder import RunFolder
-from cell.run.manifest_json import NamedFile
 from cell.run.plan_json import PlanFile, PlanView
 from cell.run.report_json import Report
 from cell.run.scene_json import (

@@ -42,7 +42,7 @@ class Drawing:
         """Have a picture drawn.
 
         Args:
-            picture: function of `cell.plan.pictures` or `cell.plan.looks`.
+            picture: function of `cell.plan.pictures` or `cell.plan.picture_jobs`.
             path: PNG to write.
             arrays: its arguments; numbers and words arrive as arrays without dimension.
         """
@@ -121,7 +121,7 @@ def serve() -> None:
     """Draw what comes through stdin until it ends: the process of `beside`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the planner's; the pipe ends with it
     gc.disable()  # for the seconds that this process lives there is nothing to collect
-    from cell.plan import looks, pictures  # noqa: F401  # they take seconds: before they are asked for
+    from cell.plan import picture_jobs, pictures  # noqa: F401  # they take seconds: before they are asked for
 
     forks, failed = list[int](), False
     while length := sys.stdin.buffer.read(_LENGTH.size):
@@ -145,6 +145,6 @@ def serve() -> None:
 
 def draw(what: str, path: Path, **arguments: Any) -> None:
     """Draw one picture here, or make ready what pictures need; arguments as in `Drawing.send`."""
-    from cell.plan import looks, pictures  # matplotlib takes a second: that is why this is a process of its own
+    from cell.plan import picture_jobs, pictures  # matplotlib takes a second: that is why this is a process of its own
 
-    getattr(looks if hasattr(looks, what) else pictures, what)(path, **arguments)
+    getattr(picture_jobs if hasattr(picture_jobs, what) else pictures, what)(path, **arguments)

@@ -17,15 +17,15 @@ from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.plan import answers, picture_process, promise, region_report, steps
 from cell.plan import curve as curves
 from cell.plan import files as plan_files
-from cell.plan.appended import behind
+from cell.plan import picture_process, pose_uncertainty, region_report, steps, wish_results
+from cell.plan.appended_candidates import behind
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.drawing import draw_motion, draw_views, finish_drawing
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
 from cell.plan.summary import Further, plan_report
-from cell.plan.view_plan import ConnectedPlan
 from cell.run.folder import SCHEMA, WITH_TABLE, RunFolder
 from cell.run.report_json import Report
 from cell.scene import devices, doubts
@@ -142,10 +142,12 @@ def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> Further:
     if selected.note:
         run.narrator.note(selected.note)
     promised, fewest = None, None
-    if robust := answers.robust_of(selected, chosen.cover.total_area):
+    if robust := wish_results.robust_of(selected, chosen.cover.total_area):
         with run.step("simulate executions") as progress:
             rng = run.rng(steps.EXECUTIONS)
-            promised = promise.simulate(wishes, robust, chosen.T_object_poses, problem.prediction, rng, progress)
+            promised = pose_uncertainty.simulate(
+                wishes, robust, chosen.T_object_poses, problem.prediction, rng, progress
+            )
     if wishes.curve:
         with run.step("coverage over views"):
             curve = curves.curve_of(problem.request, selected, chosen.matrix, problem.reached, run.rng(steps.CURVE))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
-from cell.plan.view_plan import ConnectedPlan
 from cell.run.report_json import RegionResult
 from cell.scene.regions import RegionWishes
 from planner.measurability.quality import best_of_views

@@ -14,17 +14,18 @@ from cell.checks.doubtful import doubtful
 from cell.checks.possible import require_possible
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
-from cell.plan import attainable, denser, promise
+from cell.plan import attainable, denser_samples, pose_uncertainty
 from cell.plan import files as plan_files
 from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.clearances import require_no_contact
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.refined import Append, movable, with_fewer
 from cell.plan.region_goals import RegionGoals, require_measurable
 from cell.plan.request import Request, seconds_of_views
-from cell.plan.view_plan import ConnectedPlan, choose_and_connect
+from cell.plan.view_plan import choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
 from cell.rays.occluders import caster_of, occluder_triangles
@@ -41,7 +42,7 @@ from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.measurability import matrix
-from planner.measurability.columns import spread_measurability
+from planner.measurability.candidate_columns import spread_measurability
 from planner.measurability.matrix import Measurability
 from planner.ports import Kinematics, Progress, RayCaster, Scanner
 from planner.reach import reach
@@ -240,9 +241,9 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
     """What is asked of selection and motion: the wishes with what they need to know."""
     scene, plan = job.scene, job.scene.plan
     layer = None
-    if not promise.pose_error(plan).none:
+    if not pose_uncertainty.pose_error(plan).none:
         with run.step("pose errors") as progress:
-            layer = promise.layer(
+            layer = pose_uncertainty.layer(
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
                 run.rng(_ENSEMBLE), progress,
             )  # fmt: skip
@@ -262,7 +263,7 @@ def connect(
     """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
         chooses, before = run.rng(SELECTION), problem
-        problem, selected = denser.chosen_where_kept(problem, surface, chooses, run.rng(FRESH))
+        problem, selected = denser_samples.chosen_where_kept(problem, surface, chooses, run.rng(FRESH))
         if append is not None and movable(problem):
             problem, selected = with_fewer(problem, selected, append, chooses)
         if problem.M is not before.M:

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.plan import answers
+from cell.plan import wish_results
 from cell.plan.clearances import clearance_of
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.region_results import results_of
 from cell.plan.steps import Job
-from cell.plan.view_plan import ConnectedPlan
-from cell.run.described import degrees
+from cell.run.plan_facts import degrees
 from cell.run.plan_json import Coverage, Dropped, Promise, Verdicts
 from cell.run.report_json import (
     Attainable,
@@ -79,11 +79,11 @@ def plan_report(
         dropped=[Dropped(id=lost.candidate, reason=lost.reason) for lost in chosen.dropped],
         views=_views(problem, chosen, clearance),
         motion=_motion(chosen, clearance, motion, job.scene.robot.speed_scaling),
-        most_coverage=answers.most_coverage_of(chosen.selected, cover.total_area),
-        overlap=answers.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
+        most_coverage=wish_results.most_coverage_of(chosen.selected, cover.total_area),
+        overlap=wish_results.overlap_of(chosen.selected, chosen.tour.order, cover.total_area),
         promise=further.promise,
-        multiplicity=answers.multiplicity_of(chosen.selected),
-        cost=answers.cost_of(cover),
+        multiplicity=wish_results.multiplicity_of(chosen.selected),
+        cost=wish_results.cost_of(cover),
         curve=further.curve,
         clearance=clearance_of(clearance, motion, problem.world.collision),
     )
@@ -119,7 +119,7 @@ def _settings(job: Job, chosen: ConnectedPlan) -> ReportSettings:
         coverage=scene.plan.coverage,
         required_visible=scene.plan.required_visible,
         seed=scene.plan.seed,
-        **answers.settings(scene.plan),
+        **wish_results.settings(scene.plan),
         **{key: list(value) if isinstance(value, tuple) else value for key, value in own.items()},
     )
 

@@ -15,7 +15,7 @@ from cell.proof.compare import difference
 from cell.robot import model as robot
 from cell.run import reader
 from cell.run.cell import scene_of_run, world_of
-from cell.run.described import limits_deg, resolved_table, standing_fixtures
+from cell.run.plan_facts import limits_deg, resolved_table, standing_fixtures
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene
 from cell.world.model import World

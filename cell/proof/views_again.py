@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cell.proof.artefacts import refuse
 from cell.proof.compare import difference
-from cell.run.described import degrees, sweep_of, turned_at
+from cell.run.plan_facts import degrees, sweep_of, turned_at
 from cell.run.plan_json import Clearance, PlanFile, PlanView
 from cell.run.record import RunRecord
 from cell.world.model import World

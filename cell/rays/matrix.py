@@ -16,7 +16,7 @@ from cell.rays.matrix_cache import Hashes
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
 from planner.measurability import quality
-from planner.measurability.columns import join_measurability, pick_measurability
+from planner.measurability.candidate_columns import join_measurability, pick_measurability
 from planner.measurability.matrix import Measurability, fill
 from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
 from planner.surface.closest import closest_face

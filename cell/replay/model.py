@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from cell.errors import FileError
-from cell.replay.look import add_mesh, light, of_robot, paint, part_pieces, show_surface
+from cell.replay.appearance import add_mesh, light, of_robot, paint, part_pieces, show_surface
 from cell.robot import model as robot
 from cell.robot import told
 from cell.run import reader as run_reader

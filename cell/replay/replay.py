@@ -12,11 +12,11 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
-from cell.replay.closest import of_plan
 from cell.replay.model import dress
 from cell.replay.options import ReplayOptions
 from cell.replay.show import Show
 from cell.replay.still import Still, require_empty, write_frames, write_picture
+from cell.replay.tightest_moment import of_plan
 from cell.run import reader as run_reader
 from cell.run import timeline as replay_timeline
 from cell.run.executions import read_execution

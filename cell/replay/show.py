@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.replay import marks
-from cell.replay.closest import Closest, add_closest
+from cell.replay import overlays
 from cell.replay.model import Theatre
+from cell.replay.tightest_moment import Closest, add_closest
 from cell.robot import model as robot
 from cell.run.timeline import Timeline
 from cell.world.rotary_table import Turner
@@ -83,32 +83,32 @@ class Show:
         mujoco.mj_comPos(self.theatre.model, self.data)
         mujoco.mj_camlight(self.theatre.model, self.data)
 
-    def touches(self) -> tuple[marks.Touch, ...]:
+    def touches(self) -> tuple[overlays.Touch, ...]:
         """What is nearer than the clearance at the present pose."""
-        return marks.touches(self.theatre, self.data)
+        return overlays.touches(self.theatre, self.data)
 
     def draw_still(self, scene: mujoco.MjvScene) -> None:
         """What does not change while the show runs: path, or the candidates of a run without one."""
         if len(self.path) > 1:
-            marks.add_path(scene, self.path, _PATH_RADIUS)
+            overlays.add_path(scene, self.path, _PATH_RADIUS)
         for number, T in enumerate(self.T_base_candidate):
             known = self.reachable is not None
             free = known and self.reachable is not None and bool(self.reachable[number])
-            colour = marks.FRESH if free else marks.LOST if known else marks.EARLIER
-            marks.add_segment(scene, T[:3, 3], T[:3, 3] + 0.05 * T[:3, 2], 0.002, colour)
-            marks.add_ball(scene, T[:3, 3], 0.006, colour)
+            colour = overlays.FRESH if free else overlays.LOST if known else overlays.EARLIER
+            overlays.add_segment(scene, T[:3, 3], T[:3, 3] + 0.05 * T[:3, 2], 0.002, colour)
+            overlays.add_ball(scene, T[:3, 3], 0.006, colour)
 
-    def draw_moment(self, scene: mujoco.MjvScene, t: float, touching: tuple[marks.Touch, ...] = ()) -> None:
+    def draw_moment(self, scene: mujoco.MjvScene, t: float, touching: tuple[overlays.Touch, ...] = ()) -> None:
         """Frustum where the scanner is looking, points taken by then, contacts."""
         row = self._row_at(t)
         taken = self.timeline.reached(t)
         if self.theatre.cloud_mesh:
-            marks.add_clouds(scene, self.theatre, range(taken), row, self.data)
+            overlays.add_clouds(scene, self.theatre, range(taken), row, self.data)
         if row is not None:
-            marks.add_frustum(scene, self.theatre, self.T_base_scanner[row])
+            overlays.add_frustum(scene, self.theatre, self.T_base_scanner[row])
         elif self.timeline.stops:
-            marks.add_glyph(scene, self.theatre, self._scanner_now())
-        marks.add_touches(scene, touching)
+            overlays.add_glyph(scene, self.theatre, self._scanner_now())
+        overlays.add_touches(scene, touching)
         if self.closest is not None and self.closest.shown_at(t):
             add_closest(scene, self.closest)
 
@@ -117,7 +117,7 @@ class Show:
         stop = self.timeline.stop_at(t)
         return None if stop is None else self.timeline.stops.index(stop)
 
-    def caption(self, t: float, touching: tuple[marks.Touch, ...] = ()) -> str:
+    def caption(self, t: float, touching: tuple[overlays.Touch, ...] = ()) -> str:
         """Where the show is, in a line."""
         stops = self.timeline.stops
         if not stops:

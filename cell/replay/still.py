@@ -10,11 +10,11 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from cell.errors import FileError
-from cell.replay import marks
-from cell.replay.closest import Closest, near_camera
-from cell.replay.look import VIEW_FACES
+from cell.replay import overlays
+from cell.replay.appearance import VIEW_FACES
 from cell.replay.model import specks
 from cell.replay.show import Show
+from cell.replay.tightest_moment import Closest, near_camera
 from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell, tour_camera
 from cell.view.palette import GREEN, VERMILION
@@ -190,6 +190,6 @@ def _points(still: Still, t: float, taken: int, fresh: int | None) -> list[Piece
     for scan, points in enumerate(still.clouds[:taken]):
         if len(points):
             mesh = specks(points, 0.010 * radius)
-            colour = np.array((marks.FRESH if scan == fresh else marks.EARLIER)[:3])
+            colour = np.array((overlays.FRESH if scan == fresh else overlays.EARLIER)[:3])
             found.append(Piece("points", 0, mesh.vertices @ T[:3, :3].T + T[:3, 3], np.array(mesh.faces), colour))
     return found

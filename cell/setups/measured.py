@@ -7,8 +7,8 @@ import numpy as np
 
 from cell import scanners
 from cell.checks.possible import impossible
-from cell.plan import denser, steps
-from cell.plan.appended import appended
+from cell.plan import denser_samples, steps
+from cell.plan.appended_candidates import appended
 from cell.plan.candidates import arm_of
 from cell.plan.steps import Cell, Job, Measured, Run
 from cell.rays.matrix import PartSurface
@@ -21,7 +21,7 @@ from cell.setups.growing import with_grown
 from cell.setups.offered import Offer
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from planner.measurability.columns import spread_measurability
+from planner.measurability.candidate_columns import spread_measurability
 from planner.measurability.matrix import Measurability, measured
 from planner.reach.reach import join_reach
 from planner.surface.mesh import TriangleMesh
@@ -99,7 +99,7 @@ class Setup:
         """What reachable candidates measure of further features."""
         reachable = self.measured.reached.reachable
         sigma = self.measured.M.sigma is not None
-        M = denser.rows_of(self.measured.candidates, reachable, self.prediction, features, sigma=sigma)
+        M = denser_samples.rows_of(self.measured.candidates, reachable, self.prediction, features, sigma=sigma)
         return _without(M, touching(features, self.supports))
 
 

@@ -19,11 +19,11 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
-from cell.plan.appended import behind
+from cell.plan.appended_candidates import behind
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.steps import Cell, Job, Run
-from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles

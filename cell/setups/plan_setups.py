@@ -16,9 +16,9 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import candidates, pipeline, steps
 from cell.plan import files as plan_files
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Run
-from cell.plan.view_plan import ConnectedPlan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, surface_features
 from cell.run.planned import open_run

@@ -1,8 +1,8 @@
 """The cover over all set-ups, connected: tried, and tried again without what cannot be connected and with more samples.
 
 A coverage below 1 is kept on the held-out samples: where a cover misses it, fresh samples on the planning faces that it
-fails on become rows of every set-up (as `cell.plan.denser` does for one), and where fresh samples show nothing more the
-target on the rows is raised.
+fails on become rows of every set-up (as `cell.plan.denser_samples` does for one), and where fresh samples show nothing
+more the target on the rows is raised.
 """
 
 from collections.abc import Mapping
@@ -11,17 +11,18 @@ from dataclasses import replace
 import numpy as np
 
 from cell.errors import UnreachableError
-from cell.plan import denser, steps
+from cell.plan import denser_samples, steps
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Run
-from cell.plan.view_plan import ConnectedPlan, choose_and_connect, first_choice
+from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.matrix import PartSurface
 from cell.setups.joint import JointCover, joint_cover
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
 from cell.setups.shared import joining
 from planner.cover import CoverStatus
-from planner.measurability.rows import add_rows
+from planner.measurability.sample_rows import add_rows
 from planner.surface.sample import pick_samples, sample
 from planner.values import Ints
 
@@ -70,7 +71,7 @@ class Search:
             if lacks <= 0:
                 break
             rounds += 1
-            if rounds > denser.ROUNDS or not self._add_rows(connected):
+            if rounds > denser_samples.ROUNDS or not self._add_rows(connected):
                 if self._target >= 1:
                     break
                 self._target = min(1.0, self._target + lacks + _STEP)
@@ -162,7 +163,7 @@ class Search:
 
     def _add_rows(self, connected: Connected) -> bool:
         """Whether fresh samples showed what a candidate measures and no view: rows of every set-up then."""
-        fresh = sample(self._surface.reference, self._surface.planning, denser.FRESH, self._fresh)
+        fresh = sample(self._surface.reference, self._surface.planning, denser_samples.FRESH, self._fresh)
         seen = [self._setups[row].measures(plan.T_object_poses, fresh) for row, (_, plan) in connected.items()]
         left = pick_samples(fresh, ~np.logical_or.reduce(seen))
         if not len(left):

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from cell.scene import sensors
 from cell.scene.scene import Scene
-from cell.study.again import options
+from cell.study.plan_command import options
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trial import JsonTable, Outcome, Trial

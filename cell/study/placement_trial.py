@@ -16,7 +16,7 @@ from cell.study.scenes import bench_of
 from cell.study.trial import JsonTable
 from planner import cover
 from planner.measurability import coverage
-from planner.measurability.columns import join_measurability, pick_measurability
+from planner.measurability.candidate_columns import join_measurability, pick_measurability
 from planner.measurability.matrix import Measurability, fill, occlude
 from planner.order.moves import Moves
 from planner.order.orderings import sequence

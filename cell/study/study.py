@@ -46,7 +46,7 @@ class Study:
         pictures: file stem and figure of each picture.
         sentences: what the rows say, for a reader in a hurry; Markdown paragraphs.
         shown: columns for a terminal, where the whole table is too wide; empty: all.
-        options: of `cell plan`, that plan as a row says (`cell.study.again`); None: there are none.
+        options: of `cell plan`, that plan as a row says (`cell.study.plan_command`); None: there are none.
         best: the row to prefer; None: all are shown alike.
     """
 

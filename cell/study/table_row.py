@@ -12,7 +12,8 @@ from time import perf_counter
 
 from cell.scene.options import Tables
 from cell.scene.scene import load_scene
-from cell.study.bench import Bench, Mask, fewest_for, most_with, placed_at
+from cell.study.bench import Bench, Mask, placed_at
+from cell.study.comparison import fewest_for, most_with
 from cell.study.trial import JsonTable
 
 FINE_RESOLUTION_DEG = 0.25

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
 from cell.scene.plan_settings import PlanSettings
-from cell.study import again, table_row
-from cell.study.bench import DENSER
+from cell.study import plan_command, table_row
+from cell.study.comparison import DENSER
 from cell.study.paper import TABLES, PaperRow
 from cell.study.study import Row, Study
 from cell.study.trial import JsonTable, Outcome, Trial
@@ -66,7 +66,7 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
     settings = {(name, paper.part, _parameter(paper)): _settings(name, paper, faces_share) for name, paper, _ in asked}
 
     def options(row: Row) -> str:
-        return again.options(table_row.scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
+        return plan_command.options(table_row.scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
 
     trials = [trial for _, _, trial in asked]
     return Study(table, title, trials, rows, pictures, sentences, _SHOWN, options)

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from planner.cover.answer import Cover
+from planner.cover.answer_of_columns import told
 from planner.cover.budget import Budget
 from planner.cover.canonical import Canonical
 from planner.cover.graph import NO_GRAPH, joined_columns, parts_of
@@ -19,7 +20,6 @@ from planner.cover.problem import Problem
 from planner.cover.search import Search
 from planner.cover.sets import Sets
 from planner.cover.solvers import answer
-from planner.cover.told import told
 from planner.values import Bools, Floats, Ints, Value
 
 UNCONNECTED_SHARE = 0.4

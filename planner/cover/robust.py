@@ -18,11 +18,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from planner.cover.answer import Cover
+from planner.cover.answer_of_columns import told
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
 from planner.cover.problem import Problem
 from planner.cover.selection import solve
-from planner.cover.told import told
 from planner.errors import PlannerError
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited
 from planner.values import Floats, Value

@@ -6,13 +6,13 @@ from collections.abc import Callable
 import numpy as np
 
 from planner.cover.answer import Cover
+from planner.cover.answer_of_columns import told
 from planner.cover.budget import DEFAULT_WORK, Budget
 from planner.cover.canonical import canonical
 from planner.cover.overlap import connected_cover
 from planner.cover.problem import Problem
 from planner.cover.solvers import SOLVERS, answer
 from planner.cover.targets import solve_parts
-from planner.cover.told import told
 from planner.errors import PlannerError
 from planner.values import Ints
 

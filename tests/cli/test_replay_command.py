@@ -18,7 +18,7 @@ from PIL import Image
 
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
-from cell.replay import marks
+from cell.replay import overlays
 from cell.replay.options import ReplayOptions
 from cell.replay.replay import load_show, replay
 from cell.replay.show import Show, show_what_is_seen
@@ -280,7 +280,7 @@ def test_an_execution_shows_its_points(
     part = _geoms(drawn, executed.data, camera) == executed.theatre.model.geom("surface").id
     bare = drawn.picture(executed.data, camera).astype(int)
     with_points = drawn.picture(
-        executed.data, camera, lambda scene: marks.add_clouds(scene, executed.theatre, [0, 1], 1, executed.data)
+        executed.data, camera, lambda scene: overlays.add_clouds(scene, executed.theatre, [0, 1], 1, executed.data)
     ).astype(int)
     drawn.renderer.close()
     changed = np.argwhere((np.abs(with_points - bare) > 25).any(axis=2))

@@ -12,11 +12,11 @@ from PIL import Image
 
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
-from cell.replay.closest import near_camera
 from cell.replay.options import ReplayOptions
 from cell.replay.replay import load_show, replay
 from cell.replay.show import Show
 from cell.replay.still import Still, write_picture
+from cell.replay.tightest_moment import near_camera
 from cell.replay.viewer import Player
 from cell.run import reader as run_reader
 from cell.run.record import open_run

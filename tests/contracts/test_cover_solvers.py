@@ -5,8 +5,8 @@ import pytest
 import scipy.sparse as sp
 
 from planner.cover import SOLVERS, CoverStatus, Problem, solve
+from planner.cover.answer_of_columns import PRICE_ROUNDING
 from planner.cover.budget import Budget
-from planner.cover.told import PRICE_ROUNDING
 
 WORK = 20_000_000
 COVERAGES = (0.0, 0.3, 0.8, 0.95, 1.0)

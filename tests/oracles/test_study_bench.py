@@ -11,7 +11,8 @@ from cell.errors import FileError
 from cell.rays import virtual_scan
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.scene.scene import load_scene
-from cell.study.bench import DENSER, Bench, fewest_for, most_with
+from cell.study.bench import Bench
+from cell.study.comparison import DENSER, fewest_for, most_with
 from cell.study.placement_trial import placement
 from cell.study.scenes import bench_of, scene_of, scene_settings
 from cell.study.tables import not_beaten

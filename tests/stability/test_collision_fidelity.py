@@ -10,7 +10,7 @@ import trimesh
 
 from cell.checks.possible import impossible
 from cell.errors import SceneError
-from cell.replay.marks import touches
+from cell.replay.overlays import touches
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker

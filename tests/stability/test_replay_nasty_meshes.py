@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.replay.look import VIEW_FACES
+from cell.replay.appearance import VIEW_FACES
 from cell.replay.model import POINTS_SHOWN, dress
 from cell.run import reader as run_reader
 from cell.run.record import open_run

@@ -4,7 +4,7 @@ import numpy as np
 
 from cell.scene.scene import load_scene
 from cell.study.bench import Bench
-from cell.study.place import _best_and_others, _hills
+from cell.study.place_search import _best_and_others, _hills
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
 _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0.0, 60.0, 5.0, 0.0)]

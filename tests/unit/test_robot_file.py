@@ -16,7 +16,7 @@ import trimesh
 from cell.checks.doubtful import doubtful
 from cell.checks.robot import report
 from cell.errors import CellError
-from cell.replay.marks import touches
+from cell.replay.overlays import touches
 from cell.robot import model as robot
 from cell.robot import robot_file, told
 from cell.robot.arm import kinematics_of

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
 from planner.measurability.matrix import Measurability
-from planner.measurability.rows import add_rows
+from planner.measurability.sample_rows import add_rows
 from planner.surface.sample import SurfaceSamples
 
 

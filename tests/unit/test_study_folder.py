@@ -17,8 +17,8 @@ from cell.errors import FileError
 from cell.scene.options import tables
 from cell.study import study as studies
 from cell.study import table_row
-from cell.study.again import options
 from cell.study.curves import KNOBS
+from cell.study.plan_command import options
 from cell.study.study import Study, StudyResult, conduct, markdown_table
 from cell.study.trial import Outcome, Trial
 from cell.view.study_page import shown, study_page

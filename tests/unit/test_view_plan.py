@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from cell.plan import denser
+from cell.plan import denser_samples
 from cell.plan.request import LOOK_WORK, Request, Selected, select
 from cell.scene.plan_settings import PlanSettings
 
@@ -102,10 +102,13 @@ def test_what_is_raised_in_the_end_was_looked_at_on_the_same_samples(monkeypatch
         "sample": lambda *_: None, "_needed": lambda *_: np.ones(1, dtype=bool), "pick_samples": lambda *_: None,
         "rows_of": lambda *_, sigma: None, "add_rows": lambda M, *_: after(M.added + 1),
     }.items():  # fmt: skip
-        monkeypatch.setattr(denser, name, stands_in)
+        monkeypatch.setattr(denser_samples, name, stands_in)
     spread = SimpleNamespace(planning_face=np.zeros(1, dtype=int), areas=np.ones(1))
     surface = SimpleNamespace(planning=SimpleNamespace(faces=np.zeros((1, 3))), reference=None)
     prediction = SimpleNamespace(samples=spread, asked=None, asks=None)
     problem = Stub(SimpleNamespace(asked=np.array([0.99])), prediction, after(0), None, SimpleNamespace(reachable=None))
-    denser.chosen_where_kept(problem, surface, None, None)
-    assert looks == [*((k, denser.LOOK_WORK) for k in range(denser.ROUNDS + 1)), (denser.ROUNDS, 0)]
+    denser_samples.chosen_where_kept(problem, surface, None, None)
+    assert looks == [
+        *((k, denser_samples.LOOK_WORK) for k in range(denser_samples.ROUNDS + 1)),
+        (denser_samples.ROUNDS, 0),
+    ]

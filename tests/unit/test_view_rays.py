@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cell.errors import UsageError
-from cell.plan import looks
+from cell.plan import picture_jobs
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import box
 from cell.run import reader as run_reader
@@ -118,7 +118,7 @@ def test_the_report_s_picture_is_seen_as_asked(planned: Path, tmp_path: Path) ->
     def picture(camera: tuple[float, ...], *hide: str) -> np.ndarray:
         path = tmp_path / "run" / "mine.png"
         way, hidden = np.zeros((0, 3)), np.array(hide, dtype=np.str_)
-        looks.cell_with_arm(path, q=q, T_base_scanner=poses, way=way, camera_deg=np.array(camera), hide=hidden)
+        picture_jobs.cell_with_arm(path, q=q, T_base_scanner=poses, way=way, camera_deg=np.array(camera), hide=hidden)
         with Image.open(path) as drawn:
             return np.asarray(drawn).astype(int)
 

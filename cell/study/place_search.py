@@ -23,7 +23,7 @@ from scipy.stats import qmc
 from cell.errors import UnreachableError
 from cell.scene.scene import Scene
 from cell.study.options import PlaceRange
-from cell.study.placement import AXES, place_option, row_of, time_of
+from cell.study.placement_map import AXES, place_option, row_of, time_of
 from cell.study.placement_trial import COVERAGE_ONLY, WHOLE, placement
 from cell.study.run import run
 from cell.study.scenes import scene_settings

@@ -17,9 +17,9 @@ from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from planner.measurability import quality
-from planner.measurability.columns import spread_measurability
+from planner.measurability.candidate_columns import spread_measurability
 from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.measurability.rows import add_rows
+from planner.measurability.sample_rows import add_rows
 from planner.ports import SigmaScanner
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Bools

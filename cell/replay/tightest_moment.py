@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from cell.replay import marks
+from cell.replay import overlays
 from cell.run.plan_json import PlanFile
 from cell.run.timeline import Timeline
 from cell.view import rays
@@ -20,7 +20,7 @@ from planner.values import Floats, Value
 if TYPE_CHECKING:
     import mujoco
 
-NEAR: marks.Colour = (0.93, 0.25, 0.05, 1.0)
+NEAR: overlays.Colour = (0.93, 0.25, 0.05, 1.0)
 _SHOWN = 0.35  # s of the show before and after, in which the pair is drawn into a running show
 _ROD, _BALL = 0.002, 0.005  # m
 _NEAREST = 0.7  # m, of a camera that looks at the pair
@@ -71,11 +71,11 @@ def of_plan(plan: PlanFile, timeline: Timeline) -> Closest | None:
 def add_closest(scene: mujoco.MjvScene, closest: Closest) -> None:
     """A rod between the two points, a ball at each, and the distance as a label."""
     start, end = closest.points
-    marks.add_segment(scene, start, end, _ROD, NEAR)
+    overlays.add_segment(scene, start, end, _ROD, NEAR)
     radius = max(_ROD, min(_BALL, closest.distance / 4))
-    marks.add_ball(scene, start, radius, NEAR)
-    marks.add_ball(scene, end, radius, NEAR)
-    marks.add_label(scene, closest.points.mean(axis=0), "   " + closest.sentence)  # beside the line, not on it
+    overlays.add_ball(scene, start, radius, NEAR)
+    overlays.add_ball(scene, end, radius, NEAR)
+    overlays.add_label(scene, closest.points.mean(axis=0), "   " + closest.sentence)  # beside the line, not on it
 
 
 def near_camera(model: mujoco.MjModel, data: mujoco.MjData, closest: Closest, size: tuple[int, int]) -> rays.Camera:
