@@ -17,6 +17,7 @@ from cell.scene.part_regions import areas_of, with_regions
 from cell.scene.region_limits import require_attainable
 from cell.scene.resolve import Settings, resolve
 from cell.scene.scene import Scene
+from cell.words import listed
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world
 
@@ -121,8 +122,8 @@ class CheckResult:
         return [
             ("part", f"{self.part}, {_by(self.part_size_mm)} mm"),
             *[(f"region {name}", f"{area:,.1f} mm²") for name, area in self.regions_mm2.items()],
-            ("part's centre", f"{_list(self.placement_mm)} mm in base"),
-            ("home", f"{_list(self.home_deg)} deg"),
+            ("part's centre", f"{listed(self.placement_mm)} mm in base"),
+            ("home", f"{listed(self.home_deg)} deg"),
             ("contacts at home", contacts or "none"),
             ("nearest at home", nearest if nearest != "none" else f"nothing within {1000 * DISTANCE_CAP:g} mm"),
             ("joint limits", f"{limits} deg"),
@@ -132,8 +133,8 @@ class CheckResult:
                 f"{reach.wrist_highest_mm:.1f} mm; the source {reach.wrist_to_source_mm:.1f} mm from the wrist",
             ),
             ("scanner", f"{self.sensor or 'of its own'}{span}"),
-            ("laser source", f"{_list(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
-            ("housing", f"{_by(self.housing_size_mm)} mm, middle at {_list(self.housing_mm)} mm in flange{bracket}"),
+            ("laser source", f"{listed(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
+            ("housing", f"{_by(self.housing_size_mm)} mm, middle at {listed(self.housing_mm)} mm in flange{bracket}"),
             ("keeps clear of", f"{', '.join(self.obstacles)} by {self.clearance_mm:g} mm"),
             ("part in collisions", _FIDELITY[self.collision]),
             ("guarded pairs", f"{self.guarded_pairs} pairs of shapes"),
@@ -254,10 +255,6 @@ def _mm(metres: float, digits: int = 3) -> float:
 def _triple(metres: np.ndarray) -> Triple:
     x, y, z = (_mm(value) + 0.0 for value in metres)  # + 0.0 turns -0 into 0
     return x, y, z
-
-
-def _list(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
 
 
 def _by(values: tuple[float, ...]) -> str:

@@ -16,6 +16,7 @@ from cell.robot.arm import POLISHED_ABOVE, chain_of
 from cell.robot.fit import fit
 from cell.robot.model import AXES
 from cell.robot.normalised import ACCELERATION_TIME, JERK_TIME
+from cell.words import listed
 from cell.world.gap import meshes_of
 from cell.world.own_pairs import POSES, OwnPairs
 from cell.world.robot_spec import JOINED, from_file, in_our_form, stamp
@@ -97,12 +98,12 @@ class RobotReport:
         apart, near = (
             ", ".join(f"{pair} ({mm:.2g} mm)" for pair, mm in each.items()) for each in (self.apart, self.near)
         )
-        home = "none found; give robot.home_deg" if self.home_deg is None else f"{_list(self.home_deg)} deg"
+        home = "none found; give robot.home_deg" if self.home_deg is None else f"{listed(self.home_deg)} deg"
         return [
             ("arm", f"{self.base} to {self.flange}: {', '.join(self.joints)}"),
             ("family", f"{self.family}, off by {self.residual_mm:.2g} mm: {polish}"),
             ("dimensions", ", ".join(f"{name} {length:.4g}" for name, length in self.dimensions_mm.items()) + " mm"),
-            ("signs, zeros", f"{_list(self.signs)}; {_list(self.offsets_deg)} deg"),
+            ("signs, zeros", f"{listed(self.signs)}; {listed(self.offsets_deg)} deg"),
             ("axes", "; ".join(limits) + " (deg)"),
             ("driven along", ", ".join(self.followers) or "nothing"),
             ("shapes", ", ".join(f"{body} {count}" for body, count in self.shapes.items())),
@@ -209,7 +210,3 @@ def _missing(file: RobotFile) -> list[str]:
         f"no accelerations and jerks: a speed is reached in {ACCELERATION_TIME:g} s, an acceleration in "
         f"{JERK_TIME:g} s, unless robot.acceleration_deg_s2 and robot.jerk_deg_s3 say otherwise",
     ]
-
-
-def _list(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{value:g}" for value in values)

@@ -3,6 +3,7 @@
 import html
 
 from cell.run.report_json import RegionResult, Report
+from cell.words import percent
 
 
 def rows(report: Report) -> list[tuple[str, str]]:
@@ -18,7 +19,7 @@ def page(report: Report) -> list[str]:
     lines = [
         "## Regions",
         "",
-        f"Shares of the surface in this report are of the {_percent(counted)} of the part's surface that the regions "
+        f"Shares of the surface in this report are of the {percent(counted)} of the part's surface that the regions "
         "ask for.",
         "",
         "| region | mm² | asked of what is coverable | coverable | measured | of what is coverable | limits |",
@@ -27,9 +28,9 @@ def page(report: Report) -> list[str]:
     for each in report.regions:
         views = f", from {each.views} views" if each.views > 1 else ""
         lines.append(
-            f"| {html.escape(each.name)} | {each.area_mm2:,.0f} | {_percent(each.asked)}{views} | "
-            f"{_percent(each.coverable)} | {_percent(each.visible)}{_enough(each)} | "
-            f"{_percent(each.visible_of_coverable)} | {_limits(each) or 'none'} |"
+            f"| {html.escape(each.name)} | {each.area_mm2:,.0f} | {percent(each.asked)}{views} | "
+            f"{percent(each.coverable)} | {percent(each.visible)}{_enough(each)} | "
+            f"{percent(each.visible_of_coverable)} | {_limits(each) or 'none'} |"
         )
     told = [f"- {html.escape(each.name)}: {html.escape(each.reason)}." for each in report.regions if each.reason]
     return [*lines, "", *told, *([""] if told else [])]
@@ -46,7 +47,7 @@ def missed(report: Report) -> list[str]:
         if can > 0 and group[0].asked < 1 and has < group[0].asked * can:
             names = " and ".join(f"'{each.name}'" for each in group)
             found.append(
-                f"of what can be measured of {names} the plan measures {_percent(has / can)}, less than the "
+                f"of what can be measured of {names} the plan measures {percent(has / can)}, less than the "
                 f"{100 * group[0].asked:g} % asked for; see cell why"
             )
         closed = [each for each in group if each.coverable == 0]
@@ -57,8 +58,8 @@ def missed(report: Report) -> list[str]:
 def _sentence(region: RegionResult) -> str:
     limits = _limits(region)
     return (
-        f"{_percent(region.visible)} of {region.area_mm2:,.0f} mm² measured{_enough(region)}, "
-        f"{_percent(region.visible_of_coverable)} of what reachable candidates can measure"
+        f"{percent(region.visible)} of {region.area_mm2:,.0f} mm² measured{_enough(region)}, "
+        f"{percent(region.visible_of_coverable)} of what reachable candidates can measure"
         + (f"; {limits}" if limits else "")
         + (f"; {region.reason}" if region.reason else "")
     )
@@ -66,14 +67,10 @@ def _sentence(region: RegionResult) -> str:
 
 def _enough(region: RegionResult) -> str:
     """What is measured from as many views as were asked for, where that is more than one."""
-    return f", {_percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
+    return f", {percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
 
 
 def _limits(region: RegionResult) -> str:
     limits = [] if region.max_spacing_mm is None else [f"points at most {region.max_spacing_mm:g} mm apart"]
     limits += [] if region.max_sigma_mm is None else [f"sigma at most {region.max_sigma_mm:g} mm"]
     return ", ".join(limits)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"

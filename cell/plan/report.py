@@ -7,6 +7,7 @@ from cell.plan import region_report, request_report
 from cell.plan.attainable import sentence
 from cell.plan.clearances import tightest_sentence
 from cell.run.report_json import Report, ReportMotion, ReportSettings
+from cell.words import listed, percent
 
 _TOLD = 2  # dropped candidates in a terminal
 _PART = {"hull": "its convex hull", "exact": "its triangles"}
@@ -18,9 +19,9 @@ def markdown(report: Report) -> str:
     lines = [
         f"# View plan of {html.escape(part.name)} ([look at it](view.html))",
         "",
-        f"{report.n_views} views measure {_percent(coverage.visible)} of the surface, "
-        f"{_percent(coverage.visible_of_coverable)} of what the reachable candidates can measure "
-        f"({_percent(coverage.coverable)}). {_sentence(report.status)}",
+        f"{report.n_views} views measure {percent(coverage.visible)} of the surface, "
+        f"{percent(coverage.visible_of_coverable)} of what the reachable candidates can measure "
+        f"({percent(coverage.coverable)}). {_sentence(report.status)}",
         "",
         *(f"{text[0].upper()}{text[1:]}.\n" for _, text in _lost(report)),
         "![The cell, the arm at one of the views](cell.png)",
@@ -75,7 +76,7 @@ def table(report: Report) -> list[tuple[str, str]]:
         ("lower bound", f"{'1 view' if fewest == 1 else f'{fewest} views'} for these candidates and samples"),
         (
             "visible coverage",
-            f"{_percent(coverage.visible)} of the surface, {_percent(coverage.visible_of_coverable)} of what "
+            f"{percent(coverage.visible)} of the surface, {percent(coverage.visible_of_coverable)} of what "
             "reachable candidates can measure",
         ),
         *_lost(report),
@@ -126,15 +127,15 @@ def _facts(report: Report) -> list[str]:
         f"| part | {html.escape(part.name)}: {part.faces:,} faces, {_times(part.extents_mm)} mm, "
         f"{part.area_mm2:,.0f} mm² |",
         f"| planning mesh | {part.planning_faces:,} faces |",
-        f"| placement of its centre in base | {_list(settings.placement_mm)} mm, "
-        f"A B C {_list(settings.placement_abc_deg)} deg |",
+        f"| placement of its centre in base | {listed(settings.placement_mm)} mm, "
+        f"A B C {listed(settings.placement_abc_deg)} deg |",
         *_scanner_rows(settings),
         f"| candidates | {settings.candidates}, {report.verdicts.total:,} |",
         f"| matrix | {settings.fill}, {report.n_features:,} surface samples |",
         f"| selection | {report.solver}, {report.n_views} views, lower bound {report.lower_bound}, "
-        f"gap {_percent(report.gap)} |",
+        f"gap {percent(report.gap)} |",
         f"| motion | {motion.duration_s:.2f} s home to home, {motion.via_points} points, speed "
-        f"{_percent(motion.speed_fraction)} |",
+        f"{percent(motion.speed_fraction)} |",
         f"| the same stops without a limit of jerk (time-optimal bound) | {_bound(motion)} |",
         *(f"| {name} | {sentence} |" for name, sentence in (*spacing_row(report), *request_report.rows(report))),
         *_arm_and_sigma(report),
@@ -155,8 +156,8 @@ def _views(report: Report) -> list[str]:
     for stop, view in enumerate(report.views, start=1):
         clearance = view.clearance_on_the_way_mm
         lines.append(
-            f"| {stop} | {view.id} | {100 * view.adds:.2f} | {_list(view.source_in_base_mm)} | "
-            f"{_list((*view.q_deg, *(view.e_deg or ())))} | {view.roll_deg:g} | "
+            f"| {stop} | {view.id} | {100 * view.adds:.2f} | {listed(view.source_in_base_mm)} | "
+            f"{listed((*view.q_deg, *(view.e_deg or ())))} | {view.roll_deg:g} | "
             f"{'' if clearance is None else f'{clearance:.1f}'} |"
         )
     return lines
@@ -164,7 +165,7 @@ def _views(report: Report) -> list[str]:
 
 def _scanner_rows(settings: ReportSettings) -> list[str]:
     """The scanner's rows of the table; a plug-in's own keys stand as they are named."""
-    row = f"| scanner | {settings.sensor or settings.scanner}, standoff {_list(settings.standoffs_mm)} mm"
+    row = f"| scanner | {settings.sensor or settings.scanner}, standoff {listed(settings.standoffs_mm)} mm"
     if (baseline := settings.number("baseline_mm")) is not None:
         row += f", baseline {baseline:g} mm"
     if span := settings.pair("range_mm"):
@@ -200,7 +201,7 @@ def _arm_and_sigma(report: Report) -> list[str]:
     """Rows for what the arm hides and for the precision of the points, where there is something to say."""
     rows, visible, with_arm = [], report.coverage.visible, report.coverage.visible_with_arm
     if with_arm is not None and with_arm < visible:
-        rows.append(f"| visible coverage with each view's own arm in the way | {_percent(with_arm)} |")
+        rows.append(f"| visible coverage with each view's own arm in the way | {percent(with_arm)} |")
     if sigma := report.sigma:
         rows.append(
             f"| expected standard deviation of a point | median {sigma.median_mm:.4f} mm, 95 % below "
@@ -213,14 +214,6 @@ def _bound(motion: ReportMotion) -> str:
     """The bound without a limit of jerk, and how far the motion is from it."""
     bound = motion.jerk_free_bound_s
     return f"{bound:.2f} s" + (f"; the motion takes {motion.duration_s / bound:.3f} x as long" if bound else "")
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"
-
-
-def _list(values: Iterable[float]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
 
 
 def _times(values: Iterable[float]) -> str:

@@ -2,6 +2,7 @@
 
 from cell.run.plan_json import OpenOf, Overlap, Promise
 from cell.run.report_json import Report
+from cell.words import percent
 
 
 def rows(report: Report) -> list[tuple[str, str]]:
@@ -11,8 +12,8 @@ def rows(report: Report) -> list[tuple[str, str]]:
         found.append(
             (
                 f"at most {most.max_views} views",
-                f"they cover {_percent(most.covered)} of the surface's samples; no so many candidates cover more "
-                f"than {_percent(most.upper_bound)}",
+                f"they cover {percent(most.covered)} of the surface's samples; no so many candidates cover more "
+                f"than {percent(most.upper_bound)}",
             )
         )
     if several := report.multiplicity:
@@ -43,11 +44,11 @@ def rows(report: Report) -> list[tuple[str, str]]:
 
 def _together(found: OpenOf) -> str:
     touched = (
-        f"; {_percent(found.in_contact)} that was open touches what the part lies on here" if found.in_contact else ""
+        f"; {percent(found.in_contact)} that was open touches what the part lies on here" if found.in_contact else ""
     )
     return (
-        f"{_percent(found.together)} of the surface, {_percent(found.before)} before this one; this one measures "
-        f"{_percent(found.share)} of what was open and its reachable candidates can measure{touched}"
+        f"{percent(found.together)} of the surface, {percent(found.before)} before this one; this one measures "
+        f"{percent(found.share)} of what was open and its reachable candidates can measure{touched}"
     )
 
 
@@ -64,7 +65,7 @@ def _overlap(report: Report, overlap: Overlap) -> str:
         "all scans hang together"
         if overlap.connected
         else f"the scans fall into {len(overlap.parts)} parts; the largest, of {overlap.parts[0].views} "
-        f"views, covers {_percent(overlap.parts[0].covered)} of the surface's samples"
+        f"views, covers {percent(overlap.parts[0].covered)} of the surface's samples"
     )
     late = overlap.without_earlier
     order = (
@@ -76,18 +77,18 @@ def _overlap(report: Report, overlap: Overlap) -> str:
 
 
 def _promise(promise: Promise) -> list[tuple[str, str]]:
-    sure = _percent(1 - promise.alpha)
+    sure = percent(1 - promise.alpha)
     return [
         (
             "robust coverage",
-            f"{_percent(promise.robust_on_features)} of the surface's samples are measured with a probability of "
-            f"{sure} or more, of {_percent(promise.robust_coverable_on_features)} that can be",
+            f"{percent(promise.robust_on_features)} of the surface's samples are measured with a probability of "
+            f"{sure} or more, of {percent(promise.robust_coverable_on_features)} that can be",
         ),
         (
             f"in {promise.executions} simulated executions",
-            f"promised on other samples: {_percent(promise.promised)} of the surface; measured in {sure} of the "
-            f"executions or more: {_percent(promise.achieved)}, of what was promised {_percent(promise.kept)}; one "
-            f"execution measures {_percent(promise.coverage_mean)} on average, {_percent(promise.coverage_worst)} "
+            f"promised on other samples: {percent(promise.promised)} of the surface; measured in {sure} of the "
+            f"executions or more: {percent(promise.achieved)}, of what was promised {percent(promise.kept)}; one "
+            f"execution measures {percent(promise.coverage_mean)} on average, {percent(promise.coverage_worst)} "
             "at worst",
         ),
     ]
@@ -105,9 +106,9 @@ def page(report: Report) -> list[str]:
             f"{settings.pose_sd_deg:g} deg about each axis of the scanner (one standard deviation, normal, drawn "
             f"anew for every view: independent). Probabilities are from {promise.members} drawn errors, the same "
             f"for every view; a view that measures a sample in all n of them is credited with (n + 1/2) / (n + 1), so "
-            f"that a promise of {_percent(1 - promise.alpha)} needs at least {promise.views_needed} such "
+            f"that a promise of {percent(1 - promise.alpha)} needs at least {promise.views_needed} such "
             f"{'view' if promise.views_needed == 1 else 'views'} of a sample. On average, promised surface was "
-            f"measured in {_percent(promise.frequency)} of the {promise.executions} executions "
+            f"measured in {percent(promise.frequency)} of the {promise.executions} executions "
             f"({promise.samples:,} samples that the plan has not seen).",
             "",
         ]
@@ -124,7 +125,3 @@ def page(report: Report) -> list[str]:
 
 def _or_dash(number: int | None) -> str:
     return "-" if number is None else str(number)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"

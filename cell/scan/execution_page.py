@@ -4,6 +4,7 @@ import html
 
 from cell.acquisition import SIMULATED
 from cell.run.execution_json import ExecutedRegion, ExecutionReport
+from cell.words import percent
 
 _COARSE = 0.02  # of the part's diagonal: a surface that reaches farther from its points is called interpolated
 
@@ -64,12 +65,12 @@ def table(summary: ExecutionReport) -> list[tuple[str, str]]:
     rows = [
         ("views", f"{summary.n_views} of {summary.n_views_planned}{missing}"),
         ("points", f"{summary.n_points:,}, {short(summary.source)}"),
-        ("visible coverage", f"{_percent(coverage.visible)} of the surface, predicted {_percent(coverage.predicted)}"),
-        ("sampled coverage", f"{_percent(coverage.sampled)} within {coverage.sampled_radius_mm:.3g} mm of a point"),
+        ("visible coverage", f"{percent(coverage.visible)} of the surface, predicted {percent(coverage.predicted)}"),
+        ("sampled coverage", f"{percent(coverage.sampled)} within {coverage.sampled_radius_mm:.3g} mm of a point"),
     ]
     if coverage.dense is not None:
         near = "measured and with a point within 1.5 x the planned spacing"
-        rows.append(("dense coverage", f"{_percent(coverage.dense)} {near}"))
+        rows.append(("dense coverage", f"{percent(coverage.dense)} {near}"))
     rows += [(f"region {each.name}", _of_region(each)) for each in summary.regions or ()]
     if registration is not None and cloud.rms_to_reference_mm is not None:
         residuals = (
@@ -97,7 +98,7 @@ def _opening(summary: ExecutionReport) -> str:
     coverage, deviation = summary.coverage, summary.deviation
     text = (
         f"{_number(summary.n_views, 'scan')} gave {summary.n_points:,} points and measured "
-        f"{_percent(coverage.visible)} of the surface; predicted were {_percent(coverage.predicted)}."
+        f"{percent(coverage.visible)} of the surface; predicted were {percent(coverage.predicted)}."
     )
     if deviation is not None:
         text += (
@@ -158,8 +159,8 @@ def _table(summary: ExecutionReport) -> list[str]:
 
 
 def _of_region(region: ExecutedRegion) -> str:
-    enough = f", {_percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
-    return f"{_percent(region.visible)} measured{enough}"
+    enough = f", {percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
+    return f"{percent(region.visible)} measured{enough}"
 
 
 def _coverage(summary: ExecutionReport) -> list[str]:
@@ -170,18 +171,18 @@ def _coverage(summary: ExecutionReport) -> list[str]:
         "",
         "| | achieved | predicted |",
         "|---|---|---|",
-        f"| visible{model}, of the surface | {_percent(coverage.visible)} | {_percent(coverage.predicted)} |",
-        f"| visible, of what reachable candidates can measure | {_percent(coverage.visible_of_coverable)} | |",
-        f"| sampled, radius {coverage.sampled_radius_mm:.3g} mm | {_percent(coverage.sampled)} | |",
+        f"| visible{model}, of the surface | {percent(coverage.visible)} | {percent(coverage.predicted)} |",
+        f"| visible, of what reachable candidates can measure | {percent(coverage.visible_of_coverable)} | |",
+        f"| sampled, radius {coverage.sampled_radius_mm:.3g} mm | {percent(coverage.sampled)} | |",
     ]
     if coverage.dense is not None:
-        lines.append(f"| dense: a point within 1.5 x the planned spacing | {_percent(coverage.dense)} | |")
+        lines.append(f"| dense: a point within 1.5 x the planned spacing | {percent(coverage.dense)} | |")
     lines += [f"| region {html.escape(each.name)} | {_of_region(each)} | |" for each in summary.regions or ()]
     lines.append("")
     if coverage.predicted != coverage.predicted_all_views:
         lines += [
             f"The prediction is for the views that were scanned; for all views of the plan it is "
-            f"{_percent(coverage.predicted_all_views)}.",
+            f"{percent(coverage.predicted_all_views)}.",
             "",
         ]
     return [*lines, "![Coverage over number of views](cover.png)", ""] if summary.n_views else lines
@@ -281,10 +282,6 @@ def _views(summary: ExecutionReport) -> list[str]:
 
 def _known(value: float | None, digits: int) -> str:
     return "not known" if value is None else f"{value:.{digits}f}"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"
 
 
 def _mm(value: float | None) -> str:

@@ -1,6 +1,7 @@
 """What is said of the scans of several set-ups: the page, and the rows of a terminal."""
 
 from cell.run.setups_json import ScannedSetups
+from cell.words import percent
 
 _WHY = {
     "to_come": "set-ups that are not scanned yet",
@@ -15,19 +16,17 @@ def rows(report: ScannedSetups) -> list[tuple[str, str]]:
     found = [
         (
             "measured",
-            f"{_percent(report.visible)} of the surface by {_number(len(report.setups), 'set-up')}"
-            f"{_missing(report)}; planned {_percent(report.planned)} by all",
+            f"{percent(report.visible)} of the surface by {_number(len(report.setups), 'set-up')}"
+            f"{_missing(report)}; planned {percent(report.planned)} by all",
         )
     ]
     for setup in report.setups:
         found.append(
-            (f"set-up {setup.number}", f"{setup.views} views, {setup.points:,} points, adds {_percent(setup.adds)}")
+            (f"set-up {setup.number}", f"{setup.views} views, {setup.points:,} points, adds {percent(setup.adds)}")
         )
         if setup.place is not None:
             found.append(("", _stands(setup.place.moved_mm, setup.place.turned_deg, setup.place.undetermined)))
-    found += [
-        ("open", f"{_percent(share)}: {_WHY[name]}") for name, share in dict(report.open).items() if share >= 5e-5
-    ]
+    found += [("open", f"{percent(share)}: {_WHY[name]}") for name, share in dict(report.open).items() if share >= 5e-5]
     off = report.deviation
     surface = (
         report.surface.status
@@ -56,13 +55,13 @@ def page(report: ScannedSetups) -> str:
         )  # fmt: skip
         link = f"[{setup.number}](../setups/{setup.number}/executions/{setup.execution}/report.md)"
         lines.append(
-            f"| {link} | {setup.execution} | {setup.views} | {setup.points:,} | {_percent(setup.visible)} "
-            f"| {_percent(setup.adds)} | {' | '.join(off)} |"
+            f"| {link} | {setup.execution} | {setup.views} | {setup.points:,} | {percent(setup.visible)} "
+            f"| {percent(setup.adds)} | {' | '.join(off)} |"
         )
     if report.shared:
         lines += ["", "## What set-ups share", "", "| set-ups | of the surface | leaves free |", "|---|---|---|"]
         lines += [
-            f"| {pair.setups[0]} and {pair.setups[1]} | {_percent(pair.share)} | {'; '.join(pair.free)} |"
+            f"| {pair.setups[0]} and {pair.setups[1]} | {percent(pair.share)} | {'; '.join(pair.free)} |"
             for pair in report.shared
         ]
     if report.deviation is not None:
@@ -81,7 +80,3 @@ def _missing(report: ScannedSetups) -> str:
 
 def _number(count: int, noun: str) -> str:
     return f"{count} {noun}" + ("s" if count != 1 and noun != "more" else "")
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"

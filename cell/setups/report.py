@@ -2,6 +2,7 @@
 
 from cell.run.setups_json import PlannedOpen, SetupsFile
 from cell.setups.joint import JointCover
+from cell.words import listed, percent
 
 _WHY = {
     "not_asked": "candidates measure it, and less was asked for (--coverage)",
@@ -28,9 +29,7 @@ def status(found: JointCover, offered: int, asked: float) -> str:
     )
     if not found.enough:
         fewest = f"{setups} of the {offered} set-ups offered, too few for what was asked"
-    at = (
-        "" if found.target == asked else f", at {_percent(found.target)} of the samples for the {100 * asked:g} % asked"
-    )
+    at = "" if found.target == asked else f", at {percent(found.target)} of the samples for the {100 * asked:g} % asked"
     if views <= views_bound:
         return f"{fewest}; proven fewest views in so many{at}"
     more = views - views_bound
@@ -45,18 +44,18 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
         ("views", f"{file.views} in all, not fewer than {file.views_bound}"),
         (
             "visible coverage",
-            f"{_percent(coverage.visible)} of the surface, {_percent(coverage.visible_of_coverable)} of what the "
+            f"{percent(coverage.visible)} of the surface, {percent(coverage.visible_of_coverable)} of what the "
             "set-ups offered can measure",
         ),
     ]
     found += [
-        (setup.folder, f"{file.offered[setup.offered].name}: {setup.views} views, adds {_percent(setup.adds)}")
+        (setup.folder, f"{file.offered[setup.offered].name}: {setup.views} views, adds {percent(setup.adds)}")
         for setup in file.chosen
     ]
     if file.open is not None:
-        found += [("open", f"{_percent(share)}: {_WHY[name]}") for name, share in _reasons(file.open) if share >= 5e-5]
+        found += [("open", f"{percent(share)}: {_WHY[name]}") for name, share in _reasons(file.open) if share >= 5e-5]
     best = max(each.coverable for each in file.offered)
-    return [*found, ("best single set-up", f"{_percent(best)} of the surface can be measured in it")]
+    return [*found, ("best single set-up", f"{percent(best)} of the surface can be measured in it")]
 
 
 def page(file: SetupsFile) -> str:
@@ -70,13 +69,13 @@ def page(file: SetupsFile) -> str:
             (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.chosen if chosen.offered == row), ""
         )
         lines.append(
-            f"| {row} | {each.name} | {_list(each.placement_mm)} | {_list(each.placement_abc_deg)} | {each.reachable} "
-            f"| {_percent(each.coverable)} | {_percent(each.in_contact)} | {each.left_out or use} |"
+            f"| {row} | {each.name} | {listed(each.placement_mm)} | {listed(each.placement_abc_deg)} | {each.reachable}"
+            f" | {percent(each.coverable)} | {percent(each.in_contact)} | {each.left_out or use} |"
         )
     if file.shared:
         lines += ["", "## What set-ups share", "", "| set-ups | of the surface | leaves free |", "|---|---|---|"]
         lines += [
-            f"| {pair.setups[0]} and {pair.setups[1]} | {_percent(pair.share)} | {'; '.join(pair.free)} |"
+            f"| {pair.setups[0]} and {pair.setups[1]} | {percent(pair.share)} | {'; '.join(pair.free)} |"
             for pair in file.shared
         ]
     return "\n".join([*lines, ""])
@@ -85,11 +84,3 @@ def page(file: SetupsFile) -> str:
 def _reasons(found: PlannedOpen) -> list[tuple[str, float]]:
     """Names and shares, the largest first."""
     return sorted(((name, getattr(found, name)) for name in _WHY), key=lambda each: -each[1])
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"
-
-
-def _list(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{value:g}" for value in values)

@@ -40,7 +40,7 @@ class Exchange(Value):
     Attributes:
         views: (n,) candidates; not more than were given.
         groups: for each view the candidates that may be picked for it, itself first: every combination measures all
-            samples that `views` measure (up to the demand), and no candidate stands in two groups.
+            samples that `views` measure, and no candidate stands in two groups.
         duration_before: time of straight moves over the views given [s].
         duration: time of straight moves over `views` [s]; not longer.
         visited: (n,) `views` in visiting order.
@@ -101,7 +101,6 @@ def exchange(
     rng: np.random.Generator,
     *,
     pinned: Iterable[int] = (),
-    demand: int = 1,
     spare: float = 0.0,
 ) -> Exchange:
     """Exchange views for stand-ins while that shortens the motion.
@@ -114,12 +113,11 @@ def exchange(
         limits: limits of the axes.
         rng: source of the search's randomness.
         pinned: views that must stay.
-        demand: by how many views each sample has to be measured, where the views given do so.
         spare: area of samples that may be lost [m^2].
     """
     kept = frozenset(pinned)
     current = np.array(views, dtype=np.int64)
-    required = np.minimum(matrix.counts(current.tolist()), demand)
+    required = np.minimum(matrix.counts(current.tolist()), 1)
     tours = _Tours(configurations, home, limits, rng)
     best = tours.shortest([current[k : k + 1] for k in range(len(current))], np.arange(len(current)))
     before = best.cost
@@ -128,7 +126,7 @@ def exchange(
         if found is None or found.cost >= best.cost * (1.0 - 1e-9):
             break
         best = _without_repeats(found)
-        measured = np.minimum(matrix.counts(best.picks.tolist()), demand)
+        measured = np.minimum(matrix.counts(best.picks.tolist()), 1)
         spare = max(spare + _area(matrix, measured > required) - _area(matrix, measured < required), 0.0)
         required = measured
     groups = _any_combination(matrix, best.picks, required, kept)
