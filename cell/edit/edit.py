@@ -33,9 +33,9 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.run import reader
-from cell.run.cell import placed, scene_of_run
 from cell.run.planned import PlannedRun
 from cell.run.report_json import Report
+from cell.run.scene_of_run import placed, scene_of_run
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.scene import Scene

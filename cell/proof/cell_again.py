@@ -14,10 +14,11 @@ from cell.proof.artefacts import refuse
 from cell.proof.compare import difference
 from cell.robot import model as robot
 from cell.run import reader
-from cell.run.cell import scene_of_run, world_of
+from cell.run.cell import world_of
 from cell.run.plan_facts import limits_deg, resolved_table, standing_fixtures
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene
+from cell.run.scene_of_run import scene_of_run
 from cell.world.model import World
 from cell.world.shapes import quaternion
 from planner.ports import ARM_AXES

@@ -21,8 +21,8 @@ from cell.proof.files_now import MISSING, FilesNow
 from cell.proof.proof import Proven
 from cell.robot.model import KR16
 from cell.run import reader
-from cell.run.cell import scene_of_run
 from cell.run.record import artefact
+from cell.run.scene_of_run import scene_of_run
 from cell.scene import devices
 from cell.scene.scene import Fixture, MeshFixture, Scene, load_scene
 from cell.world.shapes import fixture_mesh

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cell.errors import UsageError
-from cell.run.cell import scene_of_run
 from cell.run.planned import PlannedRun
+from cell.run.scene_of_run import scene_of_run
 from cell.scene.option import Spell
 from cell.scene.options import scene_of, spelled, tables
 from cell.scene.scene import Scene

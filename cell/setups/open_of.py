@@ -28,9 +28,9 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles
 from cell.run import reader
-from cell.run.cell import scene_of_run
 from cell.run.plan_json import OpenOf
 from cell.run.planned import PlannedRun
+from cell.run.scene_of_run import scene_of_run
 from cell.scene.scene import Scene
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by, require_one_part

@@ -166,7 +166,7 @@ def _search(sets: Sets, best: list[Ints], rng: np.random.Generator, work: Budget
 
 def _bounds(sets: Sets, open_units: Ints, work: Budget) -> Floats:
     """Units that 0, 1, 2, ... columns leave open at least."""
-    from planner.cover.linear import raise_bound  # importing highspy costs start-up
+    from planner.cover.row_generation import raise_bound  # importing highspy costs start-up
 
     relaxation, model = Relaxation(sets), None
     with work.ended_by_ctrl_c():

@@ -11,7 +11,8 @@ from highspy import HighsModelStatus, SolutionStatus
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.greedy import complete, prune
-from planner.cover.linear import LEAST_ROWS, MORE_ROWS, ROOT_CALLS, Model
+from planner.cover.linear import ROOT_CALLS, Model
+from planner.cover.row_generation import LEAST_ROWS, MORE_ROWS
 from planner.values import Ints
 
 

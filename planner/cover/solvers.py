@@ -208,7 +208,7 @@ def _run(
         relaxation = Relaxation(sets)
         work.prove(relaxation.value)
         if work.spend(12 * sets.n_entries):
-            from planner.cover.linear import raise_bound  # importing highspy costs start-up
+            from planner.cover.row_generation import raise_bound  # importing highspy costs start-up
 
             with work.portion(BOUND_SHARE):
                 raise_bound(relaxation, work.objective, work)

@@ -10,8 +10,8 @@ from planner.cover import Problem, solve
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
-from planner.cover.linear import raise_bound
 from planner.cover.robust import DEMAND, loads, robust_cover, views_for_promise
+from planner.cover.row_generation import raise_bound
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited
 
 

@@ -10,7 +10,7 @@ from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
 from planner.cover.greedy import greedy
-from planner.cover.linear import raise_bound
+from planner.cover.row_generation import raise_bound
 from planner.cover.search import Search
 from planner.cover.solvers import Job
 

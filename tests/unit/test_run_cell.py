@@ -17,9 +17,10 @@ from cell.plan import files as plan_files
 from cell.rays.occluders import occluder_triangles
 from cell.replay.model import dress
 from cell.run import reader as run_reader
-from cell.run.cell import read_cell, scene_of_run, taken_as_triangles, world_of
+from cell.run.cell import read_cell, taken_as_triangles, world_of
 from cell.run.folder import RunFolder
 from cell.run.record import RunRecord, open_run
+from cell.run.scene_of_run import scene_of_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.devices import by_part
 from cell.scene.resolve import resolve
