@@ -65,7 +65,8 @@ def volumetric(space: str) -> Policy:
     view sphere; J. I. Vasquez-Gomez and others, "Volumetric next-best-view planning for 3D object reconstruction with
     positioning error", International Journal of Advanced Robotic Systems 11 (2014), doi:10.5772/58759, casts rays
     through a voxel grid of candidates about the object. Rays pass through unknown voxels, as in the count of unobserved
-    voxels by S. Isler and others, ICRA 2016; what rays without an answer went through is free, as there. Left out: overlap for registration (poses are known here), positioning
+    voxels by S. Isler and others, ICRA 2016; what rays without an answer went through is free, as there. Left out:
+    overlap for registration (poses are known here), positioning
     errors and the way of the robot.
     """
 
