@@ -4,13 +4,15 @@ Each is a function of a view space (`view_spaces`) that gives a policy. What the
 out here, because the laboratory has no use for it, stands in each docstring.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.random import Generator
 
 from benchmarks.exploring.lab import Known, Lab, NextView, Policy
 from benchmarks.exploring.view_spaces import VIEW_SPACES
 from planner.compiled import compiled
-from planner.explore.space import OCCUPIED, UNKNOWN
+from planner.explore.space import FREE, OCCUPIED, UNKNOWN
 from planner.values import Floats, Ints
 from planner.viewpoints.viewpoints import rotations
 
@@ -63,7 +65,8 @@ def volumetric(space: str) -> Policy:
     view sphere; J. I. Vasquez-Gomez and others, "Volumetric next-best-view planning for 3D object reconstruction with
     positioning error", International Journal of Advanced Robotic Systems 11 (2014), doi:10.5772/58759, casts rays
     through a voxel grid of candidates about the object. Rays pass through unknown voxels, as in the count of unobserved
-    voxels by S. Isler and others, ICRA 2016. Left out: overlap for registration (poses are known here), positioning
+    voxels by S. Isler and others, ICRA 2016; what rays without an answer went through is free, as there. Left out:
+    overlap for registration (poses are known here), positioning
     errors and the way of the robot.
     """
 
@@ -74,7 +77,10 @@ def volumetric(space: str) -> Policy:
 
         def next_view(known: Known) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
-            gains = [_unknown_along(lab, known, T, rays) for T in usable]
+            space = known.space
+            state = np.where((space.state == UNKNOWN) & (space.votes > 0), FREE, space.state).astype(np.uint8)
+            judged = replace(known, space=replace(space, state=state))
+            gains = [_unknown_along(lab, judged, T, rays) for T in usable]
             return usable[int(np.argmax(gains))] if max(gains, default=0) > 0 else None
 
         return next_view
