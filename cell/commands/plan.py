@@ -73,7 +73,7 @@ def plan(
         rows = [*table(run.report), ("digest", run.digest[:SHOWN]), ("run folder", str(run.folder))]
         terminal.pairs(f"View plan of {run.report.part.name}", rows)
         terminal.then(
-            ("cell", "view", run.folder), ("cell", "scan", run.folder), ("cell", "why", run.folder),
-            ("cell", "export", run.folder),
+            ("cell", "view", run.folder), ("cell", "scan", run.folder),
+            *([] if checked.table.enabled else [("cell", "why", run.folder)]), ("cell", "export", run.folder),
         )  # fmt: skip
     raise typer.Exit(run.exit_code)

@@ -64,7 +64,7 @@ class RunCell:
     scanner_keys: ScannerKeys
     kinematics: Kinematics
     travel: TravelBound
-    table: RotaryTable | None
+    table: RotaryTable | None = None
 
     def in_base(self, q: Floats, T_part: Floats) -> Floats:
         """(..., 4, 4) poses in base as the part sees them, turned as the table at (..., axes) joint angles [m, rad]."""

@@ -39,6 +39,7 @@ from cell.scene.option import Option
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import PART, Mount, Placement, Posed, pose
 from cell.scene.regions import Region, beside_plan, contradiction
+from cell.scene.turntable import Turntable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -250,44 +251,6 @@ class Post(Table):
 
     enabled: bool = True
     diameter_mm: Positive = 40.0
-
-
-class Turntable(Table):
-    """The rotary table on which the post stands: it turns part, post and the part's fixtures about its z.
-
-    Its axis is upright. `position_mm` is the middle of its face; None stands it under the part's centre, its face
-    `post_mm` below the part's lowest point; else the post is as long as the part stands above the face. A table of the
-    scene file is there unless it says `enabled = false`. Without limits it is endless, and used half a turn to either
-    side of 0, where motions begin and end.
-    """
-
-    enabled: Annotated[
-        bool, Option("Turn the part on the rotary table that [table] of the scene describes.", PART, name="table")
-    ] = False
-    position_mm: Triple | None = None
-    diameter_mm: Positive = 400.0
-    height_mm: Positive = 250.0
-    post_mm: Positive = 300.0
-    swing_mm: Positive = 1000.0
-    limits_deg: Annotated[tuple[float, float], Field(strict=False)] | None = None
-    velocity_deg_s: Positive = 120.0
-    acceleration_deg_s2: Positive = 240.0
-    jerk_deg_s3: Positive = 2400.0
-    angles: Annotated[int, Field(ge=1, le=360)] = 36
-
-    @model_validator(mode="before")
-    @classmethod
-    def _there(cls, table: Any) -> Any:
-        return {"enabled": True, **table} if isinstance(table, dict) and table else table
-
-    @field_validator("limits_deg")
-    @classmethod
-    def _about_home(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
-        if limits is not None and not limits[0] <= 0.0 <= limits[1]:
-            raise ValueError(
-                f"is {list(limits)}; it must be [min, max] with 0, where motions begin and end, in between"
-            )
-        return limits
 
 
 class Picture(Table):

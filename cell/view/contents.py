@@ -212,7 +212,8 @@ def plan_play(
         ("nearest", f"{_mm(moves.minimum_clearance_mm)} ({moves.between})" if moves.between else "nothing near"),
         ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),
     ]
-    then = ["cell scan RUN", "cell why RUN", "cell export RUN"]
+    turned = any(view.e_deg for view in views)  # which `cell why` does not know yet
+    then = ["cell scan RUN", *([] if turned else ["cell why RUN"]), "cell export RUN"]
     return Play(said, (timeline.t, timeline.q), rows=rows, next=then, inside=inside)
 
 

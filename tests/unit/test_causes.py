@@ -59,7 +59,9 @@ def scans_of(part: workpiece.Workpiece, views: int = 8) -> tuple[list[ExecutedSc
             break
     T_base_object = pose_from_kuka_abc(np.array([1.2, 0.5, 0.0]), np.radians([30.0, 0.0, 0.0]))
     scene = SimpleNamespace(T_flange_scanner=T_FLANGE_SCANNER, T_base_object=T_base_object)
-    cell = SimpleNamespace(reference=mesh, scene=scene, scanner_keys=SimpleNamespace(own=keys))
+    cell = SimpleNamespace(
+        reference=mesh, scene=scene, scanner_keys=SimpleNamespace(own=keys), in_base=lambda q, T: T
+    )  # fmt: skip
     return scans, cell, NearestSurface(mesh)
 
 
