@@ -4,7 +4,8 @@ The default job with the built-in Mseke scaled so that its longest side is a ten
 before the arm. `surface %` is what reachable candidates measure of the whole surface, `visible %` what the plan
 measures of that. `contacts` counts configurations, half a degree apart along the motion, at which true triangles of the
 file touch each other or the part, by fcl and by MuJoCo's frames of the file itself; neighbours and pairs that
-`cell robot` names as excused are left out. `limits` is the largest share of a limit of angle, speed or acceleration.
+`cell robot` names as excused are left out. `limits` is the largest share of a limit of angle, speed, acceleration or
+jerk.
 """
 
 from __future__ import annotations
@@ -101,6 +102,8 @@ def _share_of_limits(motion: dict[str, Any]) -> float:
     for name, limit in (("qd", "limit_velocity"), ("qdd", "limit_acceleration")):
         if name in motion:
             shares.append((np.abs(motion[name]) / motion[limit]).max())
+    jerk = np.diff(motion["qdd"], axis=0) / np.diff(motion["t"])[:, None]  # of a sampled acceleration, at most its own
+    shares.append((np.abs(jerk) / motion["limit_jerk"]).max())
     return float(max(shares))
 
 
