@@ -41,7 +41,8 @@ def _python(folder: Path, *words: object) -> None:
 def _default_plan(folder: Path) -> None:
     _python(folder, "cell", "plan", "--place", "1200,500,0", "--out", "run")
     _python(folder, "cell", "why", "run")
-    for source in ("run/cell.png", "run/views.png", "run/why/why.png"):
+    _python(folder, "cell", "scan", "run", "--pose-error", "0.5,0.1", "--range-noise", "0.03")
+    for source in ("run/cell.png", "run/views.png", "run/why/why.png", "run/executions/0001/deviation.png"):
         shutil.copy(folder / source, folder)
     if browser := shutil.which("chromium"):
         _page(folder, browser)
@@ -84,7 +85,7 @@ def _study(words: str, made: str, picture: str) -> Maker:
 
 
 QUICK: Mapping[tuple[str, ...], Maker] = {
-    ("cell.png", "views.png", "why.png", "page.png"): _default_plan,
+    ("cell.png", "views.png", "why.png", "deviation.png", "page.png"): _default_plan,
     ("tightest.png",): _tightest,
     ("stand_ins.png",): lambda folder: stand_in_picture.draw(folder / "stand_ins.png"),
 }
@@ -102,6 +103,9 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     ("reconstruction.png",): _benchmark("reconstruction"),
     ("sigma_model.png",): _benchmark("sigma"),
     ("singularities.png",): _benchmark("singularities"),
+    ("placement.png",): _study(
+        "cell study placement mug --x 900:1600:100 --y 0:900:100", "map_z0_yaw0.png", "placement.png"
+    ),
     ("cover_rivals.png",): _study("benchmarks cover chart", "chart.png", "cover_rivals.png"),
     ("speed_fronts.png",): _study("benchmarks speed", "speed_fronts.png", "speed_fronts.png"),
     **{(f"paper_{name}.png",): _study(f"cell study {name}", f"{name}.png", f"paper_{name}.png") for name in _TABLES},
