@@ -6,7 +6,7 @@ implements `Acquisition`. Another distribution adds one with
     [project.entry-points."cell.acquisition"]
     acme = "acme_scanner.points:Acme"       # then --acquire acme:192.168.0.7
 
-docs/acquisition.md shows how to write one.
+docs/internals/plug_ins.md shows how to write one.
 """
 
 from collections.abc import Callable, Mapping

@@ -6,7 +6,7 @@ table. Another distribution adds one with
     [project.entry-points."cell.scanners"]
     my-scanner = "my_package.my_module:MyScanner"
 
-docs/scanners.md shows how to write one.
+docs/internals/plug_ins.md shows how to write one.
 """
 
 import inspect
