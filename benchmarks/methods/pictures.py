@@ -91,7 +91,6 @@ QUICK: Mapping[tuple[str, ...], Maker] = {
 }
 _TABLES = [f"table{n}" for n in range(1, 6)]
 LONG: Mapping[tuple[str, ...], Maker] = {
-    ("candidates.png",): _benchmark("candidates"),
     ("collision_fidelity.png",): _benchmark("fidelity"),
     ("coverage_requests.png",): _benchmark("coverage_requests"),
     ("edge_resolution.png",): _benchmark("edge_resolution"),
