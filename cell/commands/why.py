@@ -59,7 +59,7 @@ def why(
         settings = [change.setting for group in summary.groups for change in group.changes]
         better = [tuple(shlex.split(setting)) for setting in settings if setting.startswith("--")][:1]
         planned = [word for word in without(open_run(run).manifest.argv, "--out") if word != "--json"]
-        again = [("cell", *planned, *setting) for setting in better if planned[:1] == ["plan"]]
+        again = [("cell", *without(planned, setting[0]), *setting) for setting in better if planned[:1] == ["plan"]]
         terminal.then(*again, ("cell", "scan", run))
 
 

@@ -11,13 +11,15 @@ Cell = Callable[..., "object"]
 
 
 def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """The title says how much stays open, the files are named, nothing is said on stderr."""
+    """The title says how much stays open, the files are named, what follows gives no option twice; stderr is empty."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "2000", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert "stay open" in done.stdout
     assert "files: run/why" in done.stdout
+    following = [line.split() for line in done.stdout.split("next:")[1].splitlines() if line.startswith("  cell plan")]
+    assert all(line.count(word) == 1 for line in following for word in line if word.startswith("--"))
     written = sorted(path.name for path in (tmp_path / "run" / "why").iterdir())
     assert written == ["view.html", "why.json", "why.ply", "why.png"]
 
