@@ -64,7 +64,14 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
     memory = Memory(options.state, options.log)
-    home = arm.home if options.start_deg is None else np.radians(options.start_deg)
+    home = arm.home.copy()
+    if options.start_deg is not None:
+        home[: len(options.start_deg)] = np.radians(options.start_deg)  # external axes stand at 0
+    if memory.axes is not None and len(memory.axes) != len(home):
+        raise UsageError(
+            f"{options.state} is of an arm of {len(memory.axes)} axes, and this one has {len(home)}; choose another "
+            "--state, or remove it and the arm stands at --start"
+        )
     wire_clock = RealTimeClock()
     try:
         axes = from_rad(home) if memory.axes is None else memory.axes

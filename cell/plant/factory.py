@@ -35,6 +35,11 @@ def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, Pla
 
         if len(start) > ARM_AXES:
             raise DriverError("the plant 'mujoco' moves the arm alone, and this plan turns a table; use plant=ideal")
+        mounted = run_reader.scene(run).robot
+        if mounted is not None and mounted.model != robot.KR16:
+            raise DriverError(
+                f"the plant 'mujoco' is the built-in arm's, and this plan is of {mounted.name}; use plant=ideal"
+            )
         return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), observer=observer, spec=robot.spec())
 
     return {"mujoco": mujoco}

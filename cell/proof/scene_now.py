@@ -3,8 +3,9 @@
 A plan rests on its run folder alone; but somebody who changed the scene file, or the part's mesh, after planning means
 another cell than the one that was proven. So the files that the manifest names, or those given in their place, are
 looked at again before anything is driven. What differs has a name: `part`, `placement`, `mount`, `housing`, `post`,
-`pedestal`, `robot`, `fixture:NAME`; `scene` where the file cannot be read any more; `missing` for files that are gone.
-The built-in robot is always this version's own (`cell.proof.cell_again`), so a difference there is never accepted.
+`pedestal`, `robot`, `table`, `fixture:NAME`; `scene` where the file cannot be read any more; `missing` for files that
+are gone. The built-in robot is always this version's own (`cell.proof.cell_again`), so a difference there is never
+accepted.
 """
 
 import tomllib
@@ -25,6 +26,7 @@ from cell.run.record import artefact
 from cell.run.scene_of_run import scene_of_run
 from cell.scene import devices
 from cell.scene.scene import Fixture, MeshFixture, Scene, load_scene
+from cell.world.rotary_table import rotary_table
 from cell.world.shapes import fixture_mesh
 from planner.surface.mesh import TriangleMesh
 
@@ -36,6 +38,7 @@ _TABLES = {
     "post": ("post", "robot"),
     "pedestal": ("robot",),
     "robot": ("robot",),
+    "table": ("table",),
 }
 """Of the scene file, the tables that say each thing."""
 
@@ -152,6 +155,7 @@ def _scene(proven: Proven, now: Scene, changed: Collection[str] | None) -> Itera
         ),
         "pedestal": (_pedestal(now), _pedestal(due)),
         "robot": ([now.robot.T_base, _named(proven, now)], [due.robot.T_base, True]),
+        "table": (_table(proven, now), _table(proven, due)),
     }
     for name, (one, other) in values.items():
         looked_at = changed is None or any(table in changed for table in _TABLES[name])
@@ -188,6 +192,20 @@ def _housing(scene: Scene) -> list[float]:
 def _pedestal(scene: Scene) -> list[float]:
     """Height of the floor, and the pedestal's sides and middle where there is one."""
     return [scene.robot.pedestal_height_mm, *(number for row in scene.robot.pedestal_mm or () for number in row)]
+
+
+def _table(proven: Proven, scene: Scene) -> list[object]:
+    """Where a scene's rotary table stands, its size, range and rates; empty where it has none."""
+    placement = scene.placement.by_centre(proven.scene.T_object_centre)
+    placed = scene.model_copy(update={"placement": placement})
+    try:
+        table = rotary_table(placed, proven.world.placed(placement.T), proven.world.part_hull)
+    except SceneError:
+        return [False]  # one that cannot be is no plan's
+    if table is None:
+        return []
+    rates = table.velocity, table.acceleration, table.jerk
+    return [table.T_base_table, [scene.table.diameter_mm, scene.table.height_mm], [table.lower, table.upper, *rates]]
 
 
 def _named(proven: Proven, scene: Scene) -> bool:

@@ -11,8 +11,8 @@ files are hashed as the bytes that they are; their form is canonical because equ
 
 A way that is not the plan's motion as a whole has a digest of its own: of the text `plan <digest of the plan>`, then
 one line for each via point in driving order, from where the arm stands: the number of the leg, of the view that is
-scanned at the leg's end and of its pose (0 and -1 for none), and the six set-points in counts of 1e-4 deg, with single
-spaces between. So it says which plan the way belongs to as well.
+scanned at the leg's end and of its pose (0 and -1 for none), and the set-points of all axes in counts of 1e-4 deg, with
+single spaces between. So it says which plan the way belongs to as well.
 """
 
 import hashlib
@@ -45,8 +45,8 @@ def of_way(plan: str, points: Iterable[Iterable[int]]) -> str:
 
     Args:
         plan: digest of the plan.
-        points: a row of nine whole numbers for each via point: leg, view and pose that are taken there, set-points in
-            counts of 1e-4 deg.
+        points: a row of whole numbers for each via point: leg, view and pose that are taken there, set-points of all
+            axes in counts of 1e-4 deg.
     """
     return _sha256([f"plan {plan}", *(" ".join(str(int(number)) for number in point) for point in points)])
 

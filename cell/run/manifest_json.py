@@ -10,7 +10,7 @@ from typing import Self
 from pydantic import ConfigDict, Field, JsonValue
 
 from cell.errors import FileError
-from cell.run.json_table import JointAngles, JsonTable, optional
+from cell.run.json_table import JsonTable, optional
 
 
 class Resumed(JsonTable):
@@ -21,7 +21,7 @@ class Resumed(JsonTable):
     driver: str = Field(description="URL of the controller")
     after: str = Field(description="status that it had")
     way: str | None = optional("digest of the way that was planned to go on")
-    way_deg: tuple[JointAngles, ...] | None = optional("its set-points A1 to A6, from where the arm stood")
+    way_deg: tuple[tuple[float, ...], ...] | None = optional("its set-points of all axes, from where the arm stood")
 
 
 class NamedFile(JsonTable):

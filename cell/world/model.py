@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 # "housing with link_2", never the other way round: the more mobile of the two comes first.
 _RANK = ("housing", "bracket", *reversed(robot.LINKS))
+_ON_AXIS = 1e-6  # m; a post nearer to the axis of a rotary table turns in place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,7 +291,8 @@ def _add_what_stands(
             raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     if table is not None:
-        cell_shapes.guard_what_turns(spec)
+        off_axis = np.linalg.norm(scene.placement.T[:2, 3] - table.T_base_table[:2, 3])
+        cell_shapes.guard_what_turns(spec, post_swings=bool(off_axis > _ON_AXIS))
     return fixture_meshes
 
 

@@ -14,6 +14,7 @@ Which pairs are guarded, and why the others are not:
 | bracket with link_5 of another arm | likewise where it touches at all wrist angles; else as the housing |
 | bracket, housing, link_6 among themselves | no: one rigid piece |
 | part and its fixtures on a rotary table with base, pedestal, floor, fixtures of the base | yes |
+| post beside the axis of a rotary table with base, pedestal, fixtures of the base | yes; on it, it stays in place |
 
 Every pair is guarded with the same margin, the scene's clearance; MuJoCo 4 *adds* the margins of two shapes, so each
 carries half.
@@ -46,7 +47,13 @@ POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""
 
 # Collision classes: two shapes are a candidate pair when one's type meets the other's affinity.
-_CELL, _GROUND, _TOOL, _TURNS = 2, 4, 8, 16  # the links' own class among themselves, 1, is that of models/kr16.xml
+_CELL, _GROUND, _TOOL, _TURNS, _SWINGS = (
+    2,
+    4,
+    8,
+    16,
+    32,
+)  # the links' own class among themselves, 1, is that of models/kr16.xml
 _LINK_MEETS = {
     "base": _TOOL,
     "link_1": _CELL | _TOOL,
@@ -147,17 +154,24 @@ def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
     add_cylinder(spec.worldbody, TABLE, scene.table.diameter_mm / 2000.0, scene.table.height_mm / 1000.0, T)
 
 
-def guard_what_turns(spec: mujoco.MjSpec) -> None:
+def guard_what_turns(spec: mujoco.MjSpec, *, post_swings: bool) -> None:
     """Let the part and the fixtures on it meet what stands: robot's base, pedestal, floor and the base's fixtures.
 
     The post and the table carry them, and touch them.
+
+    Args:
+        spec: the cell.
+        post_swings: whether the post stands beside the axis: it meets the same then but for the floor, over which it
+            stands as high at every angle.
     """
     for body in spec.bodies:
         for geom in body.geoms:
             if body.name == "object":
                 geom.contype |= _TURNS
+            elif body.name == "post" and post_swings:
+                geom.contype |= _SWINGS
             elif body.name == "base" or (body.name == "world" and geom.name != TABLE):
-                geom.conaffinity |= _TURNS
+                geom.conaffinity |= _TURNS | (_SWINGS if post_swings and geom.name != "floor" else 0)
 
 
 def add_fixtures(spec: mujoco.MjSpec, scene: Scene, placed_body: mujoco.MjsBody) -> dict[str, TriangleMesh]:

@@ -12,10 +12,13 @@ import numpy as np
 import pytest
 
 from cell.api import locate
-from cell.errors import UsageError
+from cell.errors import SceneError, UsageError
 from cell.narrator import Quiet
+from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
+from cell.proof.scene_now import require_same
 from cell.replay.replay import load_show
+from cell.run.executions import read_execution
 from cell.run.reader import motion, reached
 from cell.run.record import open_run
 from planner.timing.motion import move_time
@@ -91,6 +94,44 @@ def test_an_execution_measures_what_was_predicted(turned: Path) -> None:
     assert scan["e_reported"].shape == (1,)
 
 
+def test_what_is_driven_of_one_view_is_kept_as_a_plan_is(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """The motion of `--view` has the table's angles beside the arm's, and is read with seven axes."""
+    copy = tmp_path / "run"
+    shutil.copytree(turned, copy)
+    done = run_cell("scan", copy, "--view", "1", "--resolution", "1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    stored = np.load(copy / "executions" / "0002" / "motion.npz")
+    assert (stored["via_q"].shape[1], stored["via_e"].shape[1]) == (6, 1)
+    driven = read_execution(open_run(copy), "0002").motion
+    assert driven is not None
+    np.testing.assert_array_equal(driven.via_q, np.concatenate([stored["via_q"], stored["via_e"]], axis=1))
+
+
+def test_it_goes_on_from_where_the_table_stands(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """An arm at home beside a table that was turned by hand: a way of its own begins there, all seven axes of it."""
+    copy = tmp_path / "run"
+    shutil.copytree(turned, copy)
+    (copy / "executions" / "0001" / "scans" / "0001.npz").unlink()
+    home = motion(open_run(copy)).via_q[0]
+    start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(home[:6]), 60.0])
+    done = run_cell("scan", copy, "--resume", "0001", "--driver", f"sim://?start={start}", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (resumed,) = _json(copy / "executions" / "0001" / "manifest.json")["resumed"]
+    way = np.array(resumed["way_deg"])
+    np.testing.assert_allclose(way[0], [*np.degrees(home[:6]), 60.0], atol=1e-4)
+    view = _json(copy / "plan.json")["views"][0]
+    np.testing.assert_allclose(way[-1], [*view["q_deg"], *view["e_deg"]], atol=1e-4)
+
+
+def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> None:
+    """Faster, elsewhere, none at all: a difference that has a name, as every other of the cell has."""
+    proven = prove(turned)
+    for text in ("[table]\nvelocity_deg_s = 77", "[table]\nposition_mm = [1200, 500, -900]", ""):
+        (tmp_path / "now.toml").write_text(text)
+        with pytest.raises(SceneError, match="the table is another than the plan's"):
+            require_same(proven, FilesNow(tmp_path / "now.toml"), None, wire=False)
+
+
 def test_the_show_turns_the_part(turned: Path) -> None:
     """At each stop the engine's part stands where plan.json says."""
     show = load_show(open_run(turned), None, Quiet())
@@ -147,7 +188,8 @@ def test_seven_axes_travel_on_a_wire(
     """A scan through an emulated controller of the run's arm and table measures what the simulated one did."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
-    emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000")
+    home = ",".join(f"{angle:.4f}" for angle in np.degrees(motion(open_run(copy)).via_q[0, :6]))
+    emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000", f"--start={home}")
     digest = _json(copy / "manifest.json")["digest"]
     word = ("--driver", emulated.url, "--accept-time-scale", "1000", "--speed", "100", "--confirm-motion", digest)
     done = run_cell("scan", copy, "--resolution", "1", *word, cwd=tmp_path)

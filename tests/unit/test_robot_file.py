@@ -516,6 +516,8 @@ def test_an_arm_is_planned_with_proven_and_driven(
     assert "robot.xml" in json.loads((tmp_path / "run/manifest.json").read_text())["artefacts"]
     done = run_cell("scan", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
+    assert "the plant 'mujoco' is the built-in arm's, and this plan is of arm.urdf" in done.stderr, done.stderr
     few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
     done = run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *wishes[:-2], *few, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -14,6 +14,7 @@ from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.rotary_table import Turner
+from planner.path.certified_edge import certify_many
 from planner.reach.rotary_table import ArmOnTable, RotaryTable
 
 BLOCK = trimesh.creation.box((0.2, 0.1, 0.3))
@@ -128,6 +129,22 @@ def test_a_part_that_turns_into_what_stands_is_not_free(off_axis: World) -> None
     assert checker.free(q).tolist() == [distance >= off_axis.clearance for distance in checker.distance(q)[0]]
     assert checker.free(q).tolist()[:3] == [True, True, False]
     assert checker.contacts(q[2])[0] == "pillar with part"
+
+
+def test_a_post_that_swings_into_what_stands_is_not_free() -> None:
+    """A small part high over the face, beside the axis: at -90 deg its post comes where a stud stands, it does not."""
+    small = trimesh.creation.box((0.05, 0.05, 0.05))
+    stud = {"name": "stud", "shape": "cylinder", "size_mm": [60, 200], "position_mm": [1200, 350, -300]}
+    scene = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "fixtures": [stud]}
+    for x, free in ((1350.0, [True, False, True]), (1200.0, [True, True, True])):  # beside the axis, and on it
+        tables = scene | {"placement": {"position_mm": [x, 500.0, 0.0]}}
+        world = compile_world(Scene.model_validate(tables), small.vertices, part_faces=small.faces, baseline_mm=75.0)
+        checker, q = MujocoCollisionChecker(world), np.repeat(world.home[None], 3, axis=0)
+        q[:, 6] = np.radians([0.0, -90.0, 90.0])
+        assert checker.free(q).tolist() == free
+        assert checker.contacts(q[1]) == (() if free[1] else ("stud with post",))
+        edges = q[[0, 0]], q[[1, 2]]
+        assert certify_many(*edges, checker)[0].tolist() == free[1:]
 
 
 def test_the_switch_of_the_command_line_and_the_table_of_a_scene_say_the_same() -> None:

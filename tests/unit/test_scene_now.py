@@ -89,6 +89,7 @@ def test_files_as_they_were_are_driven(proven: Proven, now: Path) -> None:
         ("[plan]", "[housing]\nsize_mm = [160, 80, 61]\n[plan]", "housing"),
         ("[plan]", "[post]\ndiameter_mm = 41\n[plan]", "post"),
         ("[plan]", "[robot]\npedestal_height_mm = 610\n[plan]", "pedestal"),
+        ("[plan]", "[table]\nenabled = true\n[plan]", "table"),
         ("[60, 50, 40]", "[60, 50, 41]", "fixture:box"),
         ('name = "box"', 'name = "crate"', "fixture:box,fixture:crate"),
         ("[0, -900, 50]", "[0, -900, 51]", "fixture:clamp"),
@@ -96,7 +97,7 @@ def test_files_as_they_were_are_driven(proven: Proven, now: Path) -> None:
     ],
 )
 def test_what_differs_is_named_and_can_be_accepted(was: str, is_now: str, name: str, proven: Proven, now: Path) -> None:
-    """Part, placement, mount, housing, post, pedestal, fixtures: by name; accepting another name does not help."""
+    """Part, placement, mount, housing, post, pedestal, table, fixtures: by name; another name does not help."""
     (now / "cell.toml").write_text(_SCENE.replace(was, is_now))
     assert _refused(proven, FilesNow(now / "cell.toml")) == name
     assert _refused(proven, FilesNow(now / "cell.toml", accepted=("missing", "nothing"))) == name
