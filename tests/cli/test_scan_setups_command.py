@@ -194,6 +194,16 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
         assert asked[-1].endswith(f" deg. {number} moves?")
 
 
+def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: Run) -> None:
+    """Before anything is driven, both times."""
+    (folder.parent / "none").mkdir()
+    files = ("--acquire", "files:none", "--points-frame", "scanner", "--points-units", "mm")
+    for words in ((*files, "--setup-error", "500mm,2deg"), ("--resume", "latest")):
+        done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent)
+        assert done.returncode == 6
+        assert "the part may stand up to 50" in done.stderr
+
+
 def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: Run) -> None:
     """What is said of how the part lies would be that of another plan."""
     setups = folder / "setups"

@@ -1,5 +1,6 @@
 """Further set-ups: what a support touches, and which scene a set-up has."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,17 @@ def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
     both = f"{one.folder} --open-of {tmp_path / 'setups' / '2'}"
     assert advise.open_of(one, T) == alone.format(both)
     assert advise.elsewhere(one, T) == "cell setups mug --most 2 --place 1200,500,0,0,0,0"
+
+
+def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) -> None:
+    """In the order of their numbers, without what else lies beside them."""
+    for name in ("1", "2", "10", "11.part", ".DS_Store"):
+        (tmp_path / "setups" / name).mkdir(parents=True)
+    (tmp_path / "setups.json").write_text("{}")
+    run = RunRecord(tmp_path / "setups" / "2", Manifest())
+    words = advise.open_of(run, np.eye(4)).split()
+    named = [Path(word).name for before, word in pairwise(words) if before == "--open-of"]
+    assert named == ["1", "2", "10"]
 
 
 def _cover(views: dict[int, int], setups_bound: int) -> JointCover:
