@@ -1,7 +1,8 @@
 """What is believed of the part, as `cell plan` wants it: a part to measure, and unseen space that nothing may touch.
 
-Both are surfaces about voxels (marching cubes on the distance from their middles). The believed part is the tight one:
-it is what rays are thought to meet. What arm and housing keep away from holds every voxel that is not free as a whole.
+Both are surfaces about voxels (marching cubes). The believed part is the tight one, at a distance from their middles:
+it is what rays are thought to meet. What arm and housing keep away from holds every voxel that is not free as a whole:
+it is at a distance from their corners, as a surface about middles would cut the corners of what sticks out.
 """
 
 from dataclasses import replace
@@ -21,7 +22,8 @@ from planner.surface.mesh import TriangleMesh
 from planner.values import Bools, Floats
 
 _TIGHT, _SMOOTH = 0.75, 0.7  # of an edge: the believed surface's distance, and how far the distances are smoothed
-_WHOLE = 0.87  # of an edge: half of a voxel's diagonal, so that its corners are inside
+_ROUGH = 0.87  # of an edge: the distance of the surface before which candidates stand
+_BEYOND = 0.37  # of an edge: how far beyond voxels arm and housing keep away from
 _BLOCK = 2  # edges: where a surface need not be tight, blocks of voxels do, with a quarter of the faces
 
 
@@ -38,12 +40,23 @@ def part_of(surface: TriangleMesh, name: str) -> Workpiece:
 
 def rough(space: VoxelSpace) -> TriangleMesh:
     """A surface of few faces about what is believed [m], before which candidates stand."""
-    return _about_blocks(space, space.believed(), _SMOOTH)
+    return _about(space.low, _BLOCK * space.edge, _blocks(space.believed()), _ROUGH, _SMOOTH)
 
 
 def write_unseen(space: VoxelSpace, path: Path) -> None:
     """Write what arm and housing keep away from as a mesh file in millimetres."""
-    path.write_bytes(ply.written(_about_blocks(space, np.asarray(space.state != FREE), 0.0)))
+    path.write_bytes(ply.written(enclosing(space, np.asarray(space.state != FREE))))
+
+
+def enclosing(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
+    """A surface of few faces in which every chosen voxel lies as a whole [m]: all corners of its block do."""
+    blocks = np.pad(_blocks(chosen), 1)
+    x, y, z = (size - 1 for size in blocks.shape)
+    corners = np.zeros((x, y, z), dtype=np.bool_)
+    for i, j, k in np.ndindex(2, 2, 2):
+        corners |= blocks[i : i + x, j : j + y, k : k + z]
+    edge = _BLOCK * space.edge
+    return _about(space.low - edge / 2, edge, corners, _BEYOND, 0.0)
 
 
 def scene_of(scene: Scene, cylinder: Cylinder, believed: Workpiece, unseen: Path) -> Scene:
@@ -67,15 +80,14 @@ def scene_of(scene: Scene, cylinder: Cylinder, believed: Workpiece, unseen: Path
     return scene.model_copy(update={"placement": placement, "part": part, "fixtures": (*scene.fixtures, space)})
 
 
-def _about_blocks(space: VoxelSpace, chosen: Bools, smooth: float) -> TriangleMesh:
-    """The surface about all of the blocks in which a voxel is chosen."""
+def _blocks(chosen: Bools) -> Bools:
+    """The blocks in which a voxel is chosen: where a surface need not be tight, they do."""
     nx, ny, nz = (n // _BLOCK for n in chosen.shape)  # a grid has even numbers of voxels
-    blocks = np.asarray(chosen.reshape(nx, _BLOCK, ny, _BLOCK, nz, _BLOCK).any(axis=(1, 3, 5)))
-    return _about(space.low, _BLOCK * space.edge, blocks, _WHOLE, smooth)
+    return np.asarray(chosen.reshape(nx, _BLOCK, ny, _BLOCK, nz, _BLOCK).any(axis=(1, 3, 5)))
 
 
 def _about(low: Floats, edge: float, chosen: Bools, level: float, smooth: float) -> TriangleMesh:
-    """The surface at a distance from the middles of voxels, and the distances smoothed [edges of a voxel]."""
+    """The surface at a distance from the middles of cells, and the distances smoothed [edges of a cell]."""
     from skimage.measure import marching_cubes  # takes a third of a second to import
 
     distance = ndimage.distance_transform_edt(~chosen)

@@ -92,7 +92,7 @@ def coloured(source: str, content: bytes) -> tuple[Floats, Ints, Floats]:
         np.concatenate(
             [np.zeros((0, 3), np.int64), *(e.faces + at for e, at in zip(surfaces, begins[:-1], strict=True))]
         ),
-        np.repeat(counted, [len(each.faces) for each in surfaces], axis=0),
+        np.repeat(counted, np.array([len(each.faces) for each in surfaces], dtype=np.int64), axis=0),
     )
 
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cell.acquisition import SIMULATED
-from cell.errors import UsageError
+from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.run.executions import execution_ids, read_execution
-from cell.run.manifest_json import Manifest
 from cell.run.record import open_finished
 from cell.run.setups_json import ScannedSetups
 from cell.scan import driver as scan_driver
@@ -20,6 +19,9 @@ from cell.scan import safety, whole
 from cell.scan.options import ScanOptions
 from cell.scan.scan import resume, scan
 from cell.setups.planned_setups import PlannedSetups
+from cell.words import listed
+
+_FILES = "files:"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +66,7 @@ def scan_setups(
 
     Raises:
         UsageError: if there is no such set-up, all are scanned, or an option is of one run alone.
+        FileError: if views have no points, or a set-up's folder is of another plan.
         CellError: whatever an execution raises; what was scanned is kept.
     """
     planned = PlannedSetups.opened(folder)
@@ -75,14 +78,20 @@ def scan_setups(
             "makes the report anew"
         )
     for number in left if setup is None else [setup]:
-        chosen = _options(planned, number, options, resumed=resumed)
-        for sentence in _told(planned, number):
-            narrator.note(sentence)
-        run, stopped = planned.folders[number - 1], _stopped(planned.folders[number - 1])
-        if resumed and stopped is not None:
-            resume(run, stopped, options, argv=argv, narrator=narrator, ask=ask)
+        run, lies = planned.folders[number - 1], _lies(planned, number)
+        stopped = _stopped(run) if resumed else None
+        narrator.note(lies)
+        if stopped is not None:
+            chosen = _begun(run, stopped, options)
+            done = resume(run, stopped, options, argv=argv, narrator=narrator, ask=_asking(ask, lies))
         else:
-            scan(run, chosen, argv=argv, narrator=narrator, ask=ask)
+            chosen = _options(planned, number, options, resumed=resumed)
+            done = scan(run, chosen, argv=argv, narrator=narrator, ask=_asking(ask, lies))
+        if missing := done.summary.missing_views:
+            raise FileError(
+                f"view {missing[0]} of set-up {number} has no points ({len(missing)} such views); "
+                f"cell scan {folder} --resume latest takes them"
+            )
         alone = chosen.acquire != SIMULATED or (scan_driver.on_a_wire(chosen.driver) and ask is None)
         if alone:
             break
@@ -109,37 +118,62 @@ def _require_possible(planned: PlannedSetups, options: ScanOptions | None, setup
 
 
 def _options(planned: PlannedSetups, number: int, given: ScanOptions | None, *, resumed: bool) -> ScanOptions:
-    """The options of a new execution: those given, or in a chain that goes on those of the set-up before."""
+    """The options of a new execution: those given, or in a chain that goes on those of the set-up before.
+
+    Raises:
+        UsageError: if those before name the files of another set-up's points.
+    """
     if not resumed:
         return given or ScanOptions()
     for before in range(number - 1, 0, -1):
-        run = open_finished(planned.folders[before - 1])
-        name = whole.finished_execution(run.folder)
+        name = whole.finished_execution(planned.folders[before - 1])
         if name is not None:
-            begun = ScanOptions.begun(read_execution(run, name).manifest.options)
-            return begun.resumed(given or ScanOptions())
+            begun = _begun(planned.folders[before - 1], name, given)
+            if begun.acquire.startswith(_FILES):
+                raise UsageError(
+                    f"{begun.acquire} has the points of set-up {before}; begin with cell scan {planned.folder} --setup "
+                    f"{number} and the --acquire of its own points"
+                )
+            return begun
     return given or ScanOptions()
 
 
+def _begun(folder: Path, execution: str, given: ScanOptions | None) -> ScanOptions:
+    """What an execution was asked for, as it is gone on with now."""
+    manifest = read_execution(open_finished(folder), execution).manifest
+    return ScanOptions.begun(manifest.options).resumed(given or ScanOptions())
+
+
 def _stopped(folder: Path) -> str | None:
-    """The latest execution of a run, if it did not finish."""
+    """The latest execution of all views of a run, if it did not finish."""
     run = open_finished(folder)
-    names = execution_ids(run)
-    if not names or _of(names[-1], folder).status == "finished":
-        return None
-    return names[-1]
+    for name in reversed(execution_ids(run)):
+        manifest = read_execution(run, name).manifest
+        if manifest.options.get("view") is None:
+            return None if manifest.status == "finished" else name
+    return None
 
 
-def _of(name: str, folder: Path) -> Manifest:
-    return read_execution(open_finished(folder), name).manifest
+def _asking(ask: safety.Ask | None, lies: str) -> safety.Ask | None:
+    """Whoever says that the arm may move says too that the part lies so."""
+    return None if ask is None else lambda question: ask(f"{lies}. {question}")
 
 
-def _told(planned: PlannedSetups, number: int) -> list[str]:
-    """How the part has to lie."""
-    chosen = planned.file.chosen[number - 1]
+def _lies(planned: PlannedSetups, number: int) -> str:
+    """How the part has to lie.
+
+    Raises:
+        FileError: if that is of another plan than the one in the folder.
+    """
+    chosen, folder = planned.file.chosen[number - 1], planned.folders[number - 1]
+    if open_finished(folder).digest != chosen.digest:
+        raise FileError(
+            f"{folder} is not the plan that setups.json names, so how the part lies in it is not known; nothing was "
+            "moved: plan the set-ups anew"
+        )
     offer = planned.file.offered[chosen.offered]
-    xyz, abc = (", ".join(f"{value:g}" for value in each) for each in (offer.placement_mm, offer.placement_abc_deg))
-    return [
+    xyz, abc = (listed(values) for values in (offer.placement_mm, offer.placement_abc_deg))
+    return (
         f"set-up {number} of {len(planned.folders)}: the part lies {offer.name}, its centre at {xyz} mm, "
         f"A, B, C {abc} deg"
-    ]
+    )

@@ -196,6 +196,8 @@ def _resumed(
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
+    if doubt := part_may_be_near(settled, cell, nearest(run)[0]):
+        narrator.note(doubt)
     driver, clock = scan_driver.prepare(settled, motion, cell, factory.of_run(run), narrator.note)
     if settled.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)

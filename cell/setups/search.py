@@ -80,14 +80,15 @@ class Search:
         found, connected = last
         moved = self._moved(found)
         thorough = self._cover(brief=False, start=None if moved is None else moved.views)
-        for better in sorted((thorough, moved or thorough), key=lambda each: each.n_views):
-            plans = self._connected(better) if better.n_views < found.n_views else None
+        for better in sorted((thorough, moved or thorough), key=_size):
+            plans = self._connected(better) if _size(better) < _size(found) else None
             if plans is not None and self._lacks(better, plans) <= 0:
                 found, connected = better, plans
                 break
         bound = min(max(thorough.views_bound, found.views_bound if moved is None else 1), found.n_views)
+        setups_bound = min(thorough.setups_bound, len(found.views))  # where moved views count too
         found, connected = self._held_together(found, connected)
-        return replace(found, views_bound=bound), connected
+        return replace(found, setups_bound=setups_bound, views_bound=bound), connected
 
     @property
     def setups(self) -> Mapping[int, Setup]:
@@ -208,3 +209,8 @@ class Search:
         return problem, replace(
             chosen, cover=cover, selected=replace(chosen.selected, targets=np.array([self._target]))
         )
+
+
+def _size(found: JointCover) -> tuple[int, int]:
+    """What is to be small: set-ups, then views."""
+    return len(found.views), found.n_views

@@ -13,12 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.errors import UsageError
+from cell.narrator import Quiet
 from cell.rays.prediction import held_out
 from cell.run.cell import read_cell
 from cell.run.record import open_run
 from cell.scan.driven import part_may_be_near
+from cell.scan.of_setups import scan_setups
 from cell.scan.options import ScanOptions
 from cell.setups.contact import touching
+from cell.setups.planned_setups import PlannedSetups
 from planner.measurability.matrix import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -122,6 +126,94 @@ def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path,
     assert done.returncode == 2
     assert told in done.stderr
     assert not (folder / "setups" / "1" / "executions").exists()
+
+
+def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_cell: Run) -> None:
+    """Also when it goes on with a set-up that was stopped: the next is begun by nobody, and never with its points."""
+    beside = folder.parent
+    done = run_cell("scan", "made/setups/1", "--resolution", "1", cwd=beside)
+    assert done.returncode == 0, done.stderr
+    scans, points = folder / "setups" / "1" / "executions" / "0001", beside / "points"
+    points.mkdir()
+    for path in sorted((scans / "scans").iterdir()):
+        with np.load(path) as scan:
+            T = np.linalg.inv(scan["T_object_scanner"])
+            seen = 1000 * (scan["points"] @ T[:3, :3].T + T[:3, 3])
+        np.savetxt(points / f"{path.stem}.xyz", seen)
+    shutil.rmtree(scans.parent)
+    first = (points / "0001.xyz").rename(beside / "kept.xyz")
+    files = ("--acquire", "files:points", "--points-frame", "scanner", "--points-units", "mm")
+    done = run_cell("scan", "made", *files, cwd=beside)
+    assert done.returncode == 6
+    assert "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest takes them" in done.stderr
+    assert not (folder / "setups" / "2" / "executions").exists()
+    first.rename(points / "0001.xyz")
+    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["missing"] == [2]
+    assert not (folder / "setups" / "2" / "executions").exists()
+    done = run_cell("scan", "made", "--resume", "latest", cwd=beside)
+    assert done.returncode == 2
+    assert "files:points has the points of set-up 1; begin with cell scan made --setup 2" in done.stderr
+
+
+def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: Run) -> None:
+    """A stopped execution of one view stays as it is: the set-up is scanned as a whole, and a person asked so."""
+    beside = folder.parent
+    done = run_cell("scan", "made/setups/1", "--view", "1", "--resolution", "1", cwd=beside)
+    assert done.returncode == 0, done.stderr
+    manifest = folder / "setups" / "1" / "executions" / "0001" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"status": "finished"', '"status": "interrupted"'))
+    done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert (report["missing"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
+
+
+def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each question on a wire names the pose of its own set-up."""
+    asked: list[str] = []
+
+    def scan(run: Path, *_: object, ask: Callable[[str], str], **__: object) -> None:
+        assert ask(f"{run.name} moves?") == "no"
+        raise UsageError("not confirmed; nothing was moved")
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        return "no"
+
+    monkeypatch.setattr("cell.scan.of_setups.scan", scan)
+    planned = PlannedSetups.opened(folder).file
+    for number, chosen in enumerate(planned.chosen, start=1):
+        with pytest.raises(UsageError, match="not confirmed"):
+            scan_setups(
+                folder, ScanOptions(driver="modbus://nowhere"), setup=number, resumed=False, argv=(), narrator=Quiet(),
+                ask=answer,
+            )  # fmt: skip
+        assert asked[-1].startswith(f"set-up {number} of 2: the part lies {planned.offered[chosen.offered].name}, ")
+        assert asked[-1].endswith(f" deg. {number} moves?")
+
+
+def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: Run) -> None:
+    """Before anything is driven, both times."""
+    (folder.parent / "none").mkdir()
+    files = ("--acquire", "files:none", "--points-frame", "scanner", "--points-units", "mm")
+    for words in ((*files, "--setup-error", "500mm,2deg"), ("--resume", "latest")):
+        done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent)
+        assert done.returncode == 6
+        assert "the part may stand up to 50" in done.stderr
+
+
+def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: Run) -> None:
+    """What is said of how the part lies would be that of another plan."""
+    setups = folder / "setups"
+    (setups / "1").rename(setups / "3")
+    (setups / "2").rename(setups / "1")
+    (setups / "3").rename(setups / "2")
+    done = run_cell("scan", "made", "--setup", "1", cwd=folder.parent)
+    assert done.returncode == 6
+    assert "setups/1 is not the plan that setups.json names" in done.stderr
+    assert not (setups / "1" / "executions").exists()
 
 
 def test_programs_halt_before_each_set_up(folder: Path, run_cell: Run) -> None:

@@ -8,18 +8,20 @@ import pytest
 import trimesh
 
 from cell.errors import FileError
-from cell.explore import specification
+from cell.explore import belief, specification
 from cell.explore.explore import require_plausible
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES, So
 from cell.explore.prepare import begun, prepared
 from cell.explore.state import Paths
 from cell.narrator import Quiet
+from cell.part import mesh_files
 from cell.run.explore_json import ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.options import scene_of
 from cell.scene.scene import Scene
-from planner.explore.space import FREE, VoxelSpace
+from planner.explore.space import FREE, UNKNOWN, VoxelSpace
+from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 from planner.viewpoints.viewpoints import looking_at
@@ -99,3 +101,20 @@ def test_what_the_model_misses_of_the_limits() -> None:
     assert shares[-1] == 0.0
     assert (np.diff(shares) <= 0).all()
     assert 0 < shares[2] < 1
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
+def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
+    """With all of its corners, also of a voxel that stands alone, and of the whole cylinder."""
+    space = VoxelSpace.of_cylinder(0.02, 0.05, 0.002)
+    state = np.where(np.random.default_rng(1).random(space.state.shape) < share, UNKNOWN, FREE).astype(np.uint8)
+    if share:
+        space = replace(space, state=np.where(space.state == UNKNOWN, state, space.state))
+    path = tmp_path / "unseen.ply"
+    belief.write_unseen(space, path)
+    vertices, faces = mesh_files.parse(path, path.read_bytes())
+    around = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3) * space.edge
+    corners = (space.centres(space.state != FREE)[:, None] + around).reshape(-1, 3)
+    mesh = TriangleMesh(vertices / 1000, faces.astype(np.int32))
+    assert NearestSurface(mesh).signed(corners).max() < 0
+    assert np.abs(mesh.vertices).max(axis=0) == pytest.approx(np.abs(corners).max(axis=0), abs=3 * space.edge)

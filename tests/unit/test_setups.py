@@ -1,5 +1,6 @@
 """Further set-ups: what a support touches, and which scene a set-up has."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from cell.scene.scene import Scene
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
+from cell.setups.joint import JointCover
 from cell.setups.offered import proposed
+from cell.setups.search import Search
 from cell.why import advise
 from cell.world.model import compile_world
 from planner.surface.mesh import TriangleMesh
@@ -149,3 +152,40 @@ def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
     both = f"{one.folder} --open-of {tmp_path / 'setups' / '2'}"
     assert advise.open_of(one, T) == alone.format(both)
     assert advise.elsewhere(one, T) == "cell setups mug --most 2 --place 1200,500,0,0,0,0"
+
+
+def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) -> None:
+    """In the order of their numbers, without what else lies beside them."""
+    for name in ("1", "2", "10", "11.part", ".DS_Store"):
+        (tmp_path / "setups" / name).mkdir(parents=True)
+    (tmp_path / "setups.json").write_text("{}")
+    run = RunRecord(tmp_path / "setups" / "2", Manifest())
+    words = advise.open_of(run, np.eye(4)).split()
+    named = [Path(word).name for before, word in pairwise(words) if before == "--open-of"]
+    assert named == ["1", "2", "10"]
+
+
+def _cover(views: dict[int, int], setups_bound: int) -> JointCover:
+    columns = {row: np.arange(count) for row, count in views.items()}
+    return JointCover(columns, setups_bound, 1, 1.0, 1.0, 0.9, enough=True)
+
+
+def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Once views were moved one set-up may do: it is taken though two need fewer views, and no bound is above it."""
+    first, moved, thorough = _cover({0: 3, 1: 3}, 2), _cover({0: 2, 1: 2}, 2), _cover({0: 5}, 1)
+    for name, answer in (
+        ("__init__", lambda self: setattr(self, "_target", 0.9)),
+        ("_cover", lambda _, *, brief, start=None: first if brief else thorough),
+        ("_connected", lambda _, found: {"of": found}),
+        ("_lacks", lambda *_: 0.0),
+        ("_moved", lambda *_: moved),
+        ("_held_together", lambda _, found, connected: (found, connected)),
+    ):
+        monkeypatch.setattr(Search, name, answer)
+    found, connected = Search().result()  # type: ignore[call-arg]
+    assert (list(found.views), found.n_views, found.setups_bound) == ([0], 5, 1)
+    assert connected == {"of": thorough}
+    monkeypatch.setattr(Search, "_cover", lambda _, *, brief, start=None: first if brief else _cover({0: 2, 1: 2}, 1))
+    assert Search().result()[0].setups_bound == 1  # type: ignore[call-arg]
