@@ -22,6 +22,18 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert missing == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_prose_is_narrow(page: Path) -> None:
+    """Lines have less than 120 characters, but for tables, code and pictures."""
+    prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    wide = [
+        line
+        for line in prose.splitlines()
+        if len(line) >= 120 and not line.lstrip().startswith(("|", "![")) and line[:4] != "    "
+    ]
+    assert wide == []
+
+
 def headings(page: Path) -> set[str]:
     """What a link to a heading of a page is called, as GitHub makes it."""
     found = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
