@@ -1,6 +1,7 @@
 """What is said of the scans of several set-ups: the page, and the rows of a terminal."""
 
 from cell.run.setups_json import ScannedSetups
+from cell.setups.report import shared_surface
 from cell.words import percent
 
 _WHY = {
@@ -58,12 +59,7 @@ def page(report: ScannedSetups) -> str:
             f"| {link} | {setup.execution} | {setup.views} | {setup.points:,} | {percent(setup.visible)} "
             f"| {percent(setup.adds)} | {' | '.join(off)} |"
         )
-    if report.shared:
-        lines += ["", "## What set-ups share", "", "| set-ups | of the surface | leaves free |", "|---|---|---|"]
-        lines += [
-            f"| {pair.setups[0]} and {pair.setups[1]} | {percent(pair.share)} | {'; '.join(pair.free)} |"
-            for pair in report.shared
-        ]
+    lines += shared_surface(report.shared)
     if report.deviation is not None:
         lines += ["", "![Deviation of the surface](deviation.png)"]
     return "\n".join([*lines, ""])

@@ -1,6 +1,8 @@
 """What is said of several set-ups: the page, and the rows of a terminal."""
 
-from cell.run.setups_json import PlannedOpen, SetupsFile
+from collections.abc import Sequence
+
+from cell.run.setups_json import PlannedOpen, SetupsFile, SharedSurface
 from cell.setups.joint import JointCover
 from cell.words import listed, percent
 
@@ -72,13 +74,16 @@ def page(file: SetupsFile) -> str:
             f"| {row} | {each.name} | {listed(each.placement_mm)} | {listed(each.placement_abc_deg)} | {each.reachable}"
             f" | {percent(each.coverable)} | {percent(each.in_contact)} | {each.left_out or use} |"
         )
-    if file.shared:
-        lines += ["", "## What set-ups share", "", "| set-ups | of the surface | leaves free |", "|---|---|---|"]
-        lines += [
-            f"| {pair.setups[0]} and {pair.setups[1]} | {percent(pair.share)} | {'; '.join(pair.free)} |"
-            for pair in file.shared
-        ]
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, *shared_surface(file.shared), ""])
+
+
+def shared_surface(pairs: Sequence[SharedSurface]) -> list[str]:
+    """The section of what set-ups share, of the plans' report and of the scans'; nothing where there is none."""
+    if not pairs:
+        return []
+    head = ["", "## What set-ups share", "", "| set-ups | of the surface | leaves free |", "|---|---|---|"]
+    named = ((*pair.setups, percent(pair.share), "; ".join(pair.free)) for pair in pairs)
+    return head + [f"| {one} and {other} | {share} | {free} |" for one, other, share, free in named]
 
 
 def _reasons(found: PlannedOpen) -> list[tuple[str, float]]:
