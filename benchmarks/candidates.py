@@ -27,7 +27,7 @@ from cell.rays.occluders import occluder_triangles
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world

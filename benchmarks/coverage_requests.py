@@ -132,7 +132,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.rays.matrix import surface_features
     from cell.scanners.laser_area import LaserArea
     from cell.scene.resolve import resolve
-    from cell.scene.scene import load_scene
+    from cell.scene.scene_file import load_scene
     from planner.measurability.matrix import fill
     from planner.surface.decimate import decimate
     from planner.surface.sample import sample

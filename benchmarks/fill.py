@@ -25,7 +25,7 @@ from cell.part.workpiece import load
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, fill
 from planner.ports import RayCaster

@@ -37,7 +37,7 @@ from cell.run import reader
 from cell.run.executions import read_scan
 from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord, read_manifest
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 
 ROOM = 1 << 30
 """Bytes that reading a file may take."""

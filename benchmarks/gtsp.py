@@ -25,7 +25,7 @@ from cell.study.bench import Bench, placed_at
 from planner import cover
 from planner.measurability.matrix import occlude
 from planner.order import equivalent_views, generalised_tsp, tour_bound
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 STEPS = (500, 2_000, 10_000, 40_000)
 _SEEDS = 3

@@ -35,7 +35,7 @@ import cell.rays.embree
 from cell.rays.embree import EmbreeRayCaster
 from cell.scene.resolve import resolve
 from cell.scanners.laser_area import LaserArea
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from cell.part.workpiece import load
 from planner.measurability import matrix
 from planner.surface.decimate import decimate

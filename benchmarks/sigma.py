@@ -18,7 +18,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from planner.measurability.matrix import fill
 from planner.measurability.quality import sigma_layer
 from planner.surface.decimate import decimate

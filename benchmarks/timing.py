@@ -13,7 +13,8 @@ import ruckig
 
 from cell.robot import model as robot
 from planner.ports import JointLimits
-from planner.timing.motion import jerk_free, move_time
+from planner.timing.limits import jerk_free
+from planner.timing.move_time import move_time
 from planner.values import Floats
 
 _REPEATS, _COMPARED = 5, 500

@@ -22,7 +22,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.ports import CollisionChecker, Kinematics, Scanner
 from planner.reach import reach
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import standing_at
 

@@ -15,7 +15,7 @@ from cell.part.workpiece import size_findings
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import floor_square
 from cell.robot import told
-from cell.scene.scene import MeshFixture
+from cell.scene.fixtures import MeshFixture
 from cell.world.model import World
 from planner.values import Floats
 

@@ -11,7 +11,8 @@ from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, from_
 from cell.errors import UsageError
 from cell.scene.option import flag
 from cell.scene.options import spelled, tables
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from cell.study.options import ScannerNumber, StudyRun
 
 if TYPE_CHECKING:

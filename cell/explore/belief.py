@@ -16,7 +16,8 @@ from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.run import ply
 from cell.run.explore_json import UNSEEN
-from cell.scene.scene import MeshFixture, Scene
+from cell.scene.fixtures import MeshFixture
+from cell.scene.scene import Scene
 from planner.explore.space import FREE, VoxelSpace
 from planner.surface.mesh import TriangleMesh
 from planner.values import Bools, Floats

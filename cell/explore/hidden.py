@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.scene.scene import CylinderFixture, Scene
+from cell.scene.fixtures import CylinderFixture
+from cell.scene.scene import Scene
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 

@@ -38,9 +38,10 @@ from cell.run.scene_json import (
     ResolvedScene,
     ScannerKeys,
 )
+from cell.scene.fixtures import MeshFixture
 from cell.scene.regions import complete
 from cell.scene.resolve import Settings
-from cell.scene.scene import MeshFixture, Scene
+from cell.scene.scene import Scene
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.model import World

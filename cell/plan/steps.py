@@ -49,8 +49,8 @@ from planner.reach import reach
 from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
 from planner.surface.sample import sample
-from planner.timing import motion as timing
-from planner.timing.motion import Motion
+from planner.timing.limits import scaled
+from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
@@ -247,7 +247,7 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
                 run.rng(_ENSEMBLE), progress,
             )  # fmt: skip
-    limits = timing.scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
+    limits = scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
     home = cell.world.home if measured.candidates.T_object_scanner.shape[1] == 1 else None
     costs = seconds_of_views(plan, measured.reached, home, limits) if plan.cost == "time" else None
     goals = RegionGoals.of(complete(scene.region), plan)
@@ -283,7 +283,7 @@ def prove_and_time(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[M
         tour = chosen.tour
         measured = clearance.of_motion(problem.checker, tour.via, tour.segment, len(tour.detour), progress)
         require_no_contact(measured)
-        motion = timing.retime(
+        motion = retime(
             tour.via, tour.segment, chosen.via_candidate, problem.limits, pose=tour.pose, lines=chosen.lines
         )
         plan_files.write_motion(run.folder, motion, measured)

@@ -58,7 +58,7 @@ def built_in(settings: Settings | None = None, observer: Observer | None = None)
         from cell.plant.mujoco_plant import MujocoPlant
         from cell.robot import model as robot
         from cell.scene import devices
-        from cell.scene.scene import load_scene
+        from cell.scene.scene_file import load_scene
         from cell.world import shapes
 
         scene, spec = devices.settled(load_scene(None), "mseke", 0.0), robot.spec()

@@ -13,7 +13,8 @@ from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import DrivenSweep
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits, Kinematics
 from planner.reach.setpoints import from_steps, to_steps
-from planner.timing.motion import Motion, check_inside, retime
+from planner.timing.limits import check_inside
+from planner.timing.motion import Motion, retime
 from planner.values import Floats
 
 _NEAR = 1e-7  # s, rad, rad/s, rad/s^2

@@ -27,7 +27,8 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.errors import PlannerError
 from planner.reach.setpoints import to_steps
-from planner.timing.motion import Motion, scaled
+from planner.timing.limits import scaled
+from planner.timing.motion import Motion
 from planner.values import Floats
 
 

@@ -25,7 +25,9 @@ from cell.run import reader
 from cell.run.record import artefact
 from cell.run.scene_of_run import scene_of_run
 from cell.scene import devices
-from cell.scene.scene import Fixture, MeshFixture, Scene, load_scene
+from cell.scene.fixtures import Fixture, MeshFixture
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from cell.world.rotary_table import rotary_table
 from cell.world.shapes import fixture_mesh
 from planner.surface.mesh import TriangleMesh

@@ -12,7 +12,8 @@ import numpy as np
 from cell.robot.model import KR16
 from cell.run.plan_json import Sweep
 from cell.run.scene_json import ResolvedRobot, ResolvedTable, StandingFixture
-from cell.scene.scene import BoxFixture, CylinderFixture, Fixture, Scene
+from cell.scene.fixtures import BoxFixture, CylinderFixture, Fixture
+from cell.scene.scene import Scene
 from cell.world.model import World
 from cell.world.shapes import TABLE
 from planner.path.sweeps.path import SweepPath

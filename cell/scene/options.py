@@ -8,7 +8,8 @@ from typing import get_args
 
 from cell.errors import FileError, UsageError
 from cell.scene.option import Spell, offers, values
-from cell.scene.scene import Part, Scene, load_scene
+from cell.scene.scene import Part, Scene
+from cell.scene.scene_file import load_scene
 
 BUILT_IN: tuple[str, ...] = get_args(Part.model_fields["name"].annotation)
 """Names of the parts that need no file."""

@@ -6,112 +6,28 @@ key (the standoff from the range, the housing's place from the baseline). `model
 every key explained; `Scene()` equals it.
 """
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import (
-    ConfigDict,
-    Field,
-    ModelWrapValidatorHandler,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import ConfigDict, Field, ModelWrapValidatorHandler, ValidationInfo, field_validator, model_validator
 
 from cell.errors import SceneError
 from cell.part.formats import units_of, wrong_units
-from cell.scene import scene_file
-from cell.scene.fields import (
-    AxisLimits,
-    Fov,
-    Grazing,
-    JerkLimits,
-    NotNegative,
-    Positive,
-    Share,
-    Table,
-    Triple,
-    Units,
-)
+from cell.scene.fields import Fov, Grazing, NotNegative, Positive, Table, Triple, Units, existing_file
+from cell.scene.fixtures import Fixture, NamedFixture, Post, Setup
 from cell.scene.option import Option
 from cell.scene.plan_settings import PlanSettings
-from cell.scene.posed import PART, Mount, Placement, Posed, pose
+from cell.scene.posed import PART, Mount, Placement, pose
 from cell.scene.regions import Region, beside_plan, contradiction
+from cell.scene.robot import HARDWARE, Robot
 from cell.scene.turntable import Turntable
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-RESERVED_NAMES = (
-    *("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6"),
-    *("bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
-)
-
 _SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
 
-_HARDWARE, _REPORT = "Robot and scanner", "Output"
-
-
-class Base(Posed):
-    """Where the robot's base stands in the frame of the cell, whose z is up."""
-
-
-class Robot(Table):
-    """The arm and what it stands on.
-
-    With `base` None the cell's frame is the robot's base. The pedestal stands between the floor, which lies
-    `pedestal_height_mm` below the cell's origin, and a base that is upright; under any other there is none.
-    """
-
-    model: str = "kr16"
-    base_link: str | None = None
-    flange_link: str | None = None
-    packages: dict[str, str] | None = None
-    base: Base | None = None
-    home_deg: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] | None = None
-    pedestal_height_mm: NotNegative = 600.0
-    pedestal_size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)] = (600.0, 600.0)
-    speed_scaling: Annotated[
-        Share, Option("Override: share of the axis speeds.", _HARDWARE, name="speed", metavar="SHARE")
-    ] = 1.0
-    acceleration_scaling: Share = 1.0
-    velocity_deg_s: Annotated[AxisLimits, Field(strict=False)] | None = None
-    acceleration_deg_s2: Annotated[AxisLimits, Field(strict=False)] | None = None
-    jerk_deg_s3: Annotated[JerkLimits, Field(strict=False)] | None = None
-
-    @field_validator("model")
-    @classmethod
-    def _known(cls, model: str, info: ValidationInfo) -> str:
-        return model if model == "kr16" else _file(model, info, "a URDF or an MJCF, or kr16")
-
-    @field_validator("packages")
-    @classmethod
-    def _folders(cls, packages: dict[str, str] | None, info: ValidationInfo) -> dict[str, str] | None:
-        folder = Path((info.context or {}).get("folder", Path.cwd()))
-        return packages and {name: str(folder / Path(path).expanduser()) for name, path in packages.items()}
-
-    @property
-    def settled_home_deg(self) -> tuple[float, ...]:
-        """The home in a settled scene (`cell.world.model`) [deg]."""
-        assert self.home_deg is not None, "the scene is not settled"
-        return self.home_deg
-
-    @property
-    def T_base(self) -> "NDArray[np.float64]":
-        """(4, 4) the robot's base in the cell's frame [m]."""
-        return (self.base or Base()).T
-
-    @property
-    def pedestal_mm(self) -> tuple[Triple, Triple] | None:
-        """Sides and middle of the pedestal in the cell's frame [mm]; None: the robot stands on none."""
-        x, y, z = (0.0, 0.0, 0.0) if self.base is None else self.base.position_mm
-        height = self.pedestal_height_mm + z
-        if height <= 0 or not self.T_base[2, 2] > 1 - 1e-9:
-            return None
-        return (*self.pedestal_size_mm, height), (x, y, z - height / 2)
+_REPORT = "Output"
 
 
 class Scanner(Table):
@@ -121,14 +37,14 @@ class Scanner(Table):
 
     type: str = "laser-area"
     sensor: Annotated[
-        str | None, Option("A scanner by name, see cell sensors. Default: the part's device.", _HARDWARE)
+        str | None, Option("A scanner by name, see cell sensors. Default: the part's device.", HARDWARE)
     ] = None
     fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] = (60.0, 60.0)
     resolution_deg: Annotated[tuple[Positive, Positive], Field(strict=False)] = (0.25, 0.25)
     planning_resolution_deg: Positive = 1.0
     range_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
     baseline_mm: Annotated[
-        NotNegative | None, Option("From laser source to sensor. Default: the scanner's.", _HARDWARE)
+        NotNegative | None, Option("From laser source to sensor. Default: the scanner's.", HARDWARE)
     ] = None
     grazing_max_deg: Grazing = 75.0
     sensor_grazing_max_deg: Grazing = 75.0
@@ -144,7 +60,7 @@ class Scanner(Table):
     profile_rate_hz: Positive | None = None
     max_spacing_mm: Annotated[
         Positive | None,
-        Option("Count a point as measured only if its neighbours in the scan lie at most so far away.", _HARDWARE),
+        Option("Count a point as measured only if its neighbours in the scan lie at most so far away.", HARDWARE),
     ] = None
 
     @model_validator(mode="wrap")
@@ -224,7 +140,7 @@ class Part(Table):
     @field_validator("path")
     @classmethod
     def _found(cls, path: str | None, info: ValidationInfo) -> str | None:
-        return None if path is None else _file(path, info)
+        return None if path is None else existing_file(path, info)
 
     @field_validator("units")
     @classmethod
@@ -244,13 +160,6 @@ class Part(Table):
     def source(self) -> str:
         """What to load: the file's path, or the built-in part's name."""
         return self.path if self.path is not None else self.name
-
-
-class Post(Table):
-    """The round post on which the part stands, from the floor to the height of the part's lowest point."""
-
-    enabled: bool = True
-    diameter_mm: Positive = 40.0
 
 
 class Picture(Table):
@@ -273,64 +182,6 @@ class Picture(Table):
             metavar="NAME[,NAME...]", made=lambda texts: [each for text in texts for each in text.split(",")],
         ),
     ] = ()  # fmt: skip
-
-
-class _Fixture(Posed):
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]  # it names a file
-    attached_to: Literal["base", "object"] = "base"
-    occludes: bool = True
-
-    @field_validator("name")
-    @classmethod
-    def _not_reserved(cls, name: str) -> str:
-        if name in RESERVED_NAMES:
-            raise ValueError(f"is '{name}', which the cell uses itself; choose another name")
-        return name
-
-
-class BoxFixture(_Fixture):
-    """A box, `position_mm` at its middle."""
-
-    shape: Literal["box"]
-    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
-
-
-class CylinderFixture(_Fixture):
-    """An upright cylinder (axis z), `position_mm` at its middle; size is diameter and height."""
-
-    shape: Literal["cylinder"]
-    size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)]
-
-
-class MeshFixture(_Fixture):
-    """A mesh file: its true triangles occlude, and collide unless `plan.collision` is "hull"."""
-
-    shape: Literal["mesh"]
-    path: str
-    units: Units
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_its_format(cls, table: Any) -> Any:
-        own = units_of(str(table.get("path"))) if isinstance(table, dict) else None
-        return {"units": own, **table} if own is not None else table
-
-    @field_validator("path")
-    @classmethod
-    def _found(cls, path: str, info: ValidationInfo) -> str:
-        return _file(path, info)
-
-
-Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discriminator="shape")]
-
-
-class Setup(Posed):
-    """A pose of the part that `cell setups` may use: where its centre stands, and what stands about it only then."""
-
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]
-    position_mm: Triple
-    fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
-    post: Post | None = None
 
 
 class Scene(Table):
@@ -363,7 +214,7 @@ class Scene(Table):
 
     @field_validator("fixtures")
     @classmethod
-    def _distinct(cls, fixtures: tuple[_Fixture, ...]) -> tuple[_Fixture, ...]:
+    def _distinct(cls, fixtures: tuple[NamedFixture, ...]) -> tuple[NamedFixture, ...]:
         names = [fixture.name for fixture in fixtures]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -401,58 +252,3 @@ class Scene(Table):
             if name not in known:
                 raise ValueError(f".hide names '{name}', which is nothing of this cell; it has: {', '.join(known)}")
         return picture
-
-
-def _without_the_other_point(table: str, below: dict[str, object], keys: Mapping[str, object]) -> dict[str, object]:
-    """A file's placement without the point that the command line gives the other of: centre or the file's origin."""
-    other = {"position_mm": "origin_mm", "origin_mm": "position_mm"}
-    left = {other[key] for key in keys if key in other} if table == "placement" else set()
-    return {key: value for key, value in below.items() if key not in left}
-
-
-def load_scene(
-    path: Path | None,
-    options: Mapping[str, Mapping[str, object]] | None = None,
-    names: Mapping[str, str] | None = None,
-) -> Scene:
-    """Read and check a scene file.
-
-    Args:
-        path: the TOML file; None is the built-in scene. Paths inside it are relative to its folder.
-        options: tables of keys that go before the file's (the command line's). A `part` with a name or a path replaces
-            the file's whole part.
-        names: how their user wrote keys of the options, such as "--faces" for "plan.faces", for the sentences.
-
-    Raises:
-        SceneError: with every problem of the file on a line of its own: the key, what is wrong, what would be valid.
-    """
-    from cell.scene.problems import sentences
-
-    content: dict[str, object] = {} if path is None else scene_file.parsed(path)
-    for table, keys in (options or {}).items():
-        below = content.get(table, {})
-        replaces = table == "part" and ("name" in keys or "path" in keys)
-        if keys and isinstance(below, dict):
-            below = _without_the_other_point(table, below, keys)
-            content[table] = dict(keys) if replaces else {**below, **keys}
-    folder = Path.cwd() if path is None else path.absolute().parent
-    try:
-        return Scene.model_validate(content, context={"folder": folder})
-    except ValidationError as error:
-        problems = sentences(error, Scene, names)
-    where = "the scene" if path is None else f"the scene {path}"
-    count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-    raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))
-
-
-def _file(path: str, info: ValidationInfo, kind: str = "a mesh file") -> str:
-    """The absolute path of a file that a scene names."""
-    folder = Path((info.context or {}).get("folder", Path.cwd()))
-    try:
-        full = folder / Path(path).expanduser()
-        found = full.is_file()
-    except (OSError, ValueError, RuntimeError):  # longer than any name, a zero in it, the home of nobody
-        raise ValueError(f"is no name that a file can have; give {kind}, relative to the scene file") from None
-    if not found:
-        raise ValueError(f"is '{path}', and there is no file {full}; give {kind}, relative to the scene file")
-    return str(full)

@@ -1,15 +1,18 @@
-"""A scene file as the tables of its TOML, within what a scene can hold."""
+"""A scene read from its file: the tables of its TOML, with what goes before them."""
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from cell.errors import SceneError
+from cell.scene.scene import Scene
 
 _DEEPEST = 8  # levels of tables and lists; a scene needs four
 
 
-def parsed(path: Path) -> dict[str, object]:
+def _parsed(path: Path) -> dict[str, object]:
     """The tables of a scene file; what stands in them is not looked at.
 
     Raises:
@@ -45,3 +48,45 @@ def parsed(path: Path) -> dict[str, object]:
 def _inside(value: object) -> Iterable[object]:
     """What a table or a list holds."""
     return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+
+
+def _without_the_other_point(table: str, below: dict[str, object], keys: Mapping[str, object]) -> dict[str, object]:
+    """A file's placement without the point that the command line gives the other of: centre or the file's origin."""
+    other = {"position_mm": "origin_mm", "origin_mm": "position_mm"}
+    left = {other[key] for key in keys if key in other} if table == "placement" else set()
+    return {key: value for key, value in below.items() if key not in left}
+
+
+def load_scene(
+    path: Path | None,
+    options: Mapping[str, Mapping[str, object]] | None = None,
+    names: Mapping[str, str] | None = None,
+) -> Scene:
+    """Read and check a scene file.
+
+    Args:
+        path: the TOML file; None is the built-in scene. Paths inside it are relative to its folder.
+        options: tables of keys that go before the file's (the command line's). A `part` with a name or a path replaces
+            the file's whole part.
+        names: how their user wrote keys of the options, such as "--faces" for "plan.faces", for the sentences.
+
+    Raises:
+        SceneError: with every problem of the file on a line of its own: the key, what is wrong, what would be valid.
+    """
+    from cell.scene.problems import sentences
+
+    content: dict[str, object] = {} if path is None else _parsed(path)
+    for table, keys in (options or {}).items():
+        below = content.get(table, {})
+        replaces = table == "part" and ("name" in keys or "path" in keys)
+        if keys and isinstance(below, dict):
+            below = _without_the_other_point(table, below, keys)
+            content[table] = dict(keys) if replaces else {**below, **keys}
+    folder = Path.cwd() if path is None else path.absolute().parent
+    try:
+        return Scene.model_validate(content, context={"folder": folder})
+    except ValidationError as error:
+        problems = sentences(error, Scene, names)
+    where = "the scene" if path is None else f"the scene {path}"
+    count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+    raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))

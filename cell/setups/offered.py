@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.robot.frames import kuka_abc_from_pose
+from cell.scene.fixtures import Setup
 from cell.scene.posed import Placement
-from cell.scene.scene import Scene, Setup
+from cell.scene.scene import Scene
 from cell.world.model import World
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats

@@ -23,7 +23,7 @@ from planner.order.orderings import sequence
 from planner.ports import CollisionChecker, RayCaster
 from planner.reach import reach
 from planner.reach.reach import Reach, join_reach, pick_reach
-from planner.timing.motion import scaled
+from planner.timing.limits import scaled
 from planner.values import Floats
 from planner.viewpoints import growth
 from planner.viewpoints.lines_of_sight import Targets

@@ -19,7 +19,8 @@ from cell.run.executions import FOLDER, read_execution
 from cell.run.explore_json import NAME as EXPLORATION
 from cell.run.record import open_run
 from cell.run.scene_json import ScannerKeys
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from cell.view.contents import NAME, execution_page, run_page
 from cell.view.explore_page import explore_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned

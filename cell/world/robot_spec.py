@@ -27,7 +27,7 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.scene.scene import Robot
+    from cell.scene.robot import Robot
 
 JOINED = "joined_"
 """What the names of their exclusions begin with."""

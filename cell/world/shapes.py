@@ -32,7 +32,8 @@ from cell.errors import SceneError
 from cell.part import mesh_files
 from cell.part.workpiece import UNITS
 from cell.robot import model as robot
-from cell.scene.scene import BoxFixture, CylinderFixture, MeshFixture, Scene
+from cell.scene.fixtures import BoxFixture, CylinderFixture, MeshFixture
+from cell.scene.scene import Scene
 from cell.world.solid_hull import solid_hull
 from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh

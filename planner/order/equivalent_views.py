@@ -23,7 +23,7 @@ import scipy.sparse as sp
 
 from planner.order import generalised_tsp as gtsp
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 
 STAND_INS = 16

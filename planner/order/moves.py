@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from planner.errors import PlannerError
 from planner.order import generalised_tsp as gtsp
 from planner.ports import JointLimits
-from planner.timing.motion import check_inside, move_time
+from planner.timing.limits import check_inside
+from planner.timing.move_time import move_time
 from planner.values import Floats, Ints, Value, freeze, readonly
 
 

@@ -23,7 +23,7 @@ from planner.path.certified_edge import certify_many, quantise_inside
 from planner.path.path import connect, path_time, shorten
 from planner.ports import CollisionChecker, JointLimits
 from planner.reach.setpoints import to_steps
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 from planner.values import Floats, Ints
 
 Edge = tuple[int, int]

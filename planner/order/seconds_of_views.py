@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 from planner.values import Floats, Ints
 
 _LOOKED_AT = 24  # nearest joint solutions whose moves are timed; of those beyond, a bound is taken

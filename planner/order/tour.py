@@ -19,7 +19,7 @@ from planner.order.visits import Visits
 from planner.path.path import path_time
 from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, JointLimits, Progress
-from planner.timing.motion import check_inside, check_limits
+from planner.timing.limits import check_inside, check_limits
 from planner.values import Bools, Floats, Ints, Value
 from planner.worded import Worded
 
@@ -114,7 +114,7 @@ def plan_motion(
     Args:
         visits: the views and home; joint solutions that are not free are left out.
         checker: the collision checker; its clearance must be above 0.
-        limits: limits of the axes; scale them (`planner.timing.motion.scaled`) to order for a reduced speed.
+        limits: limits of the axes; scale them (`planner.timing.limits.scaled`) to order for a reduced speed.
         rng: source of all randomness.
         budget: work that may be used.
         progress: told about real edges as they become known.

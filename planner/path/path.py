@@ -13,7 +13,8 @@ import numpy as np
 from planner.path.certified_edge import certify, quantise_inside
 from planner.path.rrt_connect import rrt_connect
 from planner.ports import CollisionChecker, JointLimits
-from planner.timing.motion import check_inside, check_limits, move_time
+from planner.timing.limits import check_inside, check_limits
+from planner.timing.move_time import move_time
 from planner.values import Floats, Value, readonly
 from planner.worded import Worded
 

@@ -1,10 +1,4 @@
-"""Time of synchronised straight joint moves, rest to rest, and the sampled motion along via points.
-
-A move from `q_from` to `q_to` is `q(s) = q_from + s (q_to - q_from)`, s from 0 to 1: all axes start and stop together
-and the path is the straight joint segment that was checked for collision. An axis' limit on speed, acceleration or jerk
-divided by its `|dq|` limits s; the smallest over the axes holds, and `planner.timing.s_curve` gives the fastest profile
-of s under the three. All limits are taken `MARGIN` smaller than given, so that rounding never lifts a sample, or a
-finite difference of samples, above a limit.
+"""The sampled motion along via points: straight joint moves (`planner.timing.move_time`), rest to rest.
 
 Every via point is an exact stop: rounding a corner would leave the path that was checked, and driving it exactly means
 to stop there. So the same moves under trapezoids of speed are the time-optimal motion along the path without a limit of
@@ -12,10 +6,8 @@ jerk; `jerk_free` gives those limits. The line of a sweep is the exception: it b
 are passed on it.
 """
 
-import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Annotated, Protocol
 
@@ -23,17 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
-from planner.ports import JointLimits, axis_name
-from planner.timing.s_curve import Profile, fastest, sample
+from planner.ports import JointLimits
+from planner.timing.limits import check_inside, check_limits, jerk_free, scaled
+from planner.timing.move_time import move_time, profiles
+from planner.timing.s_curve import Profile, sample
 from planner.values import Floats, Ints, Value, freeze, readonly
-
-MARGIN = 1e-8
-"""Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second
-difference."""
-
-RESOLUTION = 1e-13
-"""A joint difference [rad] up to which two angles are equal: their rounding, a millionth of what any controller
-resolves."""
 
 SAMPLE_PERIOD = 0.012
 """Interpolation cycle of a KR C2 [s]."""
@@ -104,87 +90,6 @@ class TimedLine(Protocol):
         ...
 
 
-def check_limits(limits: JointLimits) -> None:
-    """Refuse limits under which no motion can be timed.
-
-    Single limits may be infinite (a speed, an acceleration, a jerk that is not limited), but not acceleration and jerk
-    of one axis: its motion would jump in speed.
-
-    Raises:
-        PlannerError: if a limit is not above 0, acceleration and jerk of an axis are infinite, or a range is empty.
-    """
-    positive = (limits.velocity > 0) & (limits.acceleration > 0) & (limits.jerk > 0)
-    bounded = np.minimum(limits.acceleration, limits.jerk) < np.inf
-    if (positive & bounded & (limits.lower <= limits.upper)).all():
-        return
-    for axis in range(len(limits.lower)):
-        name = axis_name(axis)
-        for what, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2"), ("jerk", "rad/s^3")):
-            value = getattr(limits, what)[axis]
-            if not value > 0:
-                raise PlannerError(f"the {what} limit of {name} is {value} {unit}; it must be above 0")
-        if limits.acceleration[axis] == np.inf and limits.jerk[axis] == np.inf:
-            raise PlannerError(
-                f"the acceleration limit of {name} is inf rad/s^2 and its jerk limit inf rad/s^3; "
-                "one of them must be finite, or its speed would jump"
-            )
-        if not limits.lower[axis] <= limits.upper[axis]:
-            raise PlannerError(
-                f"the range of {name} is empty: its lower limit {limits.lower[axis]} rad is above its upper limit "
-                f"{limits.upper[axis]} rad"
-            )
-
-
-def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -> JointLimits:
-    """Limits with velocity and acceleration reduced to a fraction.
-
-    `speed` is the controller's override: a percentage of the velocity, as KUKA defines $OV_PRO. It leaves accelerations
-    as they are, so that an arm at low override stops the sooner. `acceleration` takes the jerk with it: the
-    acceleration is reached in the same time.
-
-    Args:
-        limits: limits at full speed.
-        speed: fraction of every velocity, above 0 up to 1.
-        acceleration: fraction of every acceleration and jerk, above 0 up to 1.
-
-    Raises:
-        PlannerError: if a fraction is outside (0, 1].
-    """
-    for name, fraction in (("speed", speed), ("acceleration", acceleration)):
-        if not 0 < fraction <= 1:
-            raise PlannerError(f"the {name} fraction is {fraction}; it must be above 0 and at most 1")
-    return replace(
-        limits,
-        velocity=limits.velocity * speed,
-        acceleration=limits.acceleration * acceleration,
-        jerk=limits.jerk * acceleration,
-    )
-
-
-def jerk_free(limits: JointLimits) -> JointLimits:
-    """The limits without that of the jerk: the bound against which jerk-limited motions are compared."""
-    return replace(limits, jerk=np.full_like(limits.jerk, np.inf))
-
-
-def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats:
-    """Shortest time of the synchronised straight move, rest to rest, over broadcast arrays.
-
-    Args:
-        q_from: (..., axes) joint angles [rad].
-        q_to: (..., axes) joint angles [rad]; broadcast against `q_from`, so `(n, 1, axes)` and `(m, axes)` give a cost
-            matrix.
-        limits: limits of velocity, acceleration and jerk.
-
-    Returns:
-        (...) time [s]; 0 where both ends are equal.
-    """
-    a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
-    times = np.empty(np.broadcast_shapes(a.shape, b.shape)[:-1])
-    for rows, profile in _profiles(a, b, limits):
-        times[rows] = profile.duration
-    return np.asarray(times[()])
-
-
 def retime(
     via_q: ArrayLike,
     segment: ArrayLike,
@@ -231,7 +136,7 @@ def retime(
         )
 
     widths = np.zeros((3, len(vias) - 1))
-    for rows, profile in _profiles(vias[:-1], vias[1:], limits):
+    for rows, profile in profiles(vias[:-1], vias[1:], limits):
         widths[:, *rows] = profile
     durations, lines = Profile(*widths).duration, lines or {}
     on_line = _take_lines(lines, durations)
@@ -319,69 +224,3 @@ def jerk_free_duration(motion: Motion) -> float:
     """
     moves = move_time(motion.via_q[:-1], motion.via_q[1:], jerk_free(motion.limits))
     return float(np.where(motion.line[1:] >= 0, np.diff(motion.via_t), moves).sum())
-
-
-def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
-    """Refuse joint angles outside the range; there is no wrap-around of A4 and A6.
-
-    Args:
-        what: what the error calls a row of q.
-        q: (N, axes) joint angles [rad].
-        limits: limits of the axes.
-
-    Raises:
-        PlannerError: naming the first row and axis outside.
-    """
-    outside = ~((q >= limits.lower) & (q <= limits.upper))
-    if outside.any():
-        row, axis = np.argwhere(outside)[0]
-        low, high = np.degrees(limits.lower[axis]), np.degrees(limits.upper[axis])
-        raise PlannerError(
-            f"{what} {row} has {axis_name(int(axis))} at {np.degrees(q[row, axis]):.4f} deg; it must lie in "
-            f"{low:.4f} to {high:.4f} deg"
-        )
-
-
-_BLOCK = 4096  # moves that are timed at once: their temporaries stay in the core's cache
-_EQUAL_RATIO = 1e-12  # relative differences up to which limits of the axes are in one ratio
-
-
-@lru_cache(maxsize=64)
-def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
-    """Inverse limits of speed, acceleration and jerk, and what makes the first the others, for limits that can be used.
-
-    Where the limits of all axes are in one ratio (each acceleration reached in the same time, say), the axis that
-    limits the speed limits acceleration and jerk as well, and two of the three maxima over the axes can be left out.
-
-    Returns:
-        (3, axes) 1 / limit, `MARGIN` added, and the ratios of acceleration and jerk to speed; NaN where axes differ.
-    """
-    check_limits(limits)
-    inverse = (1.0 + MARGIN) / np.stack([limits.velocity, limits.acceleration, limits.jerk])
-    ratios = np.divide(inverse[1:], inverse[0], out=np.full_like(inverse[1:], np.inf), where=inverse[0] > 0)
-    one = np.isfinite(ratios).all(axis=1) & (ratios.max(axis=1) <= ratios.min(axis=1) * (1.0 + _EQUAL_RATIO))
-    acceleration, jerk = np.where(one, ratios.max(axis=1), np.nan).tolist()
-    return inverse, (acceleration, jerk)
-
-
-def _profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
-    """Profiles of all moves, in blocks along the first axis of the broadcast shape."""
-    inverse, ratios = _inverse(limits)
-    shape = np.broadcast_shapes(q_from.shape, q_to.shape)[:-1]
-    if 0 in shape:
-        return
-    ends = [np.ascontiguousarray(np.moveaxis(q, -1, 0)) for q in (q_from, q_to)]  # axis by axis
-    a, b = (q.reshape(len(inverse[0]), *[1] * (len(shape) + 1 - q.ndim), *q.shape[1:]) for q in ends)
-    speed, *others = (rates.reshape(len(inverse[0]), *[1] * len(shape)) for rates in inverse)
-    step = max(1, _BLOCK * shape[0] // math.prod(shape)) if shape else 1
-    for start in range(0, shape[0] if shape else 1, step):
-        rows = (slice(start, start + step),) if shape else ()
-        distance = (b[:, *rows] if b.shape[1:2] != (1,) else b) - (a[:, *rows] if a.shape[1:2] != (1,) else a)
-        np.abs(distance, out=distance)
-        distance *= distance > RESOLUTION
-        at_speed = (distance * speed).max(axis=0)
-        at_acceleration, at_jerk = (
-            (distance * rates).max(axis=0) if math.isnan(ratio) else at_speed * ratio
-            for rates, ratio in zip(others, ratios, strict=True)
-        )
-        yield rows, fastest(at_speed, at_acceleration, at_jerk)

@@ -13,7 +13,7 @@ from cell.errors import SceneError, UsageError
 from cell.run import reader
 from cell.run.cell import read_cell
 from cell.run.record import open_finished
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from planner.measurability.matrix import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

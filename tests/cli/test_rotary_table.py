@@ -21,7 +21,7 @@ from cell.replay.replay import load_show
 from cell.run.executions import read_execution
 from cell.run.reader import motion, reached
 from cell.run.record import open_run
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 RunCell = Callable[..., subprocess.CompletedProcess[str]]
 

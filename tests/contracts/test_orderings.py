@@ -9,7 +9,7 @@ from planner.errors import PlannerError
 from planner.order.moves import Moves
 from planner.order.orderings import OrderStatus, sequence
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 LIMITS = JointLimits(
     lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.arange(1.0, 7.0), acceleration=np.arange(2.0, 8.0)

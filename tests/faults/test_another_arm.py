@@ -14,7 +14,7 @@ from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 LOWER, UPPER = np.array([-200.0, -120, -60, -270, -20, -400]), np.array([190.0, 60, 120.5, 360, 125, 1080])
 VELOCITY = np.radians([90.0, 70, 110, 250, 480, 400])

@@ -66,7 +66,7 @@ def test_a_one_way_ring_is_found_in_its_direction() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_sweeps_are_entered_at_one_end_and_left_at_the_other(seed: int) -> None:
     """Views with two ends each, driven either way: the time is the least over orders and directions, stays counted."""
-    from planner.timing.motion import move_time
+    from planner.timing.move_time import move_time
 
     rng = np.random.default_rng(seed)
     ends = rng.uniform(-1, 1, (4, 2, 6))

@@ -10,7 +10,8 @@ from drivers.setpoints import from_rad, to_rad
 from planner.path.certified_edge import quantise
 from planner.ports import JointLimits
 from planner.reach.setpoints import from_steps, to_steps
-from planner.timing.motion import move_time, retime
+from planner.timing.motion import retime
+from planner.timing.move_time import move_time
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 

@@ -9,7 +9,8 @@ from planner.order.tour import MotionBudget, Tour, TourStatus, plan_motion
 from planner.order.visits import Visits
 from planner.path.certified_edge import STEP
 from planner.ports import JointLimits
-from planner.timing.motion import Motion, move_time, retime
+from planner.timing.motion import Motion, retime
+from planner.timing.move_time import move_time
 
 LIMITS = JointLimits(
     lower=np.radians([-185, -155, -130, -350, -130, -350]),

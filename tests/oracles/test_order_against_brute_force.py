@@ -11,7 +11,7 @@ from planner.order import tour_bound
 from planner.order.moves import Moves
 from planner.order.orderings import OrderStatus, sequence
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 LIMITS = JointLimits(
     lower=np.radians([-185, -155, -130, -350, -130, -350]),

@@ -9,7 +9,9 @@ import pytest
 import ruckig
 
 from planner.ports import JointLimits
-from planner.timing.motion import MARGIN, jerk_free, move_time, retime
+from planner.timing.limits import jerk_free
+from planner.timing.motion import retime
+from planner.timing.move_time import MARGIN, move_time
 from planner.timing.s_curve import Profile, fastest, sample
 
 LIMITS = JointLimits(

@@ -10,7 +10,7 @@ import trimesh
 from cell.errors import FileError
 from cell.rays import virtual_scan
 from cell.rays.occluders import caster_of, occluder_triangles
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from cell.study.bench import Bench
 from cell.study.comparison import DENSER, fewest_for, most_with
 from cell.study.placement_trial import placement

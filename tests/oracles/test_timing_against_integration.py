@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import linprog
 
 from planner.ports import JointLimits
-from planner.timing.motion import move_time, retime
+from planner.timing.motion import retime
+from planner.timing.move_time import move_time
 
 LIMITS = JointLimits(
     lower=np.full(6, -7.0),

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from planner.order import equivalent_views
 from planner.order.equivalent_views import Exchange, Matrix, exchange
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.arange(1.0, 7.0), np.arange(2.0, 8.0))
 HOME = np.full(6, 0.25)

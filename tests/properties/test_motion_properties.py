@@ -8,7 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 from planner.path.certified_edge import quantise, quantise_inside, subdivide
 from planner.ports import JointLimits
-from planner.timing.motion import RESOLUTION, move_time, retime
+from planner.timing.motion import retime
+from planner.timing.move_time import RESOLUTION, move_time
 
 BOUND = 13.0
 angles = arrays(float, 6, elements=st.floats(-BOUND, BOUND))

@@ -6,7 +6,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from planner.ports import JointLimits
-from planner.timing.motion import RESOLUTION, jerk_free, move_time, retime, scaled
+from planner.timing.limits import jerk_free, scaled
+from planner.timing.motion import retime
+from planner.timing.move_time import RESOLUTION, move_time
 from planner.timing.s_curve import Profile, fastest, sample
 
 angles = arrays(float, 6, elements=st.floats(-13.0, 13.0))

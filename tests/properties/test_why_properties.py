@@ -17,7 +17,8 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, open_run
 from cell.scanners.laser_area import LaserArea
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from cell.view.palette import MEASURED, REASONS
 from cell.why import explain as why
 from cell.why import files as why_files

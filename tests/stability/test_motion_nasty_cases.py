@@ -11,7 +11,8 @@ from planner.order.visits import Visits
 from planner.path.certified_edge import quantise
 from planner.path.path import PathStatus, connect
 from planner.ports import JointLimits
-from planner.timing.motion import move_time, retime
+from planner.timing.motion import retime
+from planner.timing.move_time import move_time
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 LIMITS = JointLimits(

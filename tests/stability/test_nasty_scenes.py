@@ -8,7 +8,8 @@ import trimesh
 
 from cell.checks.possible import require_possible
 from cell.errors import CellError, SceneError
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from cell.world.solid_hull import MIN_THICKNESS, solid_hull

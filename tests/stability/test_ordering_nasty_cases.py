@@ -17,7 +17,7 @@ from planner.order import tour_bound
 from planner.order.moves import Moves
 from planner.order.orderings import OrderStatus, Sequence, sequence
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 LIMITS = JointLimits(

@@ -7,7 +7,9 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.ports import JointLimits
-from planner.timing.motion import jerk_free, jerk_free_duration, move_time, retime, scaled
+from planner.timing.limits import jerk_free, scaled
+from planner.timing.motion import jerk_free_duration, retime
+from planner.timing.move_time import move_time
 from planner.timing.s_curve import Profile
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])

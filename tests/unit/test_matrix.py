@@ -11,7 +11,7 @@ from cell.rays import matrix
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, cache_folder, part_matrix
 from cell.scene.resolve import resolve
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from planner.measurability.matrix import fill
 from planner.surface.decimate import decimate
 from planner.surface.sample import face_features, sample

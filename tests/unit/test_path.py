@@ -14,7 +14,7 @@ from planner.path.certified_edge import (
 )
 from planner.path.path import PathStatus, connect, path_time, shorten
 from planner.ports import JointLimits
-from planner.timing.motion import move_time
+from planner.timing.move_time import move_time
 
 LIMITS = JointLimits(
     lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.full(6, 2.0), acceleration=np.full(6, 4.0)

@@ -13,7 +13,7 @@ from cell.part import workpiece
 from cell.robot.frames import pose_from_kuka_abc
 from cell.scene import devices
 from cell.scene.options import scene_of
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from cell.world.model import compile_world
 
 POSITION, ABC = (12.0, -7.5, 131.0), (31.0, -12.0, 95.0)

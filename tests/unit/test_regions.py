@@ -19,7 +19,8 @@ from cell.scene import devices
 from cell.scene.part_regions import areas_of, with_regions
 from cell.scene.region_limits import require_attainable
 from cell.scene.regions import complete, limited, require_no_wishes
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from planner.cover import Problem
 from planner.measurability.quality import Limited, Limits
 from planner.ports import Rejection

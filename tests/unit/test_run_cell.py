@@ -24,7 +24,7 @@ from cell.run.scene_of_run import scene_of_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.devices import by_part
 from cell.scene.resolve import resolve
-from cell.scene.scene import load_scene
+from cell.scene.scene_file import load_scene
 from cell.world.model import World, compile_world
 from cell.world.travel import TravelBound
 from planner.surface.decimate import decimate

@@ -10,7 +10,8 @@ from cell.part.workpiece import load as load_part
 from cell.scene import sensors
 from cell.scene.resolve import resolve
 from cell.scene.scanner_table import keys_of
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 
 
 def _problems(**scanner) -> list[str]:

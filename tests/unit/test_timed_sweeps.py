@@ -8,7 +8,8 @@ from planner.errors import PlannerError
 from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import DrivenSweep
-from planner.timing.motion import Motion, jerk_free_duration, move_time, retime
+from planner.timing.motion import Motion, jerk_free_duration, retime
+from planner.timing.move_time import move_time
 from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses
 

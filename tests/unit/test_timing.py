@@ -5,7 +5,9 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.ports import JointLimits
-from planner.timing.motion import move_time, retime, scaled
+from planner.timing.limits import scaled
+from planner.timing.motion import retime
+from planner.timing.move_time import move_time
 
 LIMITS = JointLimits(
     lower=np.full(6, -7.0),

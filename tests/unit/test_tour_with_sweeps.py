@@ -15,7 +15,8 @@ from planner.path.sweeps.motion import sweeps_of
 from planner.path.sweeps.passage import Passage
 from planner.path.sweeps.path import SweepPath, passages_of
 from planner.path.sweeps.timing import DrivenSweep
-from planner.timing.motion import move_time, retime
+from planner.timing.motion import retime
+from planner.timing.move_time import move_time
 from planner.values import Floats
 from planner.viewpoints.sweeps import straight_poses
 

@@ -1,0 +1,92 @@
+"""Limits of the axes as a motion uses them: checked, scaled, and joint angles held against them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from planner.errors import PlannerError
+from planner.ports import JointLimits, axis_name
+from planner.values import Floats
+
+
+def check_limits(limits: JointLimits) -> None:
+    """Refuse limits under which no motion can be timed.
+
+    Single limits may be infinite (a speed, an acceleration, a jerk that is not limited), but not acceleration and jerk
+    of one axis: its motion would jump in speed.
+
+    Raises:
+        PlannerError: if a limit is not above 0, acceleration and jerk of an axis are infinite, or a range is empty.
+    """
+    positive = (limits.velocity > 0) & (limits.acceleration > 0) & (limits.jerk > 0)
+    bounded = np.minimum(limits.acceleration, limits.jerk) < np.inf
+    if (positive & bounded & (limits.lower <= limits.upper)).all():
+        return
+    for axis in range(len(limits.lower)):
+        name = axis_name(axis)
+        for what, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2"), ("jerk", "rad/s^3")):
+            value = getattr(limits, what)[axis]
+            if not value > 0:
+                raise PlannerError(f"the {what} limit of {name} is {value} {unit}; it must be above 0")
+        if limits.acceleration[axis] == np.inf and limits.jerk[axis] == np.inf:
+            raise PlannerError(
+                f"the acceleration limit of {name} is inf rad/s^2 and its jerk limit inf rad/s^3; "
+                "one of them must be finite, or its speed would jump"
+            )
+        if not limits.lower[axis] <= limits.upper[axis]:
+            raise PlannerError(
+                f"the range of {name} is empty: its lower limit {limits.lower[axis]} rad is above its upper limit "
+                f"{limits.upper[axis]} rad"
+            )
+
+
+def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -> JointLimits:
+    """Limits with velocity and acceleration reduced to a fraction.
+
+    `speed` is the controller's override: a percentage of the velocity, as KUKA defines $OV_PRO. It leaves accelerations
+    as they are, so that an arm at low override stops the sooner. `acceleration` takes the jerk with it: the
+    acceleration is reached in the same time.
+
+    Args:
+        limits: limits at full speed.
+        speed: fraction of every velocity, above 0 up to 1.
+        acceleration: fraction of every acceleration and jerk, above 0 up to 1.
+
+    Raises:
+        PlannerError: if a fraction is outside (0, 1].
+    """
+    for name, fraction in (("speed", speed), ("acceleration", acceleration)):
+        if not 0 < fraction <= 1:
+            raise PlannerError(f"the {name} fraction is {fraction}; it must be above 0 and at most 1")
+    return replace(
+        limits,
+        velocity=limits.velocity * speed,
+        acceleration=limits.acceleration * acceleration,
+        jerk=limits.jerk * acceleration,
+    )
+
+
+def jerk_free(limits: JointLimits) -> JointLimits:
+    """The limits without that of the jerk: the bound against which jerk-limited motions are compared."""
+    return replace(limits, jerk=np.full_like(limits.jerk, np.inf))
+
+
+def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
+    """Refuse joint angles outside the range; there is no wrap-around of A4 and A6.
+
+    Args:
+        what: what the error calls a row of q.
+        q: (N, axes) joint angles [rad].
+        limits: limits of the axes.
+
+    Raises:
+        PlannerError: naming the first row and axis outside.
+    """
+    outside = ~((q >= limits.lower) & (q <= limits.upper))
+    if outside.any():
+        row, axis = np.argwhere(outside)[0]
+        low, high = np.degrees(limits.lower[axis]), np.degrees(limits.upper[axis])
+        raise PlannerError(
+            f"{what} {row} has {axis_name(int(axis))} at {np.degrees(q[row, axis]):.4f} deg; it must lie in "
+            f"{low:.4f} to {high:.4f} deg"
+        )
