@@ -46,7 +46,7 @@ def export(run_folder: Path, wanted: ExportOptions, narrator: Narrator | None = 
         UsageError: if the name is none in KRL, or KRL cannot drive it.
         FileError: if the run has no finished motion, a file of it is damaged, or the files cannot be written.
     """
-    loaded = program.load(run_folder, wanted.name, wanted.now, narrator)
+    loaded = program.load(run_folder, wanted.name, wanted, narrator)
     options = _krl_options(loaded, wanted)
     contents = _contents(loaded, options, wanted.kind)
     folder = wanted.out if wanted.out is not None else run_folder / FOLDER
@@ -81,7 +81,7 @@ def export_setups(folder: Path, wanted: ExportOptions, narrator: Narrator | None
     contents: dict[str, bytes] = {}
     all_: list[Program] = []
     for number, run in enumerate(planned.folders, start=1):
-        loaded = program.load(run, f"{name}_{number}", wanted.now, narrator)
+        loaded = program.load(run, f"{name}_{number}", wanted, narrator)
         contents |= _contents(loaded, _krl_options(loaded, wanted), wanted.kind)
         all_.append(loaded)
     if wanted.kind == "krl":

@@ -5,8 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cell.proof.files_now import Accepted, FilesNow, PartNow, SceneNow
-from cell.scene.fields import Table
+from cell.proof.files_now import FilesNow
 from cell.scene.option import Option
 
 _KRL = "KRL"
@@ -14,7 +13,7 @@ _Signal = Annotated[int, Field(ge=1, le=4096)]  # of $IN and $OUT on a KR C4
 _Percent = Annotated[int, Field(ge=1, le=100)]
 
 
-class ExportOptions(Table):
+class ExportOptions(FilesNow):
     """What is written, how fast it moves, what stands between controller and scanner."""
 
     kind: Annotated[Literal["krl", "csv", "json"], Option("What to write: krl, csv or json.", name="format")] = "krl"
@@ -40,9 +39,6 @@ class ExportOptions(Table):
     timer: Annotated[int, Field(ge=1, le=32), Option("$TIMER that measures the time-out.", _KRL, metavar="K")] = 1
     settle: Annotated[float, Field(ge=0, le=3600), Option("Standstill before each scan.", _KRL, metavar="S")] = 0.2
     timeout: Annotated[float, Field(ge=0.1, le=3600), Option("Longest wait for the scanner.", _KRL, metavar="S")] = 10.0
-    scene: SceneNow = None
-    part: PartNow = None
-    accept_changed_scene: Accepted = ()
 
     @model_validator(mode="after")
     def _outputs_of_their_own(self) -> Self:
@@ -51,8 +47,3 @@ class ExportOptions(Table):
                 f".gate_output is {self.gate_output}, and so is the trigger's; a sweep needs two of its own"
             )
         return self
-
-    @property
-    def now(self) -> FilesNow:
-        """Where the cell is described now."""
-        return FilesNow(self.scene, self.part, self.accept_changed_scene)

@@ -63,7 +63,7 @@ def require_same(proven: Proven, now: FilesNow, narrator: Narrator | None, *, wi
         found[MISSING] = (
             f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} gone and cannot be compared with the plan"
         )
-    open_ = {name: told for name, told in found.items() if name not in now.accepted}
+    open_ = {name: told for name, told in found.items() if name not in now.accept_changed_scene}
     refused = {name: told for name, told in open_.items() if name != MISSING or wire}
     if refused:
         raise SceneError(

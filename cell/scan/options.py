@@ -8,9 +8,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
 from cell.acquisition import SIMULATED
-from cell.proof.files_now import Accepted, FilesNow, PartNow, SceneNow
+from cell.proof.files_now import FilesNow
 from cell.run.digest import SHOWN
-from cell.scene.fields import NotNegative, Positive, Table, Units
+from cell.scene.fields import NotNegative, Positive, Units
 from cell.scene.option import Option
 from cell.scene.problems import sentences
 from planner.errors import PlannerError
@@ -43,7 +43,7 @@ OF_EACH_TIME = frozenset(
 """What is said anew where an execution is resumed; all else stays as it was begun."""
 
 
-class ScanOptions(Table):
+class ScanOptions(FilesNow):
     """What `cell scan` was asked for; what None means, each option says."""
 
     driver: Annotated[str, Option("Which controller drives.", metavar="URL")] = "sim://"
@@ -126,9 +126,6 @@ class ScanOptions(Table):
             metavar="N",
         ),
     ] = None
-    scene: SceneNow = None
-    part: PartNow = None
-    accept_changed_scene: Accepted = ()
 
     @model_validator(mode="after")
     def _errors_are_simulated(self) -> Self:
@@ -145,11 +142,6 @@ class ScanOptions(Table):
         return None if given is None else given.lower()
 
     @property
-    def files_now(self) -> FilesNow:
-        """Where the cell is described now."""
-        return FilesNow(self.scene, self.part, self.accept_changed_scene)
-
-    @property
     def registers(self) -> bool:
         """Whether poses are corrected by registration."""
         moved = self.pose_error_mm > 0 or self.pose_error_deg > 0 or self.acquire != SIMULATED
@@ -164,9 +156,9 @@ class ScanOptions(Table):
 
     def kept(self) -> dict[str, JsonValue]:
         """For the manifest: all that a report made later needs, settled."""
-        return {
-            **self.model_dump(mode="json", exclude={"registration", "confirm_motion"}), "register": self.registers
-        }  # fmt: skip
+        said = self.model_dump(mode="json", exclude={"registration", "confirm_motion"})
+        now = {name: said.pop(name) for name in FilesNow.model_fields}
+        return {**said, **now, "register": self.registers}
 
     @classmethod
     def begun(cls, kept: Mapping[str, object]) -> "ScanOptions":

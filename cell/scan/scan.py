@@ -100,7 +100,7 @@ def execute_and(
         stands: the part on which simulated rays fall [m], object frame; None is the plan's.
     """
     proven = prove(run_folder)
-    scene_now.require_same(proven, options.files_now, narrator, wire=scan_driver.on_a_wire(options.driver))
+    scene_now.require_same(proven, options, narrator, wire=scan_driver.on_a_wire(options.driver))
     run, motion = proven.run, proven.motion
     legs = legs_of(motion, options.view)
     released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
@@ -188,7 +188,7 @@ def _resumed(
     scans, left_out = usable(recorded, proven.plan.views)
     begun = resumable(run, recorded)
     settled = begun.resumed(options or ScanOptions())
-    scene_now.require_same(proven, settled.files_now, narrator, wire=scan_driver.on_a_wire(settled.driver))
+    scene_now.require_same(proven, settled, narrator, wire=scan_driver.on_a_wire(settled.driver))
     cell = cell_with(stands, read_cell(run, begun.resolution_deg))
     seed = recorded.manifest.require_seed(recorded.folder)
     legs, done = legs_of(motion, begun.view), {scan.stop for scan in scans}

@@ -129,7 +129,7 @@ def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> No
     for text in ("[table]\nvelocity_deg_s = 77", "[table]\nposition_mm = [1200, 500, -900]", ""):
         (tmp_path / "now.toml").write_text(text)
         with pytest.raises(SceneError, match="the table is another than the plan's"):
-            require_same(proven, FilesNow(tmp_path / "now.toml"), None, wire=False)
+            require_same(proven, FilesNow(scene=tmp_path / "now.toml"), None, wire=False)
 
 
 def test_the_show_turns_the_part(turned: Path) -> None:

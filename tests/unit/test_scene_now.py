@@ -76,9 +76,9 @@ def _refused(proven: Proven, files: FilesNow, *, wire: bool = False) -> str:
 def test_files_as_they_were_are_driven(proven: Proven, now: Path) -> None:
     """Those that the manifest names, and others of the same content."""
     require_same(proven, FilesNow(), None, wire=True)
-    require_same(proven, FilesNow(now / "cell.toml", str(now / "part.stl")), None, wire=True)
+    require_same(proven, FilesNow(scene=now / "cell.toml", part=str(now / "part.stl")), None, wire=True)
     (now / "cell.toml").write_text("# moved nothing\n" + _SCENE)
-    require_same(proven, FilesNow(now / "cell.toml"), None, wire=True)
+    require_same(proven, FilesNow(scene=now / "cell.toml"), None, wire=True)
 
 
 @pytest.mark.parametrize(
@@ -99,9 +99,11 @@ def test_files_as_they_were_are_driven(proven: Proven, now: Path) -> None:
 def test_what_differs_is_named_and_can_be_accepted(was: str, is_now: str, name: str, proven: Proven, now: Path) -> None:
     """Part, placement, mount, housing, post, pedestal, table, fixtures: by name; another name does not help."""
     (now / "cell.toml").write_text(_SCENE.replace(was, is_now))
-    assert _refused(proven, FilesNow(now / "cell.toml")) == name
-    assert _refused(proven, FilesNow(now / "cell.toml", accepted=("missing", "nothing"))) == name
-    require_same(proven, FilesNow(now / "cell.toml", accepted=tuple(name.split(","))), None, wire=True)
+    assert _refused(proven, FilesNow(scene=now / "cell.toml")) == name
+    assert _refused(proven, FilesNow(scene=now / "cell.toml", accept_changed_scene=("missing", "nothing"))) == name
+    require_same(
+        proven, FilesNow(scene=now / "cell.toml", accept_changed_scene=tuple(name.split(","))), None, wire=True
+    )
 
 
 def test_another_surface_is_another_part_and_another_header_is_not(proven: Proven, now: Path) -> None:
@@ -163,4 +165,4 @@ def test_what_the_command_line_said_is_no_difference(cell_of_files: Path, tmp_pa
     placed = prove(tmp_path / "run")
     (tmp_path / "cell.toml").write_text(_SCENE.replace("[60, 50, 40]", "[60, 50, 42]"))
     assert _refused(placed, FilesNow()) == "fixture:box"
-    assert _refused(placed, FilesNow(tmp_path / "cell.toml")) == "placement,fixture:box"
+    assert _refused(placed, FilesNow(scene=tmp_path / "cell.toml")) == "placement,fixture:box"
