@@ -7,22 +7,49 @@ GJK gives its distance. For another the hull only finds what to look at, and its
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.world.trees import KIND, trees_of
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
 
+    from cell.world.triangles import TriangleTree
+
+_KIND = {6: 0, 5: 1}  # `cell.world.triangle_distance.BOX` and `CYLINDER` by MuJoCo's type of a shape
+
 CONVEX = 1e-3
 """How deep a face may lie under a mesh's hull so that the hull stands for it [m]."""
 
 _APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
+
+
+class _Trees(Mapping[int, "TriangleTree"]):
+    """Trees by geom, each built when it is first asked for: half a second where nothing comes near its hull."""
+
+    def __init__(self, meshes: dict[int, TriangleMesh]) -> None:
+        self._meshes = meshes
+        self._built: dict[int, TriangleTree] = {}
+
+    def __getitem__(self, geom: int) -> TriangleTree:
+        if geom not in self._built:
+            from cell.world.triangles import TriangleTree  # its kernels load numba
+
+            self._built[geom] = TriangleTree(self._meshes[geom])
+        return self._built[geom]
+
+    def __contains__(self, geom: object) -> bool:
+        return geom in self._meshes
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._meshes)
+
+    def __len__(self) -> int:
+        return len(self._meshes)
 
 
 class Shapes:
@@ -42,9 +69,9 @@ class Shapes:
             hollow: names of those whose hull is more than they are.
         """
         self._model = model
-        self.trees = trees_of(model, meshes)
+        self.trees = _Trees({model.geom(name).id: mesh for name, mesh in meshes.items()})
         self.hollow = frozenset(model.geom(name).id for name in hollow)
-        self._kind = tuple(KIND.get(int(kind)) for kind in model.geom_type)
+        self._kind = tuple(_KIND.get(int(kind)) for kind in model.geom_type)
         self._body = tuple(model.geom_bodyid.tolist())
 
     def distance(
@@ -106,10 +133,11 @@ class Shapes:
                 kind, self._model.geom_size[shape], data.geom_xpos[shape], data.geom_xmat[shape], data.xpos[body],
                 data.xmat[body], reach, any_nearer=any_nearer, points=points,
             )  # fmt: skip
-        bodies = body, self._body[shape]
+        other = self._body[shape]
+        frames = (data.xpos[body], data.xmat[body]), (data.xpos[other], data.xmat[other])
         if shape not in self.hollow:
-            return tree.from_hull(self.trees[shape], data, bodies, reach, any_nearer=any_nearer, points=points)
-        distance = tree.from_tree(self.trees[shape], data, bodies, reach, any_nearer=any_nearer, points=points)
+            return tree.from_hull(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
+        distance = tree.from_tree(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
         if points is not None:
             points[:] = points[::-1].copy()
         return distance

@@ -153,21 +153,7 @@ class World(Value):
         any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:
-        """Distance of two geoms in a state of `model`, of their triangles where `trees` has them.
-
-        Args:
-            data: kinematics up to date.
-            a: a geom.
-            b: another.
-            reach: nothing beyond is looked for [m].
-            any_nearer: below `reach`, any distance will do: enough for yes or no, and faster with triangles.
-            points: (2, 3) is overwritten with the nearest points of a and b, base frame [m], where they are nearer
-                than `reach`.
-
-        Returns:
-            The distance [m], `reach` where it is more, 0 or less in contact; of two links that are guarded by less than
-            the clearance what they are beyond that, and the clearance.
-        """
+        """As `Shapes.distance`; of two links that are guarded by less, what they are beyond that, and the clearance."""
         if not self.nearer:
             return self.shapes.distance(data, a, b, reach, any_nearer=any_nearer, points=points)
         more = self.nearer.get((a, b), 0.0)

@@ -48,22 +48,10 @@ POST_LENGTH = 6.0
 """The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""
 
 # Collision classes: two shapes are a candidate pair when one's type meets the other's affinity.
-_CELL, _GROUND, _TOOL, _TURNS, _SWINGS = (
-    2,
-    4,
-    8,
-    16,
-    32,
-)  # the links' own class among themselves, 1, is that of models/kr16.xml
-_LINK_MEETS = {
-    "base": _TOOL,
-    "link_1": _CELL | _TOOL,
-    "link_2": _CELL | _GROUND | _TOOL,
-    "link_3": _CELL | _GROUND | _TOOL,
-    "link_4": _CELL | _GROUND | _TOOL,
-    "link_5": _CELL | _GROUND | _TOOL,
-    "link_6": _CELL | _GROUND,
-}
+# The links' own class among themselves, 1, is that of models/kr16.xml.
+_CELL, _GROUND, _TOOL, _TURNS, _SWINGS = 2, 4, 8, 16, 32
+_LINK_MEETS = {"base": _TOOL, "link_1": _CELL | _TOOL, "link_6": _CELL | _GROUND}
+"""Of the others all three."""
 
 
 def prepare_robot(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
@@ -95,20 +83,11 @@ def prepare_robot(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
 
 def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> None:
     """Bracket and housing, each in a body of its own whose frame is the flange's."""
-    import mujoco
-
     flange, last = spec.copy().compile().site(robot.FLANGE), spec.body("link_6")
     half = np.array(scene.housing.sides_mm) / 2000.0
-    last.add_body(name="housing", pos=flange.pos, quat=flange.quat).add_geom(
-        name="housing",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=half,
-        pos=T_flange_housing[:3, 3],
-        quat=quaternion(T_flange_housing[:3, :3]),
-        contype=_TOOL,
-        conaffinity=_CELL | _GROUND,
-        rgba=[0.1, 0.1, 0.12, 1],
-    )
+    body = last.add_body(name="housing", pos=flange.pos, quat=flange.quat)
+    housing = add_box(body, "housing", half, T_flange_housing, [0.1, 0.1, 0.12, 1])
+    housing.contype, housing.conaffinity = _TOOL, _CELL | _GROUND
     # From the middle of the flange to the point of the housing that is nearest to it.
     in_housing = np.linalg.inv(T_flange_housing)[:3, 3]
     end = T_flange_housing[:3, :3] @ np.clip(in_housing, -half, half) + T_flange_housing[:3, 3]
@@ -126,25 +105,14 @@ def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:
     """The floor, and the pedestal under the robot's foot."""
     import mujoco
 
-    ground = {"contype": _GROUND, "conaffinity": 0}
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[5.0, 5.0, 0.1],
-        pos=[0.0, 0.0, -scene.robot.pedestal_height_mm / 1000.0],
-        rgba=[0.8, 0.8, 0.8, 1],
-        **ground,
-    )
+    floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5.0, 5.0, 0.1])
+    floor.pos, floor.rgba = [0.0, 0.0, -scene.robot.pedestal_height_mm / 1000.0], [0.8, 0.8, 0.8, 1]
+    floor.contype, floor.conaffinity = _GROUND, 0
     if scene.robot.pedestal_mm is not None:
         size, middle = np.array(scene.robot.pedestal_mm) / 1000.0
-        spec.worldbody.add_geom(
-            name="pedestal",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=size / 2,
-            pos=middle,
-            rgba=[0.4, 0.42, 0.45, 1],
-            **ground,
-        )
+        T = np.eye(4)
+        T[:3, 3] = middle
+        add_box(spec.worldbody, "pedestal", size / 2, T, [0.4, 0.42, 0.45, 1]).contype = _GROUND
 
 
 def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
@@ -177,22 +145,12 @@ def guard_what_turns(spec: mujoco.MjSpec, *, post_swings: bool) -> None:
 
 def add_fixtures(spec: mujoco.MjSpec, scene: Scene, placed_body: mujoco.MjsBody) -> dict[str, TriangleMesh]:
     """Every fixture, on the part's body or the world's; returns the true triangles of the mesh fixtures by name."""
-    import mujoco
-
     meshes = {}
     for fixture in scene.fixtures:
         body = placed_body if fixture.attached_to == "object" else spec.worldbody
         match fixture:
             case BoxFixture():
-                geom = body.add_geom(
-                    name=fixture.name,
-                    type=mujoco.mjtGeom.mjGEOM_BOX,
-                    size=np.array(fixture.size_mm) / 2000.0,
-                    pos=fixture.T[:3, 3],
-                    quat=quaternion(fixture.T[:3, :3]),
-                    rgba=[0.35, 0.5, 0.65, 1],
-                )
-                geom.contype, geom.conaffinity = _CELL, 0
+                add_box(body, fixture.name, np.array(fixture.size_mm) / 2000.0, fixture.T, [0.35, 0.5, 0.65, 1])
             case CylinderFixture():
                 diameter, height = np.array(fixture.size_mm) / 1000.0
                 add_cylinder(body, fixture.name, diameter / 2, height, fixture.T)
@@ -210,20 +168,22 @@ def fixture_mesh(fixture: MeshFixture) -> TriangleMesh:
     return TriangleMesh(vertices * UNITS[fixture.units] @ T[:3, :3].T + T[:3, 3], faces.astype(np.int32))
 
 
+def add_box(body: mujoco.MjsBody, name: str, half: Floats, T: Floats, rgba: list[float]) -> mujoco.MjsGeom:
+    """A box of half sides (3,) at the pose T (4, 4) of its middle [m]."""
+    import mujoco
+
+    box = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=T[:3, 3], rgba=rgba)
+    box.quat, box.contype, box.conaffinity = quaternion(T[:3, :3]), _CELL, 0
+    return box
+
+
 def add_cylinder(body: mujoco.MjsBody, name: str, radius: float, length: float, T: Floats) -> mujoco.MjsGeom:
     """A cylinder along z of the pose T (4, 4), its middle there [m]; radius and length in metres."""
     import mujoco
 
-    return body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[radius, length / 2, 0.0],
-        pos=T[:3, 3],
-        quat=quaternion(T[:3, :3]),
-        contype=_CELL,
-        conaffinity=0,
-        rgba=[0.55, 0.55, 0.6, 1],
-    )
+    rod = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, length / 2, 0.0], pos=T[:3, 3])
+    rod.quat, rod.contype, rod.conaffinity, rod.rgba = quaternion(T[:3, :3]), _CELL, 0, [0.55, 0.55, 0.6, 1]
+    return rod
 
 
 def add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, hull: TriangleMesh) -> None:
@@ -237,15 +197,8 @@ def add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, hull: Triangl
         userface=hull.faces.ravel(),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
     )
-    body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=name,
-        pos=middle,
-        contype=_CELL,
-        conaffinity=0,
-        rgba=[0.75, 0.6, 0.35, 1],
-    )
+    geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=middle)
+    geom.contype, geom.conaffinity, geom.rgba = _CELL, 0, [0.75, 0.6, 0.35, 1]
 
 
 def quaternion(R: ArrayLike) -> Floats:

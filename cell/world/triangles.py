@@ -12,7 +12,6 @@ inside is found by counting crossings of a ray, and its distance is negative. Le
 """
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,8 @@ from cell.world.triangle_distance import HULL, nearest_pair, nearest_triangle
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
-if TYPE_CHECKING:
-    import mujoco
+Frames = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
+"""Origin (3,) and axes (9,), row by row, of two frames in base [m]."""
 
 _LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
 
@@ -102,22 +101,12 @@ class TriangleTree:
         return float(measured)
 
     def from_hull(
-        self,
-        other: "TriangleTree",
-        data: "mujoco.MjData",
-        bodies: tuple[int, int],
-        reach: float,
-        *,
-        any_nearer: bool = False,
-        points: "Floats | None" = None,
+        self, other: "TriangleTree", frames: Frames, reach: float, *, any_nearer: bool, points: Floats | None
     ) -> float:
         """Distance of the convex hull of another tree's triangles from those of this one; see `from_tree`."""
-        middle, vertices = other.hull
-        (here, R), (there, turn) = ((data.xpos[body], data.xmat[body]) for body in bodies)
-        return self.distance(
-            HULL, vertices, there + turn.reshape(3, 3) @ middle, turn, here, R, reach, any_nearer=any_nearer,
-            points=points,
-        )  # fmt: skip
+        (middle, vertices), (here, (position, R)) = other.hull, frames
+        position = position + R.reshape(3, 3) @ middle
+        return self.distance(HULL, vertices, position, R, *here, reach, any_nearer=any_nearer, points=points)
 
     @cached_property
     def hull(self) -> tuple[Floats, Floats]:
@@ -129,21 +118,14 @@ class TriangleTree:
         return middle, np.ascontiguousarray(points[ConvexHull(points).vertices] - middle)
 
     def from_tree(
-        self,
-        other: "TriangleTree",
-        data: "mujoco.MjData",
-        bodies: tuple[int, int],
-        reach: float,
-        *,
-        any_nearer: bool = False,
-        points: "Floats | None" = None,
-    ) -> float:
+        self, other: "TriangleTree", frames: Frames, reach: float, *, any_nearer: bool = False,
+        points: Floats | None = None,
+    ) -> float:  # fmt: skip
         """Distance from the triangles of another tree.
 
         Args:
             other: that tree.
-            data: a state, kinematics up to date.
-            bodies: in whose frames the triangles of this one and of the other are.
+            frames: of this one and of the other.
             reach: nothing beyond is looked for [m].
             any_nearer: stop at the first two triangles nearer than `reach`.
             points: (2, 3) is overwritten with the nearest points of this one and the other, base frame [m].
@@ -153,9 +135,9 @@ class TriangleTree:
             the other, which is closed.
         """
         found = np.zeros((2, 3)) if points is None else points
-        (here, R), (there, of_other) = ((data.xpos[body], data.xmat[body]) for body in bodies)
-        measured = nearest_pair((here, R), self._tree, (there, of_other), other._tree, reach, any_nearer, found)
+        measured = nearest_pair(frames[0], self._tree, frames[1], other._tree, reach, any_nearer, found)
         if measured > 0:
+            (here, R), (there, of_other) = frames
             turn = R.reshape(3, 3).T @ of_other.reshape(3, 3)
             shift = R.reshape(3, 3).T @ (there - here)
             held = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)

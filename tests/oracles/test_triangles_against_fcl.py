@@ -6,7 +6,6 @@ by a search over every triangle.
 
 import itertools
 from collections.abc import Callable
-from types import SimpleNamespace
 
 import fcl
 import mujoco
@@ -244,19 +243,21 @@ def test_two_meshes_are_as_far_apart_as_fcl_says(name: str) -> None:
     for _ in range(40):
         turns = [trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3] for _ in trees]
         places = [np.zeros(3), rng.uniform(-0.15, 0.15, 3)]
-        state = SimpleNamespace(xpos=places, xmat=[turn.ravel() for turn in turns])
+        frames = tuple((place, turn.ravel()) for place, turn in zip(places, turns, strict=True))
         one, two = (
             fcl.CollisionObject(model, fcl.Transform(turn, place))
             for model, turn, place in zip(models, turns, places, strict=True)
         )
         truth = 0.0 if fcl.collide(one, two) else fcl.distance(one, two)
         points = np.zeros((2, 3))
-        measured = abs(trees[0].from_tree(trees[1], state, (0, 1), 1.0, points=points))
+        measured = abs(trees[0].from_tree(trees[1], frames, 1.0, points=points))
         assert measured == pytest.approx(truth, abs=2e-6)
         assert np.linalg.norm(points[0] - points[1]) == pytest.approx(measured, abs=2e-6)
-        assert abs(trees[1].from_hull(trees[0], state, (1, 0), 1.0)) == pytest.approx(truth, abs=2e-6)
+        assert abs(trees[1].from_hull(trees[0], frames[::-1], 1.0, any_nearer=False, points=None)) == pytest.approx(
+            truth, abs=2e-6
+        )
         if truth > 1e-3:
             apart += 1
-            assert abs(trees[0].from_tree(trees[1], state, (0, 1), 0.9 * truth, any_nearer=True)) == 0.9 * truth
-            assert abs(trees[0].from_tree(trees[1], state, (0, 1), 1.1 * truth, any_nearer=True)) < 1.1 * truth
+            assert abs(trees[0].from_tree(trees[1], frames, 0.9 * truth, any_nearer=True)) == 0.9 * truth
+            assert abs(trees[0].from_tree(trees[1], frames, 1.1 * truth, any_nearer=True)) < 1.1 * truth
     assert apart > 5
