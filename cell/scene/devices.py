@@ -45,8 +45,8 @@ def settled(scene: Scene, part: str, longest_mm: float) -> Scene:
         scanner["range_mm"] = range_mm
     if scene.scanner.baseline_mm is None and (known is None or "baseline_mm" in known):
         scanner["baseline_mm"] = baseline_mm
-    body = (device if "housing_mm" in device.figures else sensors.load(LARGE)).figures
-    housing = {"size_mm": tuple(body["housing_mm"]), "bracket_diameter_mm": body["bracket_mm"]}
+    body = (device if device.figures.housing_mm else sensors.load(LARGE)).figures
+    housing = {"size_mm": body.housing_mm, "bracket_diameter_mm": body.bracket_mm}
     return scene.model_copy(
         update={
             "scanner": scene.scanner.model_copy(update=scanner),
@@ -79,11 +79,11 @@ def notes(scene: Scene, part: Workpiece) -> list[str]:
     if given.sensor is None or scene.housing.size_mm is not None:
         return []
     figures = sensors.load(given.sensor).figures
-    if "housing_mm" in figures:
+    if figures.housing_mm is not None:
         return []
-    body = figures.get("body_mm")
+    body = figures.body_mm
     stated = "its body is not stated" if body is None else f"its body is {' x '.join(f'{s:g}' for s in body)} mm"
-    size = " x ".join(f"{side:g}" for side in sensors.load(LARGE).figures["housing_mm"])
+    size = " x ".join(f"{side:g}" for side in sensors.load(LARGE).figures.housing_mm or ())
     return [
         f"the housing that collides is that of {LARGE}, {size} mm; {given.sensor}: {stated}; set housing.size_mm and "
         "housing.position_mm to the real one"
@@ -110,7 +110,7 @@ def _optics(device: Sensor, scene: Scene, suited: str) -> tuple[tuple[float, flo
     """Range and baseline [mm] of a device; None: not stated, so that the scene gives it."""
     own = device.figures
     if not device.follows_standoff:
-        return tuple(own["range_mm"]) if "range_mm" in own else None, own.get("baseline_mm")
-    standoffs = scene.plan.standoffs_mm or (sum(sensors.load(suited).figures["range_mm"]) / 2,)
-    near, far = own["range_shares"]
-    return (near * min(standoffs), far * max(standoffs)), own["baseline_share"] * standoffs[0]
+        return own.range_mm, own.baseline_mm
+    standoffs = scene.plan.standoffs_mm or (sum(sensors.load(suited).figures.range_mm or ()) / 2,)
+    near, far = own.range_shares or (0.0, 0.0)
+    return (near * min(standoffs), far * max(standoffs)), (own.baseline_share or 0.0) * standoffs[0]

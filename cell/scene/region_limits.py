@@ -52,7 +52,9 @@ def _what_helps(scene: Scene, limit: float, least: float) -> str:
         keys = {"resolution_deg": scene.scanner.resolution_deg, "fov_deg": scene.scanner.fov_deg, **own.keys}
         there = getattr(scanners.make(own.type, keys), "least_spacing_mm", float("inf"))
         if there <= limit:
-            ways.append(f"take --sensor {name} ({there:.3g} mm at its nearest, {own.figures['range_mm'][0]:g} mm)")
+            ways.append(
+                f"take --sensor {name} ({there:.3g} mm at its nearest, {(own.figures.range_mm or (0.0,))[0]:g} mm)"
+            )
             break
     return ", or ".join([", ".join(ways[:-1]), ways[-1]] if len(ways) > 1 else ways)
 

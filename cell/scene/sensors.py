@@ -13,12 +13,14 @@ guessed in its place, and a scene that needs it must give it.
 
 import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Self
+
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cell.errors import FileError, SceneError
+from cell.scene.fields import Positive, Table
+from cell.scene.problems import did_you_mean, sentences
 
 _AREA = {"range_mm": "range", "baseline_mm": "baseline"}
 REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}
@@ -27,68 +29,94 @@ REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}
 OF_DENSITY = {"line_points": "points of a line", "profile_rate_hz": "lines a second"}
 """Of a line sensor: the keys without which nothing can be said of its density, so that a limit on it asks for them."""
 
-_TEXTS = ("maker", "model", "type")
-_NUMBERS = (
-    *("clearance_mm", "reference_mm", "depth_mm", "width_near_mm", "width_far_mm", "baseline_mm", "bracket_mm"),
-    *("baseline_share", "points_per_line", "profile_rate_hz", "repeatability_mm"),
-)
-_LISTS = {"body_mm": 3, "housing_mm": 3, "range_mm": 2, "range_shares": 2, "resolution_across_mm": 2}
-_RISING = ("range_mm", "range_shares", "resolution_across_mm")
-_FIGURES = (*_NUMBERS, *_LISTS)
+_Two = Annotated[tuple[Positive, Positive], Field(strict=False)]
+_Sides = Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
 
 
-@dataclass(frozen=True, slots=True)
-class Sensor:
-    """One scanner of the library.
+class Figures(Table):
+    """What a sensor's source states; None: it does not. Lengths [mm].
 
-    Attributes:
-        name: how a scene and the command line call it.
-        maker: who makes it.
-        model: what its maker calls it.
-        type: the scanner plug-in that models it.
-        figures: what its source states: lengths [mm] and
-            body_mm: sides of the body in the source's order; housing_mm: along x, y, z of the scanner frame;
-            range_shares, baseline_share: of the standoff, in place of range_mm and baseline_mm;
-            resolution_across_mm: between neighbouring points of a line, near and far;
-            points_per_line; profile_rate_hz: lines a second [1/s]; repeatability_mm: of a point's distance.
-        source: of each figure.
+    `body_mm` are the sides of the body in the source's order, `housing_mm` those along x, y, z of the scanner frame;
+    shares are of the standoff, in place of `range_mm` and `baseline_mm`; `profile_rate_hz` are lines a second [1/s],
+    `resolution_across_mm` is between neighbouring points of a line, near and far.
     """
+
+    clearance_mm: Positive | None = None
+    reference_mm: Positive | None = None
+    depth_mm: Positive | None = None
+    width_near_mm: Positive | None = None
+    width_far_mm: Positive | None = None
+    body_mm: _Sides | None = None
+    housing_mm: _Sides | None = None
+    bracket_mm: Positive | None = None
+    range_mm: _Two | None = None
+    range_shares: _Two | None = None
+    baseline_mm: Positive | None = None
+    baseline_share: Positive | None = None
+    points_per_line: Annotated[int, Field(gt=0)] | None = None
+    profile_rate_hz: Positive | None = None
+    resolution_across_mm: _Two | None = None
+    repeatability_mm: Positive | None = None
+
+    @field_validator("range_mm", "range_shares", "resolution_across_mm")
+    @classmethod
+    def _rising(cls, ends: tuple[float, float] | None) -> tuple[float, float] | None:
+        if ends is not None and not ends[0] < ends[1]:
+            raise ValueError("must be [near, far] with near < far")
+        return ends
+
+    @model_validator(mode="after")
+    def _growing(self) -> Self:
+        if self.width_near_mm is not None and (self.width_far_mm or math.inf) <= self.width_near_mm:
+            raise ValueError(".width_far_mm is of a line that does not grow with the distance")
+        return self
+
+
+class Sensor(Table):
+    """One scanner of the library: how a scene calls it, its maker and his name for it, the plug-in that models it."""
 
     name: str
     maker: str
     model: str
     type: str
-    figures: Mapping[str, Any]
-    source: Mapping[str, str]
+    figures: Figures
+    source: dict[str, str]
+
+    @model_validator(mode="after")
+    def _sources(self) -> Self:
+        if lone := sorted(self.figures.model_fields_set ^ set(self.source)):
+            raise ValueError(f".source must have a source for each figure and no other; see '{lone[0]}'")
+        return self
 
     @property
-    def keys(self) -> dict[str, Any]:
+    def keys(self) -> dict[str, float | tuple[float, float]]:
         """Keys of the scene's `[scanner]` that follow from the figures."""
-        keys: dict[str, Any] = {}
         known = self.figures
-        if {"depth_mm", "width_near_mm", "width_far_mm"} <= set(known):
-            half = (known["width_far_mm"] - known["width_near_mm"]) / known["depth_mm"] / 2
-            near = known["width_near_mm"] / half / 2
-            keys["fan_deg"] = math.degrees(2 * math.atan(half))
-            keys["range_mm"] = [near, near + known["depth_mm"]]
-        keys |= {key: known[key] for key in ("range_mm", "baseline_mm") if key in known}
-        of_lines = {"line_points": "points_per_line", "profile_rate_hz": "profile_rate_hz"}
-        return keys | {key: known[figure] for key, figure in of_lines.items() if figure in known}
+        fan, span = None, known.range_mm
+        if known.depth_mm and known.width_near_mm and known.width_far_mm:
+            half = (known.width_far_mm - known.width_near_mm) / known.depth_mm / 2
+            near = known.width_near_mm / half / 2
+            fan, span = math.degrees(2 * math.atan(half)), (near, near + known.depth_mm)
+        keys = {
+            "fan_deg": fan, "range_mm": span, "baseline_mm": known.baseline_mm, "line_points": known.points_per_line,
+            "profile_rate_hz": known.profile_rate_hz,
+        }  # fmt: skip
+        return {key: value for key, value in keys.items() if value is not None}
 
     @property
     def follows_standoff(self) -> bool:
         """Whether range and baseline are shares of the standoff, as of no device."""
-        return "range_shares" in self.figures
+        return self.figures.range_shares is not None
 
     @property
     def apex_behind_window_mm(self) -> float | None:
         """How far behind the housing's window (its reference plane) the fan's apex lies [mm]; None: not known."""
-        near, known = self.keys.get("range_mm", [None])[0], self.figures
-        if near is None:
-            return None
-        if "clearance_mm" in known:
-            return float(near - known["clearance_mm"])
-        return float(near + known["depth_mm"] / 2 - known["reference_mm"]) if "reference_mm" in known else None
+        match self.keys.get("range_mm"), self.figures:
+            case (near, _), Figures(clearance_mm=float(clearance)):
+                return near - clearance
+            case (near, _), Figures(depth_mm=float(depth), reference_mm=float(reference)):
+                return near + depth / 2 - reference
+        return None
 
     @property
     def not_stated(self) -> dict[str, str]:
@@ -104,7 +132,7 @@ class Sensor:
             "maker": self.maker,
             "model": self.model,
             "type": self.type,
-            "figures": dict(self.figures),
+            "figures": self.figures.model_dump(mode="json", exclude_none=True),
             "scanner_keys": self.keys,
             "apex_behind_window_mm": self.apex_behind_window_mm,
             "to_be_given": list(self.not_stated),
@@ -127,8 +155,6 @@ def load(name: str) -> Sensor:
         SceneError: if there is none of that name.
         FileError: if its file is not a sensor's.
     """
-    from cell.scene.problems import did_you_mean
-
     known = names()
     if name not in known:
         raise SceneError(f"the sensor '{name}' is unknown; {did_you_mean(name, known)}valid are: {', '.join(known)}")
@@ -142,41 +168,11 @@ def read(path: Path) -> Sensor:
         FileError: with what is wrong in it: nothing but texts, known figures above 0, and a source for each figure.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return Sensor.model_validate({"name": path.stem, **tomllib.loads(path.read_text(encoding="utf-8"))})
+    except ValidationError as error:
+        raise FileError(f"the sensor file {path} is damaged: {'; '.join(sentences(error, Sensor))}") from error
+    except (OSError, ValueError) as error:
         raise FileError(f"the sensor file {path} cannot be read: {error}") from error
-    texts, figures, source = {}, content.get("figures"), content.get("source")
-    for name in _TEXTS:
-        if not isinstance(content.get(name), str):
-            raise FileError(f"the sensor file {path} lacks '{name}', a text")
-        texts[name] = str(content[name])
-    if not isinstance(figures, dict) or not isinstance(source, dict):
-        raise FileError(f"the sensor file {path} lacks its tables [figures] and [source]")
-    unknown = [*(set(content) - {*_TEXTS, "figures", "source"}), *(set(figures) - set(_FIGURES))]
-    if unknown:
-        raise FileError(f"the sensor file {path} has the unknown key '{min(unknown)}'; figures: {', '.join(_FIGURES)}")
-    for name, value in figures.items():
-        if problem := _problem(name, value):
-            raise FileError(f"the sensor file {path} has {name} = {value!r}; {problem}")
-    if set(figures) != set(source):
-        lone = min(set(figures) ^ set(source))
-        raise FileError(f"the sensor file {path} must have a source for each figure and no other; see '{lone}'")
-    if figures.get("width_far_mm", math.inf) <= figures.get("width_near_mm", 0):
-        raise FileError(f"the sensor file {path} has a line that does not grow with the distance; see 'width_far_mm'")
-    return Sensor(path.stem, texts["maker"], texts["model"], texts["type"], figures, source)
-
-
-def _problem(name: str, value: Any) -> str:
-    """What is wrong with a figure; "" for nothing."""
-    count = _LISTS.get(name)
-    numbers = value if count is not None and isinstance(value, list) else [value]
-    if count is not None and (not isinstance(value, list) or len(value) != count):
-        return f"it must be {count} numbers above 0"
-    if not all(type(number) in (int, float) and 0 < number < math.inf for number in numbers):
-        return "it must be a length above 0" if name.endswith("_mm") else "it must be a number above 0"
-    if name == "points_per_line" and not isinstance(value, int):
-        return "it must be a whole number"
-    return "it must be [near, far] with near < far" if name in _RISING and not numbers[0] < numbers[1] else ""
 
 
 def table_rows() -> list[tuple[str, ...]]:
@@ -184,30 +180,26 @@ def table_rows() -> list[tuple[str, ...]]:
     heading = ("scanner", "distance", "line", "fan", "range", "baseline", "you give")
     rows: list[tuple[str, ...]] = [heading]
     for sensor in map(load, names()):
-        known, keys = sensor.figures, sensor.keys
-        span = known.get("range_shares") or keys.get("range_mm")
-        baseline = known.get("baseline_share") or keys.get("baseline_mm")
-        unit = " x" if sensor.follows_standoff else ""
-        rows.append(
-            (
-                sensor.name,
-                _distance(known),
-                f"{known['width_near_mm']:g}..{known['width_far_mm']:g}" if "width_near_mm" in known else "-",
-                f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
-                f"{span[0]:.4g}..{span[1]:.4g}{unit}" if span is not None else "-",
-                f"{baseline:g}{unit}" if baseline is not None else "-",
-                ", ".join(sensor.not_stated),
-            )
-        )
+        known, keys, unit = sensor.figures, sensor.keys, " x" if sensor.follows_standoff else ""
+        baseline = known.baseline_share or known.baseline_mm
+        span = known.range_shares or keys.get("range_mm")
+        rows.append((
+            sensor.name, _distance(known),
+            f"{known.width_near_mm:g}..{known.width_far_mm:g}" if known.width_near_mm else "-",
+            f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
+            f"{span[0]:.4g}..{span[1]:.4g}{unit}" if isinstance(span, tuple) else "-",
+            f"{baseline:g}{unit}" if baseline is not None else "-",
+            ", ".join(sensor.not_stated),
+        ))  # fmt: skip
     return rows
 
 
-def _distance(known: Mapping[str, Any]) -> str:
+def _distance(known: Figures) -> str:
     """From housing to measuring range, as the source puts it."""
-    if "clearance_mm" in known:
-        return f"{known['clearance_mm']:g}..{known['clearance_mm'] + known['depth_mm']:g}"
-    half = f"+-{known['depth_mm'] / 2:g}" if "depth_mm" in known else ""
-    return f"{known['reference_mm']:g}{half}" if "reference_mm" in known else "-"
+    if known.clearance_mm is not None:
+        return f"{known.clearance_mm:g}..{known.clearance_mm + (known.depth_mm or 0):g}"
+    half = f"+-{known.depth_mm / 2:g}" if known.depth_mm is not None else ""
+    return f"{known.reference_mm:g}{half}" if known.reference_mm is not None else "-"
 
 
 def _folder() -> Path:

@@ -33,7 +33,7 @@ def test_the_library_holds_real_sensors_generic_devices_and_the_papers_scanner()
 def test_every_figure_has_its_source(name: str) -> None:
     """Each figure, and nothing else; the keys that follow are the type's."""
     sensor = sensors.load(name)
-    assert set(sensor.source) == set(sensor.figures)
+    assert set(sensor.source) == sensor.figures.model_fields_set
     assert all(sensor.source.values())
     assert set(sensor.keys) <= set(keys_of(sensor.type) or ())
 
@@ -44,11 +44,11 @@ def test_every_figure_has_its_source(name: str) -> None:
 def test_the_generic_devices_are_one_device_to_scale(name: str, near: float, far: float) -> None:
     """Baseline and body are to the range as those of the large one, to the tenth of a millimetre; all is stated."""
     device, large = sensors.load(f"generic-area-{name}"), sensors.load("generic-area-large")
-    assert device.figures["range_mm"] == [near, far]
-    assert device.figures["baseline_mm"] == (near + far) / 8
+    assert device.figures.range_mm == (near, far)
+    assert device.figures.baseline_mm == (near + far) / 8
     for key in ("housing_mm", "bracket_mm"):
-        to_scale = np.array(large.figures[key]) * far / 450
-        np.testing.assert_allclose(device.figures[key], to_scale, atol=0.05)
+        to_scale = np.array(getattr(large.figures, key)) * far / 450
+        np.testing.assert_allclose(getattr(device.figures, key), to_scale, atol=0.05)
     assert not device.not_stated
 
 
@@ -147,14 +147,14 @@ def test_laser_area_without_more_keys_stays_what_it_was() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("depth_mm = 400.0", "depth_mm = -400.0", "depth_mm = -400.0; it must be a length above 0"),
-        ("depth_mm = 400.0", "depth_mm = true", "depth_mm = True"),
-        ("depth_mm = 400.0", 'depth_mm = "400"', "it must be a length"),
-        ("depth_mm = 400.0", "detph_mm = 400.0", "unknown key 'detph_mm'"),
+        ("depth_mm = 400.0", "depth_mm = -400.0", "depth_mm is -400.0; it must be above 0"),
+        ("depth_mm = 400.0", "depth_mm = true", "depth_mm is true"),
+        ("depth_mm = 400.0", 'depth_mm = "400"', "depth_mm is '400'; it must be a number"),
+        ("depth_mm = 400.0", "detph_mm = 400.0", "detph_mm is an unknown key"),
         ("depth_mm = 400.0", "baseline_mm = 3.0", "a source for each figure"),
         ("width_near_mm = 158.0", "width_near_mm = 365.0", "does not grow with the distance"),
-        ('maker = "LMI Technologies"', "", "lacks 'maker'"),
-        ("[figures]", "[figure]", r"lacks its tables \[figures\]"),
+        ('maker = "LMI Technologies"', "", "maker is missing"),
+        ("[figures]", "[figure]", r"figures is missing"),
         ("[figures]", "[figures", "cannot be read"),
     ],
 )
