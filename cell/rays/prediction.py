@@ -1,7 +1,7 @@
 """Predicted coverage of a plan on samples that the optimiser has not seen (planner/measurability/coverage.py)."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import measured
+from planner.measurability.remembered import Remembered
 from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
@@ -43,6 +44,7 @@ class Prediction:
         coverable: what at least one reachable candidate measures.
         asked: (S,) samples on which a coverage is kept; None: all.
         asks: the same of any samples.
+        remembered: what is known so far of views that were asked about.
     """
 
     samples: SurfaceSamples
@@ -51,6 +53,7 @@ class Prediction:
     coverable: Coverage
     asked: Bools | None = None
     asks: Callable[[SurfaceSamples], Bools] | None = None
+    remembered: list[Remembered] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -83,7 +86,9 @@ class Prediction:
 
     def visible(self, T_object_scanner: Floats) -> Coverage:
         """Visible coverage of views (n, K, 4, 4) [m]."""
-        return coverage.visible(T_object_scanner, self.samples, self.scanner, self.casters)
+        if not self.remembered:
+            self.remembered.append(Remembered(self.samples, self.scanner, self.casters))
+        return coverage.visible_of(self.remembered[0].measured(T_object_scanner)[:, None], self.samples)
 
     def share_of_coverable(self, T_object_scanner: Floats) -> float:
         """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable.

@@ -5,9 +5,9 @@ point is inside the frustum (the paper's spherical cone) where its two planar an
 |atan2(y, z)| <= FOV_v / 2, and where its distance from the source is within the range. The grazing angle is the one
 between the outward normal and the direction to the source (or to the sensor). Three conditions are off unless they are
 given: the sensor's own field of view, two planar angles about its axis in the same way, the depth of field, limits of
-the depth z, and the largest spacing of neighbouring points on the surface (`cell.scanners.area_law`). The sensor's axis
-lies in the plane of the baseline (x, z) and is tilted towards the source; by default it meets the source's axis in the
-middle of the working range.
+the depth z, and the largest spacing of neighbouring points on the surface. The sensor's axis lies in the plane of the
+baseline (x, z) and is tilted towards the source; by default it meets the source's axis in the middle of the working
+range.
 
 `sigma` is the expected standard deviation of a point along its ray: docs/internals/sigma_model.md.
 
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
+from planner.ports import Rejection
 from planner.values import Floats, readonly
 
 if TYPE_CHECKING:
@@ -185,7 +186,12 @@ class LaserArea:
 
         # Of copies: one form of the kernel is compiled, in whatever order the arrays are, writable or not.
         x_y_z, n_x_y_z = (np.array(vectors.T, dtype=np.float64, order="C") for vectors in (points, normals))
-        return rejections(x_y_z, n_x_y_z, self._limits, TOLERANCE)
+        codes = rejections(x_y_z, n_x_y_z, self._limits, TOLERANCE)
+        if self.max_spacing_mm is not None:
+            passed = np.flatnonzero(codes == Rejection.MEASURED)
+            dense = self.spacing(points[passed], normals[passed]) <= self.max_spacing_mm / 1000 * (1 + TOLERANCE)
+            codes[passed[~dense]] = Rejection.TOO_SPARSE
+        return codes
 
     def _constants(self) -> tuple[float, ...]:
         """As `cell.scanners.area_law.rejections` takes them; `TOLERANCE` applied to those that are constants."""
@@ -198,8 +204,6 @@ class LaserArea:
             *(math.cos(math.radians(a)) - TOLERANCE for a in (self.grazing_max_deg, self.sensor_grazing_max_deg)),
             math.cos(self.sensor_tilt),
             math.sin(self.sensor_tilt),
-            *self._steps,
-            math.inf if self.max_spacing_mm is None else self.max_spacing_mm / 1000 * (1 + TOLERANCE),
         )
 
     @property
@@ -226,12 +230,24 @@ class LaserArea:
         Returns:
             (N,) [m]; inf where the source does not face the surface. On the axis, before a wall that is turned by t
             about the vertical, it is z times the angle between rays over cos t.
-        """
-        from cell.scanners.area_law import spacings  # numba is kept out of the start-up
 
-        x_y_z, n_x_y_z = (np.array(vectors.T, dtype=np.float64, order="C") for vectors in (points, normals))
-        found: Floats = spacings(x_y_z, n_x_y_z, *self._steps)
-        return found
+        The rays of the grid are equal steps of the two planar angles apart, atan2(x, z) and atan2(y, z). One step `a`
+        of the first moves the point where a ray meets the plane through p with the normal n by
+
+            a z (1 + x^2 / z^2) (e_x - p n_x / (n . p))
+
+        to first order: the derivative of z (tan(angle), y / z, 1) along the plane. The second is the same with y, e_y.
+        """
+        x, y, z = np.ascontiguousarray(points.T)
+        n_x, n_y, n_z = np.ascontiguousarray(normals.T)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            along = n_x * x + n_y * y + n_z * z
+            k, m = n_x / along, n_y / along
+            in_x = np.sqrt((1 - x * k) ** 2 + (y * k) ** 2 + (z * k) ** 2)
+            in_y = np.sqrt((x * m) ** 2 + (1 - y * m) ** 2 + (z * m) ** 2)
+            step_x, step_y = self._steps
+            found = np.maximum(step_x * (z + x * x / z) * in_x, step_y * (z + y * y / z) * in_y)
+        return np.where((z > 0) & (along < 0), found, np.inf)
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
         """Expected standard deviation of a measured point along the ray from the source.

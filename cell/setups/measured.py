@@ -113,9 +113,9 @@ class _PartArm(Arm):
 
     touched: Bools
 
-    def measured(self, views: Floats, targets: Targets, rows: Ints) -> Bools:
-        """(n_rows, n_views) which of the rows each viewpoint (n, 4, 4) [m] measures."""
-        return Arm.measured(self, views, targets, rows) & ~self.touched[rows, None]
+    def measured(self, views: Floats, targets: Targets, rows: Ints, worth: tuple[Floats, float] | None = None) -> Bools:
+        """(m, n) which of the rows each viewpoint (n, 4, 4) [m] measures, as `Arm.measured`."""
+        return Arm.measured(self, views, targets, rows, worth) & ~self.touched[rows, None]
 
 
 def measured_setup(

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.lines_of_sight import Targets, free_pairs, in_view
+from planner.viewpoints.lines_of_sight import Targets, in_view_of, legs_free
 from planner.viewpoints.pointwise import Aimed, Frustum, carried, drawn, frustum, seeing
 
 SCOUTS = 20_000
@@ -29,6 +29,7 @@ DEPTH = 3
 
 _LOOKS = 4  # poses of a point that are compared by what else they measure
 _TOGETHER = 8192  # poses that are asked for at a time: what one finds, the next need not look for
+_PAIRS = 100_000  # of a pose and a point that are looked at in one go
 _NEIGHBOURS = 4
 _GAIN = 2e-4  # of the surface, below which a stage of carried poses is not repeated
 
@@ -83,17 +84,32 @@ class Arm:
         aimed = seeing(aimed, targets, self.scanner, self.casters)
         return aimed.pick(self.takes_up(self.views(aimed)[:, None] @ self.T_view_scanner))
 
-    def measured(self, views: Floats, targets: Targets, rows: Ints) -> Bools:
-        """(n_rows, n_views) which of the rows each viewpoint (n, 4, 4) [m] measures."""
+    def measured(self, views: Floats, targets: Targets, rows: Ints, worth: tuple[Floats, float] | None = None) -> Bools:
+        """Which of the rows each viewpoint measures.
+
+        Args:
+            views: (n, 4, 4) [m].
+            targets: S surface points.
+            rows: (m,) of them that are asked about.
+            worth: of each of the rows (m,), and what a view has to measure more than to be of interest: where what it
+                has in view comes to no more, no legs are cast and nothing counts as measured.
+
+        Returns:
+            (m, n) bool.
+        """
         K = len(self.T_view_scanner)
         poses = (views[:, None] @ self.T_view_scanner).reshape(-1, 4, 4)
-        place = np.full(len(targets), -1)
-        place[rows] = np.arange(len(rows))
         found = np.zeros((len(rows), len(views)), dtype=np.bool_)
-        for _, pose, row in free_pairs(
-            poses, targets, self.scanner, self.casters, lambda k: in_view(targets, poses[k], self.scanner, rows)
-        ):
-            found[place[row], pose // K] = True
+        together = max(1, _PAIRS // max(len(rows), 1)) * K
+        for first in range(0, len(poses), together):
+            some = poses[first : first + together]
+            sighted = in_view_of(targets, some, self.scanner, rows)
+            if worth is not None:
+                bound = (sighted @ worth[0]).reshape(-1, K).sum(axis=1)
+                sighted[np.repeat(bound <= worth[1], K)] = False
+            pose, row = np.nonzero(sighted)
+            free = legs_free(targets, some, pose, rows[row], self.scanner, self.casters)
+            found[row[free], (first + pose[free]) // K] = True
         return found
 
 

@@ -249,7 +249,12 @@ def _meeting(rays: Floats, normals: Floats, tilt: Floats, azimuth: Floats, roll:
 
 def _across(directions: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (n, 3) each across unit vectors (n, 3): direction = first x second."""
-    helper = np.eye(3)[np.abs(directions).argmin(axis=1)]
-    first = np.cross(helper, directions)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(directions, first)
+    x, y, z = directions.T
+    least = np.abs(directions).argmin(axis=1)
+    first = np.zeros_like(directions)  # the axis that is least along the direction x the direction
+    for axis, sides in enumerate(((1, 2), (2, 0), (0, 1))):
+        at = np.flatnonzero(least == axis)
+        first[at, sides[0]], first[at, sides[1]] = -directions[at, sides[1]], directions[at, sides[0]]
+    first /= np.sqrt(np.einsum("ij,ij->i", first, first))[:, None]
+    a, b, c = first.T
+    return first, np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)

@@ -151,12 +151,16 @@ class _Search:
         now = float(area[views.measured[rows, view]].sum())
         stretch = (self.rounds * _POSES, (self.rounds + 1) * _POSES)
         T = moved(views.T_object_scanner[view], float(views.distance[view]), scale, stretch, view)
-        there = area @ arm.measured(T, self.targets, rows)
+        more = now * (1 + 1e-9)
+        there = area @ arm.measured(T, self.targets, rows, (area, more))
         best = np.argsort(-there, kind="stable")[:_ASKED]
-        best = best[there[best] > now * (1 + 1e-9)]
-        best = best[arm.takes_up(T[best, None] @ arm.T_view_scanner)] if len(best) else best
-        if not len(best):
+        best = best[there[best] > more]
+        for some in (best[:1], best[1:]):  # mostly the first will do
+            taken = some[arm.takes_up(T[some, None] @ arm.T_view_scanner)] if len(some) else some
+            if len(taken):
+                break
+        else:
             return views
-        pose = T[best[0]]
+        pose = T[taken[0]]
         measured = arm.measured(pose[None], self.targets, np.arange(len(self.targets)))[:, 0]
         return views.at(view, pose, measured)

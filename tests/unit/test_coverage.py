@@ -8,6 +8,8 @@ from cell.rays.prediction import Prediction
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
 from planner.measurability import coverage
+from planner.measurability.matrix import measured
+from planner.measurability.remembered import Remembered
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
 from planner.viewpoints.zone import optimal_scanning_zone
@@ -93,3 +95,17 @@ def test_coverable_is_what_any_candidate_measures_asked_alone():
     assert (found == np.any(alone, axis=0)).all()
     assert found.sum() > 0
     assert not np.all(alone, axis=0).all()
+
+
+def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
+    """Of sets that share views, in any order, with one pose a view and with three."""
+    part, draws = _slab(), np.random.default_rng(3)
+    samples, caster = sample(part, part, 3000, np.random.default_rng(0)), EmbreeRayCaster(part.vertices, part.faces)
+    poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
+    for views in (poses, np.stack([poses[k : k + 3, 0] for k in range(len(poses) - 2)])):
+        remembered = Remembered(samples, SCANNER, [caster])
+        for count in (1, 3, 3, 5, 2, 5):
+            some = views[draws.permutation(len(views))[:count]]
+            found = remembered.measured(some)
+            np.testing.assert_array_equal(found, measured(some, samples, SCANNER, [caster]))
+            np.testing.assert_array_equal(found, remembered.measured(some[::-1]))

@@ -100,3 +100,19 @@ def test_moved_poses_stay_about_their_aim():
         assert np.abs(aim).max() <= 0.15 * share * 0.2 + 1e-12
         turn = np.arccos(np.clip((np.einsum("nij,ij->n", found[:, :3, :3], T[:3, :3]) - 1) / 2, -1, 1))
         assert np.degrees(turn).max() <= 15 * share * np.sqrt(3) + 1e-5
+
+
+def test_a_view_that_may_be_worth_more_is_asked_in_full(case):
+    """Where a bound is named, all that measure more than that stay as they are, and nothing else counts."""
+    features, scanner, caster, views = case
+    targets, rows = Targets.of(features.points, features.normals), np.arange(0, 300, 2)
+    T, area = moved(views.T_object_scanner[0], STANDOFF, 1.0, (0, 60), 0), features.areas[rows]
+    arm = _arm(scanner, caster)
+    whole = arm.measured(T, targets, rows)
+    np.testing.assert_array_equal(whole, measured(T[:, None], features, scanner, (caster,), each=True)[rows])
+    least = float(np.median(area @ whole)) * (1 + 1e-9)
+    asked = arm.measured(T, targets, rows, (area, least))
+    for pose in range(60):
+        same, none = np.array_equal(asked[:, pose], whole[:, pose]), not asked[:, pose].any()
+        assert same or (none and area @ whole[:, pose] <= least)
+    assert 0 < asked.any(axis=0).sum() < 60
