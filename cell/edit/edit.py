@@ -77,7 +77,6 @@ def edit(
             the way.
         FileError: if the run is damaged, or the new folder cannot be written.
     """
-    reader.require_fixed_part(run.record, "cell edit")
     if wanted.repair and scene_of_run(run.record).plan.max_views is not None:
         raise UsageError(
             f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "
@@ -93,7 +92,7 @@ def edit(
     before = Before(run, reader.candidates(run.record), reader.reached(run.record), moved)
     scene = scene_of_run(run.record)
     if T_base_object is not None:
-        scene = placed(scene, T_base_object, resolved.T_object_centre)
+        scene = placed(scene, T_base_object, resolved)
     part = Workpiece(resolved.part.name, reader.mesh(run.record, "reference.ply"), resolved.part.sha256)
     return pipeline.plan(
         scene, part=part, scene_path=run.folder / "scene.toml", out=out, argv=argv,
