@@ -40,6 +40,7 @@ from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
 from planner.cover import CoverStatus
+from planner.ports import ARM_AXES
 from planner.reach.reach import Reach, Verdict, join_reach
 from planner.values import Floats
 
@@ -89,6 +90,8 @@ def edit(
         )
     check(wanted, len(run.candidate), run.report.verdicts.total)
     resolved, moved = reader.scene(run.record), T_base_object is not None
+    if wanted.table_angle_deg and resolved.table is None:
+        raise UsageError(f"{run.folder} has no rotary table; leave table_angle out")
     before = Before(run, reader.candidates(run.record), reader.reached(run.record), moved)
     scene = scene_of_run(run.record)
     if T_base_object is not None:
@@ -152,7 +155,8 @@ def _surface(before: Before, run: Run, job: Job) -> PartSurface:
 def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
     """The views that are asked for; of a sensor that sweeps they are named by the middle poses of their sweeps."""
     views, T_scanner_view = scanners.unswept(job.scanner, before.candidates)
-    T_object_base = np.linalg.inv(cell.world.T_base_object)
+    meant = np.append(cell.world.home[:ARM_AXES], np.radians(wanted.table_angle_deg))
+    T_object_base = np.linalg.inv(cell.world.T_base_part(meant))
 
     def T_object_view(given: Pose) -> Floats:
         T: Floats = T_object_base @ pose(given[:3], given[3:]) @ T_scanner_view
