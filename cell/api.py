@@ -85,16 +85,12 @@ def plan(
     scene_path = None if scene is None else Path(scene)
     where, narrator = None if out is None else Path(out), _narrator(progress)
     if open_of:
-        from cell.run.reader import require_fixed_part
         from cell.scene.scene import Scene
         from cell.setups.beside import scene_beside
         from cell.setups.open_of import plan_open
 
         earlier = [open_run(_folder(run)) for run in open_of]
-        for run in earlier:
-            require_fixed_part(run.record, "a further set-up")
         checked = part if isinstance(part, Scene) else scene_beside(earlier[0], scene_path, wishes, part)
-        checked.require_fixed_part("a further set-up")
         folder = plan_open(
             earlier, checked, scene_path=scene_path, out=where, argv=argv, use_cache=use_cache, narrator=narrator
         )

@@ -25,7 +25,7 @@ def place(
     part: Part = None,
     where: PlaceRange,
     scene: SceneFile = None,
-    wishes: Annotated[Wishes, offers(Scene, "units", "seed")],
+    wishes: Annotated[Wishes, offers(Scene, "units", "seed", "table")],
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:

@@ -74,6 +74,6 @@ def plan(
         terminal.pairs(f"View plan of {run.report.part.name}", rows)
         terminal.then(
             ("cell", "view", run.folder), ("cell", "scan", run.folder),
-            *([] if checked.table.enabled else [("cell", "why", run.folder)]), ("cell", "export", run.folder),
+            ("cell", "why", run.folder), ("cell", "export", run.folder),
         )  # fmt: skip
     raise typer.Exit(run.exit_code)

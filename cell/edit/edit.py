@@ -40,6 +40,7 @@ from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
 from planner.cover import CoverStatus
+from planner.ports import ARM_AXES
 from planner.reach.reach import Reach, Verdict, join_reach
 from planner.values import Floats
 
@@ -77,7 +78,6 @@ def edit(
             the way.
         FileError: if the run is damaged, or the new folder cannot be written.
     """
-    reader.require_fixed_part(run.record, "cell edit")
     if wanted.repair and scene_of_run(run.record).plan.max_views is not None:
         raise UsageError(
             f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "
@@ -90,10 +90,12 @@ def edit(
         )
     check(wanted, len(run.candidate), run.report.verdicts.total)
     resolved, moved = reader.scene(run.record), T_base_object is not None
+    if wanted.table_angle_deg and resolved.table is None:
+        raise UsageError(f"{run.folder} has no rotary table; leave table_angle out")
     before = Before(run, reader.candidates(run.record), reader.reached(run.record), moved)
     scene = scene_of_run(run.record)
     if T_base_object is not None:
-        scene = placed(scene, T_base_object, resolved.T_object_centre)
+        scene = placed(scene, T_base_object, resolved)
     part = Workpiece(resolved.part.name, reader.mesh(run.record, "reference.ply"), resolved.part.sha256)
     return pipeline.plan(
         scene, part=part, scene_path=run.folder / "scene.toml", out=out, argv=argv,
@@ -153,7 +155,8 @@ def _surface(before: Before, run: Run, job: Job) -> PartSurface:
 def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
     """The views that are asked for; of a sensor that sweeps they are named by the middle poses of their sweeps."""
     views, T_scanner_view = scanners.unswept(job.scanner, before.candidates)
-    T_object_base = np.linalg.inv(cell.world.T_base_object)
+    meant = np.append(cell.world.home[:ARM_AXES], np.radians(wanted.table_angle_deg))
+    T_object_base = np.linalg.inv(cell.world.T_base_part(meant))
 
     def T_object_view(given: Pose) -> Floats:
         T: Floats = T_object_base @ pose(given[:3], given[3:]) @ T_scanner_view

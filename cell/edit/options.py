@@ -122,6 +122,9 @@ class Edit(Table):
             metavar="X,Y,Z,A,B,C", form=_POSE_FORM, examples=("812,430,655,90,0,180",), made=_grouped(6, _pose),
         ),
     ] = ()  # fmt: skip
+    table_angle_deg: Annotated[
+        Degrees, Option("The rotary table's angle at which the poses of --move and --add-pose are meant.", _VIEWS)
+    ] = 0.0
     repair: Annotated[
         bool, Option("Add the fewest views that restore the coverage that the plan was asked for.", _VIEWS)
     ] = False

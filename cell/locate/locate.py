@@ -40,7 +40,6 @@ def locate(run: PlannedRun, wanted: Locating, narrator: Narrator) -> Located:
         UsageError: if what is asked for is not there, or the points cannot say a placement.
         FileError: if a file is missing or damaged, or too few points lie near the part.
     """
-    reader.require_fixed_part(run.record, "cell locate")
     scene = reader.scene(run.record)
     nearest, centre = NearestSurface(run.reference), scene.T_object_centre[:3, 3]
     vertices = run.reference.vertices[np.unique(run.reference.faces)]

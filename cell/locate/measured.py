@@ -127,7 +127,8 @@ def _T_object(run: PlannedRun, frame: Frame, number: int) -> Floats:
     """
     if not 1 <= number <= len(run.plan.views):
         raise UsageError(f"there is no view {number}; the plan has the views 1 to {len(run.plan.views)}")
-    view, T_object_base = run.plan.views[number - 1], np.linalg.inv(run.T_base_object)
+    view = run.plan.views[number - 1]
+    T_object_base = np.linalg.inv(run.T_base_object if view.T_base_object is None else view.T_base_object)
     T = {"scanner": view.T_object_scanner, "flange": T_object_base @ view.T_base_flange, "base": T_object_base}[frame]
     return np.asarray(T, dtype=np.float64)
 

@@ -52,7 +52,6 @@ def arm_of(
     checker: CollisionChecker,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-    T_base_object: Floats | None = None,
 ) -> Arm:
     """Who measures and where it gets to.
 
@@ -62,12 +61,10 @@ def arm_of(
         checker: of the cell at the placement.
         scanner: the sensor's law, with its limit on sigma.
         casters: the part's and the occluders', object frame.
-        T_base_object: (4, 4) placement [m]; None is the scene's.
     """
-    placement = world.T_base_object if T_base_object is None else T_base_object
 
     def takes_up(T_object_scanner: Floats) -> Bools:
-        return reach.takes_up(T_object_scanner, placement, world.T_flange_scanner, kinematics, checker)
+        return reach.takes_up(T_object_scanner, world.T_base_object, world.T_flange_scanner, kinematics, checker)
 
     T_view_scanner = getattr(scanner, "T_view_scanner", np.eye(4)[None])
     return Arm(scanner, casters, takes_up, T_view_scanner)

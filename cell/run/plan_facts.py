@@ -64,7 +64,8 @@ def resolved_table(scene: Scene, world: World) -> ResolvedTable | None:
     """The rotary table of a scene; None where it has none."""
     if world.table is None:
         return None
-    said = scene.table.model_dump(include=set(ResolvedTable.model_fields))
+    fixed = {"post_mm"} if scene.table.position_mm is not None else set[str]()
+    said = scene.table.model_dump(include=set(ResolvedTable.model_fields) - fixed)
     return ResolvedTable(T_base_table=world.table.T_base_table, **said)
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError, UsageError
+from cell.errors import FileError
 from cell.run import ply
 from cell.run.axes import joined
 from cell.run.json_table import parsed
@@ -47,17 +47,6 @@ def report(run: RunRecord) -> Report:
 def scene(run: RunRecord) -> ResolvedScene:
     """All that the plan used, and all that stood in the cell."""
     return parsed(ResolvedScene, artefact(run, "scene.resolved.json"), run.folder / "scene.resolved.json")
-
-
-def require_fixed_part(run: RunRecord, what: str) -> None:
-    """Refuse a plan whose part is turned, where that is not known yet.
-
-    Raises:
-        UsageError: naming what does not know it.
-        FileError: if scene.resolved.json is missing, changed or damaged.
-    """
-    if scene(run).table is not None:
-        raise UsageError(f"{run.folder} turns its part on a rotary table, which {what} does not know yet")
 
 
 def motion(run: RunRecord) -> Motion:

@@ -57,6 +57,7 @@ class ResolvedTable(JsonTable):
     acceleration_deg_s2: float = Field(description="at full acceleration")
     jerk_deg_s3: float = Field(description="at full acceleration")
     angles: int = Field(description="over a turn, at which views were looked for")
+    post_mm: float | None = optional("of a table under the part: how far its face is below the part's lowest point")
 
 
 class ResolvedHousing(JsonTable):

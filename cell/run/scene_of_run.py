@@ -78,15 +78,20 @@ def scene_of_run(run: RunRecord, without: Collection[str] = ()) -> Scene:
     )
 
 
-def placed(scene: Scene, T_base_object: Floats, T_object_centre: Floats) -> Scene:
-    """A scene whose part stands elsewhere.
+def placed(scene: Scene, T_base_object: Floats, resolved: ResolvedScene) -> Scene:
+    """A scene whose part stands elsewhere; what it stands on stays where it is.
 
     Args:
         scene: of a run.
         T_base_object: (4, 4) [m].
-        T_object_centre: (4, 4) of the part [m].
+        resolved: what the run used.
     """
-    return scene.model_copy(update={"placement": Placement.model_validate(_pose(T_base_object @ T_object_centre))})
+    update: dict[str, object] = {"placement": Placement.at(T_base_object @ resolved.T_object_centre)}
+    if resolved.table is not None:
+        update["table"] = scene.table.model_copy(
+            update={"position_mm": _pose(resolved.table.T_base_table)["position_mm"]}
+        )
+    return scene.model_copy(update=update)
 
 
 def _plan(resolved: ResolvedScene) -> dict[str, object]:
@@ -112,7 +117,9 @@ def _table(resolved: ResolvedScene) -> Mapping[str, object]:
     """The keys of `[table]`; none where the part stands."""
     if resolved.table is None:
         return {}
-    said = resolved.table.model_dump(exclude={"T_base_table"})
+    said = resolved.table.model_dump(exclude={"T_base_table", "post_mm"})
+    if resolved.table.post_mm is not None:
+        return {**said, "post_mm": resolved.table.post_mm}
     return {**said, "position_mm": _pose(resolved.table.T_base_table)["position_mm"]}
 
 

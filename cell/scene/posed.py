@@ -96,6 +96,17 @@ class Placement(Table):
             )
         return self
 
+    @classmethod
+    def at(cls, T_base_centre: "NDArray[np.float64]") -> Self:
+        """The placement with the part's centre at a pose (4, 4) [m], its numbers without the dust of the conversion."""
+        import numpy as np
+
+        from cell.robot.frames import kuka_abc_from_pose
+
+        position, abc = kuka_abc_from_pose(T_base_centre)
+        numbers = (1000 * position).round(9) + 0.0, np.degrees(abc).round(9) + 0.0
+        return cls(position_mm=tuple(numbers[0].tolist()), abc_deg=tuple(numbers[1].tolist()))
+
     @property
     def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
         """(4, 4) the part's centre in base [m]; only of a placement by the centre (`by_centre`)."""

@@ -19,7 +19,7 @@ class Turntable(Table):
     """
 
     enabled: Annotated[
-        bool, Option("Turn the part on the rotary table that [table] of the scene describes.", PART, name="table")
+        bool, Option("Turn the part on the scene's rotary table, or on the default one.", PART, name="table")
     ] = False
     position_mm: Triple | None = None
     diameter_mm: Positive = 400.0

@@ -20,7 +20,6 @@ from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, part_matrix, surface_features
 from cell.rays.prediction import held_out
-from cell.robot.arm import kinematics_of
 from cell.scene import devices
 from cell.scene.part_regions import with_regions
 from cell.scene.regions import require_no_wishes
@@ -85,7 +84,6 @@ class Bench:
 
     def __init__(self, scene: Scene, *, samples: int = coverage.SAMPLES) -> None:
         require_no_wishes(scene.region)
-        scene.require_fixed_part("a study of placements or settings")
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
         self.scene = scene = devices.by_part(scene, self.part)
         settings = resolve(scene, self.part)
@@ -124,7 +122,7 @@ class Bench:
 
     @cached_property
     def world(self) -> World:
-        """The compiled cell; another placement needs no other."""
+        """The compiled cell; `World.elsewhere` is that of another placement."""
         baseline = scanners.baseline_mm(self.settings.scanner, self.scanner)
         part = self.part.reference
         world = compile_world(self.scene, part.vertices, part_faces=part.faces, baseline_mm=baseline)
@@ -133,8 +131,8 @@ class Bench:
 
     @cached_property
     def kinematics(self) -> Kinematics:
-        """Of the arm."""
-        return kinematics_of(self.world.model)
+        """Of the arm, and of a table under the part where it stands."""
+        return self.world.kinematics
 
     def reach(self, candidates: Viewpoints, T_base_centre: Floats) -> Reach:
         """Which candidates the robot reaches with the part's centre at a place.
@@ -143,9 +141,7 @@ class Bench:
             candidates: viewpoints.
             T_base_centre: (4, 4) where the part's centre stands and how it is turned [m].
         """
-        T_base_object = self.world.placed(T_base_centre)
-        checker = self.checker(T_base_object)
-        return reach.solve(candidates, T_base_object, self.world.T_flange_scanner, self.kinematics, checker)
+        return reach_in(self.world.elsewhere(T_base_centre), candidates)
 
     def checker(self, T_base_object: Floats) -> MujocoCollisionChecker:
         """Collisions with the part at a placement (4, 4) [m]."""
@@ -237,6 +233,12 @@ class Bench:
                 open_samples = open_samples[near > radius]
         areas = self.samples.areas
         return 1.0 - float(areas[open_samples].sum() / areas.sum())
+
+
+def reach_in(world: World, candidates: Viewpoints) -> Reach:
+    """Verdicts and joint solutions of viewpoints in a cell."""
+    checker = MujocoCollisionChecker(world)
+    return reach.solve(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
 
 
 def placed_at(position_mm: Sequence[float]) -> Floats:

@@ -8,12 +8,15 @@ straight joint moves, which ignores what the arm has to go round.
 import numpy as np
 
 from cell import scanners
+from cell.errors import SceneError
 from cell.plan.candidates import GROWN, arm_of
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.robot.frames import pose_from_kuka_abc
-from cell.study.bench import Bench
+from cell.study.bench import Bench, reach_in
 from cell.study.scenes import bench_of
 from cell.study.trial import JsonTable
+from cell.world.collision import MujocoCollisionChecker
+from cell.world.model import World
 from planner import cover
 from planner.measurability import coverage
 from planner.measurability.candidate_columns import join_measurability, pick_measurability
@@ -21,10 +24,8 @@ from planner.measurability.matrix import Measurability, fill, occlude
 from planner.order.moves import Moves
 from planner.order.orderings import sequence
 from planner.ports import CollisionChecker, RayCaster
-from planner.reach import reach
 from planner.reach.reach import Reach, join_reach, pick_reach
 from planner.timing.limits import scaled
-from planner.values import Floats
 from planner.viewpoints import growth
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, standing_at
@@ -45,26 +46,27 @@ def placement(settings: JsonTable) -> dict[str, object]:
         lower_bound, visible (share of the surface, held-out samples) and cycle_s (null where a view has no move).
     """
     bench = bench_of(settings)
-    world = bench.world
-    T_base_object = world.placed(
-        pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
-    )
+    place = pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
+    try:
+        world = bench.world.elsewhere(place)
+    except SceneError:  # a table that stands where it stands does not carry the part there
+        return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
     candidates, M = bench.some(settings["candidates"])
-    checker = bench.checker(T_base_object)
+    checker = MujocoCollisionChecker(world)
     if not checker.free(world.home[None])[0]:
         return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
-    reached = reach.solve(candidates, T_base_object, world.T_flange_scanner, bench.kinematics, checker)
+    reached = reach_in(world, candidates)
     allowed = reached.reachable
     values: dict[str, object] = {"reachable": float(allowed.mean()), "coverable": 0.0, "home_free": True}
     which = np.flatnonzero(allowed)
     if not len(which):
         return values
-    in_the_way = caster_of(occluder_triangles(world, T_base_object))
+    in_the_way = caster_of(occluder_triangles(world))
     M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
     M = occlude(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
     reached = pick_reach(reached, which)
     if bench.scene.plan.candidates == GROWN and settings["candidates"] is None:
-        views, reached, M = _grown(bench, T_base_object, checker, (bench.caster, in_the_way), (views, reached, M))
+        views, reached, M = _grown(bench, world, checker, (bench.caster, in_the_way), (views, reached, M))
     measured = np.diff(M.indptr) > 0
     values["coverable"] = float(M.features.areas[measured].sum() / M.features.areas.sum())
     if settings["what"] == COVERAGE_ONLY or not measured.any():
@@ -76,7 +78,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
     configurations = [reached.q_of(int(view)) for view in found.views]
     limits = scaled(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
     moves = Moves.straight(configurations, world.home, limits)
-    tour = sequence(moves, T_base_object @ poses[:, 0], rng, bound_work=0)
+    tour = sequence(moves, world.T_base_object @ poses[:, 0], rng, bound_work=0)
     return {
         **values,
         "views": len(found.views),
@@ -88,7 +90,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
 
 def _grown(
     bench: Bench,
-    T_base_object: Floats,
+    world: World,
     checker: CollisionChecker,
     casters: tuple[RayCaster, RayCaster],
     known: tuple[Viewpoints, Reach, Measurability],
@@ -97,14 +99,14 @@ def _grown(
 
     Args:
         bench: the part and the scanner.
-        T_base_object: (4, 4) the placement [m].
+        world: the cell with the part at this placement.
         checker: of the cell there.
         casters: the part's and the occluders'.
         known: reachable candidates, their reach, and what they measure.
     """
     views, reached, M = known
-    scanner, features, world = bench.scanner, M.features, bench.world
-    arm = arm_of(world, bench.kinematics, checker, scanner, casters, T_base_object)
+    scanner, features = bench.scanner, M.features
+    arm = arm_of(world, world.kinematics, checker, scanner, casters)
     found = growth.grow(Targets.of(features.points, features.normals, features.region), np.diff(M.indptr) > 0, arm)
     if not len(found):
         return known
@@ -113,5 +115,5 @@ def _grown(
     measured = occlude(
         fill(added, features, scanner, casters[0]), added, scanner, casters[1], ray_caster=casters[0]
     )  # fmt: skip
-    of_added = reach.solve(added, T_base_object, world.T_flange_scanner, bench.kinematics, checker)
+    of_added = reach_in(world, added)
     return join_viewpoints([views, added]), join_reach([reached, of_added]), join_measurability([M, measured])

@@ -19,7 +19,7 @@ from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell, world_of
 from cell.run.record import RunRecord
-from cell.why.turns import place_of, turned
+from cell.why.turns import carried, place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.measurability.matrix import measured
@@ -70,25 +70,24 @@ def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
     rng = np.random.default_rng([run.seed, _STREAM])
     visible = float(seen.mean())
 
-    def arm(T_base_object: Floats) -> Arm | None:
-        checker = MujocoCollisionChecker(world, T_base_object)
-        if not checker.free(world.home[None])[0]:
+    def arm(there: World | None) -> Arm | None:
+        if there is None or not (checker := MujocoCollisionChecker(there)).free(there.home[None])[0]:
             return None
-        casters = (cell.part_caster, caster_of(occluder_triangles(world, T_base_object)))
-        return arm_of(world, cell.kinematics, checker, cell.scanner, casters, T_base_object)
+        casters = (cell.part_caster, caster_of(occluder_triangles(there)))
+        return arm_of(there, there.kinematics, checker, cell.scanner, casters)
 
     found: list[Advice] = []
     left = np.sort(rng.permutation(np.flatnonzero(~seen))[:ASKED])
     with narrator.stage("second set-ups"):
-        for turn, _, T_base_centre in turned(world):
-            share, error = _share(samples, left, arm(world.placed(T_base_centre)))
+        for turn, _, T_base_centre, there in turned(world):
+            share, error = _share(samples, left, arm(there))
             what, command = f"{turn}, beside this plan", open_of(run, T_base_centre)
             found.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
     places: list[Advice] = []
     some = np.sort(rng.permutation(len(samples))[:ASKED])
     with narrator.stage("other places"):
         for what, T_base_centre in _elsewhere(world):
-            share, error = _share(samples, some, arm(world.placed(T_base_centre)))
+            share, error = _share(samples, some, arm(carried(world, T_base_centre)))
             places.append(Advice(what, share, error, elsewhere(run, T_base_centre)))
     places.sort(key=lambda advice: -advice.share)
     return visible, [*found, *places[:TOLD]]

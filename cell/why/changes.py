@@ -14,7 +14,6 @@ import numpy as np
 
 from cell.plan.candidates import GROWN
 from cell.rays.occluders import caster_of, occluder_triangles
-from cell.robot.arm import kinematics_of
 from cell.run.cell import RunCell
 from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.why.turns import place_of, turned
@@ -136,23 +135,19 @@ class Changes:
             for tilt in _TILTS_DEG if tilt <= limit - 2 and len(aims[0])
         ]  # fmt: skip
 
-    def _turned(self, how: str, change: float, T_base_centre: Floats) -> WhatIf:
+    def _turned(self, how: str, change: float, T_base_centre: Floats, there: World) -> WhatIf:
         """The part turned about its centre: a second set-up, in which everything is asked again."""
-        T_base_object = self.world.placed(T_base_centre)
-        reached = _reach(self.candidates, self.world, T_base_object)
-        return WhatIf(
-            Kind.TURN, change, how, f"--place {place_of(T_base_centre)}",
-            self.candidates.T_object_scanner[reached], self.cell.scanner,
-            (self.cell.part_caster, caster_of(occluder_triangles(self.world, T_base_object))),
-        )  # fmt: skip
+        return self._in(there, Kind.TURN, change, how, f"--place {place_of(T_base_centre)}")
 
     def _without(self, name: str) -> WhatIf:
-        world = self.world_without(name)
-        reached = _reach(self.candidates, world)
         what = "without the post (the part held in another way)" if name == "post" else f"without fixture {name}"
+        return self._in(self.world_without(name), Kind.FIXTURE, float(name == "post"), what, "")
+
+    def _in(self, world: World, kind: Kind, change: float, sentence: str, setting: str) -> WhatIf:
+        """The candidates in another cell."""
         return WhatIf(
-            Kind.FIXTURE, float(name == "post"), what, "", self.candidates.T_object_scanner[reached], self.cell.scanner,
-            (self.cell.part_caster, caster_of(occluder_triangles(world))),
+            kind, change, sentence, setting, self.candidates.T_object_scanner[_reach(self.candidates, world)],
+            self.cell.scanner, (self.cell.part_caster, caster_of(occluder_triangles(world))),
         )  # fmt: skip
 
     def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:
@@ -183,12 +178,12 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Ints) -> list
     return [*masks, final]
 
 
-def _reach(views: Viewpoints, world: World, T_base_object: Floats | None = None) -> Ints:
-    """Views that the arm takes up."""
-    T = world.T_base_object if T_base_object is None else T_base_object
-    kinematics = kinematics_of(world.model)
-    checker = MujocoCollisionChecker(world, T)
-    return np.flatnonzero(reach.solve(views, T, world.T_flange_scanner, kinematics, checker).reachable)
+def _reach(views: Viewpoints, world: World) -> Ints:
+    """Views that the arm takes up, at some angle of a table."""
+    reached = reach.solve(
+        views, world.T_base_object, world.T_flange_scanner, world.kinematics, MujocoCollisionChecker(world)
+    )
+    return np.flatnonzero(reached.reachable)
 
 
 def _distinct(values: Floats) -> Floats:

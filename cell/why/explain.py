@@ -63,7 +63,6 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
     if samples is not None and samples < 1:
         raise UsageError(f"--samples {samples} is not possible; at least 1 sample is needed")
     run = open_finished(run_folder)
-    run_reader.require_fixed_part(run, "cell why")
     answer = answer_of(run, narrator, coverage.SAMPLES if samples is None else samples)
     with narrator.stage("write"):
         summary = why_files.report_of(answer, run)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cell.errors import SceneError
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.world.model import World
 from planner.values import Floats
@@ -11,15 +12,29 @@ from planner.values import Floats
 _TURNS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees
 
 
-def turned(world: World) -> Iterator[tuple[str, float, Floats]]:
-    """Each turn in words, its size [deg] (upside down is more than any other), and the centre's pose (4, 4) [m]."""
+def turned(world: World) -> Iterator[tuple[str, float, Floats, World]]:
+    """Each turn in words, its size [deg] (upside down is more than any other), the centre's pose (4, 4) [m], the cell.
+
+    Left out is what a rotary table does itself, and what it cannot carry.
+    """
     for axis, angle in _TURNS:
         turn = np.zeros(3)
         turn[2 - axis] = np.radians(angle)  # KUKA's angles are about z, y, x
         T = np.array(world.T_base_object @ world.T_object_centre)
         T[:3, :3] = pose_from_kuka_abc(np.zeros(3), turn)[:3, :3] @ T[:3, :3]
         how = "turned upside down" if axis != 2 else f"turned by {angle:g} deg about the vertical"
-        yield f"a second set-up with the part {how}", abs(angle) + 360 * (axis != 2), T
+        if axis == 2 and world.table is not None:
+            continue
+        if (there := carried(world, T)) is not None:
+            yield f"a second set-up with the part {how}", abs(angle) + 360 * (axis != 2), T, there
+
+
+def carried(world: World, T_base_centre: Floats) -> World | None:
+    """The cell with the part's centre at a pose (4, 4) [m]; None where a rotary table cannot carry it there."""
+    try:
+        return world.elsewhere(T_base_centre)
+    except SceneError:
+        return None
 
 
 def place_of(T_base_centre: Floats) -> str:

@@ -8,7 +8,7 @@ Which pairs are guarded, and why the others are not, stands in `cell.world.shape
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -19,6 +19,7 @@ from cell.robot import joint_limits, told
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.scene import devices
+from cell.scene.posed import Placement
 from cell.scene.scene import Scene
 from cell.world import guarded, wrist
 from cell.world import shapes as cell_shapes
@@ -116,6 +117,17 @@ class World(Value):
         """T_base_object (4, 4) that puts the part's centre at `T_base_centre` (4, 4) [m]."""
         T: Floats = readonly("T_base_centre", T_base_centre, (4, 4)) @ np.linalg.inv(self.T_object_centre)
         return T
+
+    def elsewhere(self, T_base_centre: Floats) -> World:
+        """The cell with the part's centre at a pose (4, 4) [m]; a table without a place of its own goes with the part.
+
+        Raises:
+            SceneError: if the table cannot carry the part there.
+        """
+        if self.table is None:
+            return replace(self, T_base_object=self.placed(T_base_centre))
+        scene, part = self.scene.model_copy(update={"placement": Placement.at(T_base_centre)}), self.part_mesh
+        return compile_world(scene, part.vertices, part_faces=part.faces, baseline_mm=1000 * self.baseline)
 
     def post_top(self, T_base_object: ArrayLike) -> Floats:
         """(3,) top of the post [m], base frame: under the part's centre, at the height of its lowest point."""

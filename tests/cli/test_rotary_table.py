@@ -12,15 +12,20 @@ import numpy as np
 import pytest
 
 from cell.api import locate
-from cell.errors import SceneError, UsageError
+from cell.edit.editable import EditableRun
+from cell.errors import SceneError
 from cell.narrator import Quiet
 from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
 from cell.proof.scene_now import require_same
 from cell.replay.replay import load_show
+from cell.robot.frames import kuka_abc_from_pose
 from cell.run.executions import read_execution
 from cell.run.reader import motion, reached
 from cell.run.record import open_run
+from cell.scene.options import scene_of
+from cell.study.placement_trial import placement
+from cell.study.scenes import scene_settings
 from planner.timing.move_time import move_time
 
 RunCell = Callable[..., subprocess.CompletedProcess[str]]
@@ -152,16 +157,90 @@ def test_the_page_puts_the_part_on_a_link_of_its_own(
     assert {piece["name"] for piece in shown["pieces"] if piece["link"] == shown["turns"]} == {"post"}
 
 
-@pytest.mark.parametrize("command", [("why",), ("edit", "--drop", "1")])
-def test_what_does_not_know_a_table_refuses_it(
-    turned: Path, run_cell: RunCell, tmp_path: Path, command: tuple[str, ...]
+def _share(run: Path) -> float:
+    return float(_json(run / "report.json")["coverage"]["visible"])
+
+
+def test_why_gives_reasons_for_all_that_the_turned_views_leave_open(
+    turned: Path, run_cell: RunCell, tmp_path: Path
 ) -> None:
-    """One sentence and exit code 2, never a wrong answer; Python says it too."""
-    done = run_cell(command[0], turned, *command[1:], cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert "turns its part on a rotary table" in done.stderr
-    with pytest.raises(UsageError, match="which cell locate does not know yet"):
-        locate(turned)
+    """What is open is what the plan does not measure; upside down is tried, turns that the table makes are not."""
+    copy = tmp_path / "run"
+    shutil.copytree(turned, copy)
+    done = run_cell("why", copy, "--samples", "4000", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    why = _json(copy / "why" / "why.json")
+    assert why["visible"] + why["open"] == pytest.approx(1.0, abs=1e-6)
+    assert why["visible"] == pytest.approx(_share(copy), abs=0.01)
+    turns = [each["change"] for each in why["tried"] if each["kind"] == "turn"]
+    assert turns == ["a second set-up with the part turned upside down"]
+
+
+def test_a_further_set_up_takes_the_table_with_it(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """Upside down the table stands under the part again, and both measure more than one; the motion is certified."""
+    done = run_cell("plan", "--open-of", turned, "--place", "1000,300,100,0,0,180", "--out", "over", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    together = _json(tmp_path / "over" / "report.json")["open_of"]
+    assert (
+        together["together"] > together["before"] == pytest.approx(_share(turned), abs=0.001)
+    )  # less what the post touches
+    first, second = (_json(run / "scene.resolved.json") for run in (turned, tmp_path / "over"))
+    assert second["table"]["post_mm"] == first["table"]["post_mm"]
+    assert second["table"]["T_base_table"] != first["table"]["T_base_table"]
+    assert prove(tmp_path / "over").world.table is not None
+
+
+def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
+    turned: Path, run_cell: RunCell, tmp_path: Path
+) -> None:
+    """A view moved to where it is, said in base at its angle, is the view; one more and one fewer are planned."""
+    stop, view = next((n, v) for n, v in enumerate(_json(turned / "plan.json")["views"], 1) if v["e_deg"][0])
+    T = np.array(view["T_base_scanner"])
+    position, abc = kuka_abc_from_pose(T)
+    pose = ",".join(repr(float(number)) for number in [*(1000 * position), *np.degrees(abc)])
+    angle = f"--table-angle={view['e_deg'][0]}"
+    done = run_cell("edit", turned, "--move", f"{stop}:{pose}", angle, "--out", "same", cwd=tmp_path)
+    assert done.returncode in (0, 3), done.stderr
+    again = min(
+        float(np.abs(np.array(each["T_object_scanner"]) - view["T_object_scanner"]).max())
+        for each in _json(tmp_path / "same" / "plan.json")["views"]
+    )
+    assert again < 1e-4  # set-points are rounded
+    assert prove(tmp_path / "same").world.table is not None
+    fewer = EditableRun.opened(turned).edited(drop=[1], out=tmp_path / "fewer", use_cache=False)
+    assert len(fewer.plan.views) == len(_json(turned / "plan.json")["views"]) - 1
+    assert prove(fewer.folder).world.table is not None
+
+
+def test_the_place_at_angle_0_is_found_from_points_of_a_turned_part(turned: Path, tmp_path: Path) -> None:
+    """Points in base while the table stands at a view's angle: by the view's number they say where the part was put."""
+    run = EditableRun.opened(turned)
+    stop, view = next((n, v) for n, v in enumerate(run.plan.views, 1) if v.e_deg[0])
+    moved = np.eye(4)
+    moved[:3, 3] = 0.002, -0.001, 0.0
+    points = run.reference.vertices @ (T := view.T_base_object @ moved)[:3, :3].T + T[:3, 3]
+    np.savetxt(tmp_path / "points.xyz", 1000 * points)
+    found = locate(turned, points=str(tmp_path / "points.xyz"), points_frame="base", points_units="mm", view=[stop])
+    np.testing.assert_allclose(found.T_base_object, run.T_base_object @ moved, atol=1e-5)
+    there = run.edited(T_base_object=found.T_base_object, repair=True, out=tmp_path / "there", use_cache=False)
+    tables = [_json(folder / "scene.resolved.json")["table"]["T_base_table"] for folder in (turned, there.folder)]
+    np.testing.assert_allclose(*tables, atol=1e-9)  # the part was moved on the table, which stands where it stood
+
+
+def test_a_place_is_judged_with_the_table_under_the_part(part_file: Path) -> None:
+    """With 36 angles more candidates are reached, and more is measured, wherever the part is put."""
+    found = {}
+    for on_table in (False, True):
+        scene = scene_of(None, {"table": on_table, "units": "mm", "faces": 60}, part_file)
+        for x in (900.0, 1200.0):
+            settings = {
+                **scene_settings(scene), "position_mm": [x, 0.0, 200.0], "abc_deg": [0.0, 0.0, 0.0],
+                "what": "coverage", "solver": "greedy", "candidates": 60,
+            }  # fmt: skip
+            found[on_table, x] = placement(settings)
+    for x in (900.0, 1200.0):
+        assert found[True, x]["reachable"] > found[False, x]["reachable"]
+        assert found[True, x]["coverable"] >= found[False, x]["coverable"]
 
 
 def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:

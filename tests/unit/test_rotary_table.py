@@ -10,6 +10,7 @@ from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.scene.options import scene_of
+from cell.scene.posed import pose
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
@@ -70,11 +71,11 @@ def test_every_solution_takes_the_pose_and_the_first_is_nearest_home() -> None:
     arm, home = kinematics_of(robot.load()), np.append(np.radians([0.0, -90, 90, 0, 90, 0]), 0.0)
     chain = ArmOnTable(arm, _table(1.2, 0.5, -90.0, 60.0), home, 24)
     T = chain.forward(np.radians([[-20, -60, 110, 40, 50, 70, 15], [5, -75, 100, -20, 60, 0, -45]]))
-    for pose, found in zip(T, chain.inverse(T), strict=True):
+    for wanted, found in zip(T, chain.inverse(T), strict=True):
         real = found[~np.isnan(found[:, 0])]
         assert len(real) >= 8
         assert np.isnan(found[len(real) :]).all()
-        np.testing.assert_allclose(chain.forward(real), np.broadcast_to(pose, (len(real), 4, 4)), atol=1e-9)
+        np.testing.assert_allclose(chain.forward(real), np.broadcast_to(wanted, (len(real), 4, 4)), atol=1e-9)
         seconds = (np.abs(real - home) / chain.limits.velocity).max(axis=1)
         assert (np.diff(seconds) >= 0).all()
         angles = np.degrees(np.unique(real[:, 6])).round(4)
@@ -145,6 +146,19 @@ def test_a_post_that_swings_into_what_stands_is_not_free() -> None:
         assert checker.contacts(q[1]) == (() if free[1] else ("stud with post",))
         edges = q[[0, 0]], q[[1, 2]]
         assert certify_many(*edges, checker)[0].tolist() == free[1:]
+
+
+def test_a_table_without_a_place_goes_with_the_part_and_another_stays(off_axis: World) -> None:
+    """Elsewhere and upside down it is under the part again, its post as long; one that is placed refuses the reach."""
+    world, T = _world(), pose((900.0, -300.0, 200.0), (30.0, 0.0, 180.0))
+    there = world.elsewhere(T)
+    assert world.table is not None
+    assert there.table is not None
+    lowest = (BLOCK.vertices @ there.T_base_object[:3, :3].T + there.T_base_object[:3, 3])[:, 2].min()
+    np.testing.assert_allclose(there.table.T_base_table[:3, 3], [0.9, -0.3, lowest - 0.3], atol=1e-9)
+    np.testing.assert_allclose(there.T_base_object @ there.T_object_centre, T, atol=1e-9)
+    with pytest.raises(SceneError, match="swings through a circle"):
+        off_axis.elsewhere(T)
 
 
 def test_the_switch_of_the_command_line_and_the_table_of_a_scene_say_the_same() -> None:
