@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from cell.scan.options import ScanOptions
     from cell.scan.safety import Ask
     from cell.scene.scene import Scene
+    from cell.setups.options import SetupOptions
     from cell.setups.planned_setups import PlannedSetups
 
 Progress = Callable[[str, int, int], None]
@@ -104,9 +105,8 @@ def plan(
 
 def plan_setups(
     part: "str | Path | trimesh.Trimesh | Scene | None" = None,
+    options: "SetupOptions | None" = None,
     *,
-    most: int | None = None,
-    offer: int | None = None,
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
     use_cache: bool = True,
@@ -118,26 +118,29 @@ def plan_setups(
 
     Args:
         part: as for `plan`.
-        most: set-ups that may be used; None: as many as it takes.
-        offer: poses that are proposed, at most; None: 24, or none beside those that the scene gives (`[[setup]]`).
+        options: how many set-ups, and which, as one value; None makes it of the wishes.
         scene: scene file (TOML); None is the built-in scene. Its placement is the first pose that is offered.
         out: folder to make; None makes one below sim_runs/.
         use_cache: as for `plan`.
         progress: told how far the work is; None works in silence.
         argv: kept in the manifests.
-        **wishes: options of `cell plan` by name; those that ask for more than a coverage are refused.
+        **wishes: options of `cell setups` by name: `place=(1200, 500, 0)`, `most=2`, `offer=8`, `pin=["2:17"]`.
 
     Raises:
         CellError: in one sentence; the folder keeps what was finished.
     """
     from cell.plan.asked import scene_and_part
+    from cell.scene.option import offers, read
+    from cell.setups.options import SetupOptions
     from cell.setups.plan_setups import plan_setups as planned
     from cell.setups.planned_setups import PlannedSetups
 
+    own = {name: wishes.pop(name) for name in offers(SetupOptions) if name in wishes}
     checked, workpiece = scene_and_part(part, scene, wishes)
     checked.require_fixed_part("a plan of several set-ups")
+    wanted = read(SetupOptions, own) if options is None else options
     folder = planned(
-        checked, part=workpiece, most=most, offer=offer, scene_path=None if scene is None else Path(scene),
+        checked, options=wanted, part=workpiece, scene_path=None if scene is None else Path(scene),
         out=None if out is None else Path(out), argv=argv, use_cache=use_cache, narrator=_narrator(progress),
     )  # fmt: skip
     return PlannedSetups.opened(folder)

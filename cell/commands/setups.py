@@ -6,18 +6,24 @@ from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields, print_json
-from cell.scene.option import flag
+from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields, print_json
+from cell.scene.option import flag, offers
 from cell.scene.options import scene_of
+from cell.scene.scene import Scene
+from cell.setups.options import SetupOptions
 
 EPILOG = (
     "Examples:\n\n"
     "cell setups part.stl --units mm --place 1200,500,0\n\n"
     "cell setups mug --most 2 --offer 8 --coverage 0.95 --json\n\n"
+    "cell setups mug --cost time --setup-seconds 300\n\n"
+    "cell setups mug --pin 2:17 --ban 0:4,0:9\n\n"
     "Each set-up is a run folder of its own in FOLDER/setups; cell scan FOLDER scans one after the other.\n\n"
     "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, "
     "130 Ctrl-C."
 )
+
+_OfScene = Annotated[Wishes, {name: offer for name, offer in offers(Scene).items() if name not in offers(SetupOptions)}]
 
 
 @from_fields
@@ -25,20 +31,8 @@ def setups(
     *,
     part: Part = None,
     scene: SceneFile = None,
-    wishes: OfScene,
-    most: Annotated[
-        int | None,
-        typer.Option(min=1, help="Set-ups that may be used. Default: as many as it takes.", rich_help_panel="Set-ups"),
-    ] = None,
-    offer: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="Poses that are proposed: as placed and stable ones, at four turns. Default: 24, or none beside those "
-            "that the scene gives in [[setup]].",
-            rich_help_panel="Set-ups",
-        ),
-    ] = None,
+    wishes: _OfScene,
+    options: SetupOptions,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
@@ -57,7 +51,7 @@ def setups(
     terminal = Terminal(quiet_stdout=as_json)
     checked = scene_of(scene, wishes, part, flag)
     made = api.plan_setups(
-        checked, most=most, offer=offer, scene=scene, out=out, use_cache=not no_cache, progress=terminal,
+        checked, options, scene=scene, out=out, use_cache=not no_cache, progress=terminal,
         argv=sys.argv[1:],
     )  # fmt: skip
     if as_json:

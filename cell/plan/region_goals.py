@@ -15,7 +15,7 @@ from cell.scene.regions import RegionWishes
 from planner.cover import Problem
 from planner.measurability.matrix import Measurability
 from planner.surface.sample import SurfaceSamples
-from planner.values import Floats, Ints
+from planner.values import Bools, Floats, Ints
 
 _MOST_VIEWS = 2**31 - 1  # more than any plan has; a demand above is not a number of NumPy's any more
 
@@ -95,13 +95,14 @@ class RegionGoals:
 
     def shares(self, prediction: Prediction, T_object_scanner: Floats) -> Floats:
         """(P,) what views (n, K, 4, 4) [m] measure of what is coverable of each part, on the held-out samples."""
-        samples = prediction.samples
+        seen = prediction.visible(T_object_scanner).covered
+        return self.shares_of(prediction.samples, seen, prediction.coverable.covered)
+
+    def shares_of(self, samples: SurfaceSamples, seen: Bools, can: Bools) -> Floats:
+        """(P,) what is seen of what can be measured of (S,) samples, of each part of them."""
         assert samples.region is not None, "the part has regions"
         region = samples.region.astype(np.int64)
         worth, part = samples.areas * self.weight[region], self.part[region]
         count = len(self.coverage)
-        seen, can = (
-            np.bincount(part, weights=worth * which, minlength=count)
-            for which in (prediction.visible(T_object_scanner).covered, prediction.coverable.covered)
-        )
-        return np.divide(seen, can, out=np.ones(count), where=can > 0)
+        worth_seen, worth_can = (np.bincount(part, weights=worth * which, minlength=count) for which in (seen, can))
+        return np.divide(worth_seen, worth_can, out=np.ones(count), where=worth_can > 0)

@@ -54,7 +54,7 @@ from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
-FEATURES, SELECTION, MOTION, _ENSEMBLE = 0, 2, 3, 4
+FEATURES, SELECTION, MOTION, ENSEMBLE = 0, 2, 3, 4
 EXECUTIONS, CURVE, SCOUTS, _ASKED, FRESH = 5, 6, 7, 8, 9
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
@@ -245,7 +245,7 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
         with run.step("pose errors") as progress:
             layer = pose_uncertainty.layer(
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
-                run.rng(_ENSEMBLE), progress,
+                run.rng(ENSEMBLE), progress,
             )  # fmt: skip
     limits = scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
     home = cell.world.home if measured.candidates.T_object_scanner.shape[1] == 1 else None

@@ -42,6 +42,16 @@ class SetupsCoverage(JsonTable):
     required: float = Field(default=0.0, description="of the whole surface: less is exit code 3")
 
 
+class SetupsRegion(JsonTable):
+    """A region of the part, measured in all set-ups together; shares are of the region."""
+
+    name: str = Field(description="of its own")
+    asked: float = Field(description="of what is coverable; regions without a coverage of their own share one")
+    visible: float = Field(description="measured by a view of any set-up")
+    coverable: float = Field(description="measured by a reachable candidate of any set-up that was offered")
+    visible_of_coverable: float = Field(description="the first as a fraction of the second")
+
+
 class PlannedOpen(JsonTable):
     """What no view of any set-up measures, by the first reason that holds; fractions of the surface."""
 
@@ -73,6 +83,15 @@ class SetupsFile(JsonTable):
     setups_bound: int = Field(description="no fewer of the set-ups offered reach what was asked of these samples")
     views: int = Field(description="of all set-ups")
     views_bound: int = Field(description="no cover by so many of the set-ups offered has fewer views")
+    seconds: float | None = Field(
+        default=None, description="that views cost, and set-ups where they do; null where views were counted"
+    )
+    seconds_bound: float | None = Field(default=None, description="no cover that was asked for costs less")
+    kept: float | None = Field(
+        default=None,
+        description="of what can be: share of the matrix' samples that has as many views, or the promise, asked for",
+    )
+    regions: tuple[SetupsRegion, ...] = Field(default=(), description="of the part; none where it has none")
     chosen: tuple[ChosenSetup, ...] = Field(description="in the order in which they are numbered")
     offered: tuple[OfferedSetup, ...] = Field(description="all that were looked at")
     shared: tuple[SharedSurface, ...] = Field(default=(), description="by pairs of chosen set-ups")

@@ -5,7 +5,7 @@ every set-up that it uses, and chosen again without what cannot be connected. Ea
 own below `setups/`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -22,25 +22,22 @@ from cell.plan.steps import Job, Run
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, surface_features
 from cell.run.planned import open_run
-from cell.run.setups_json import ChosenSetup, OfferedSetup, SetupsCoverage, SetupsFile
-from cell.scene.plan_settings import PlanSettings
+from cell.run.setups_json import ChosenSetup, OfferedSetup, SetupsCoverage, SetupsFile, SetupsRegion
+from cell.scene.regions import complete
 from cell.scene.scene import Scene
 from cell.setups.joint import JointCover
 from cell.setups.left_open import left_open
 from cell.setups.measured import Setup, compiled_world, measured_setup
 from cell.setups.offered import Offer, given, proposed
+from cell.setups.options import SetupOptions
 from cell.setups.report import page, status
 from cell.setups.search import Search
 from cell.setups.shared import apart, shared
+from cell.setups.wishes import Asked, require_named
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Bools
 from planner.viewpoints import growth
-
-_FOREIGN = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order", "pose_sd_mm",
-            "pose_sd_deg", "curve", "solver", "fill", "pinned", "banned")  # fmt: skip
-"""Wishes of `[plan]` that a cover of several set-ups does not answer."""
-
 
 PROPOSED = 24
 """Poses that are proposed where neither the scene nor the user says which."""
@@ -52,9 +49,8 @@ _SAME = 1e-5  # m, and entries of a rotation
 def plan_setups(
     scene: Scene,
     *,
+    options: SetupOptions,
     part: Workpiece | None,
-    most: int | None,
-    offer: int | None,
     scene_path: Path | None,
     out: Path | None,
     argv: Sequence[str],
@@ -65,9 +61,8 @@ def plan_setups(
 
     Args:
         scene: the checked scene; its placement says where the part's centre and its lowest point are.
+        options: how many set-ups, and which.
         part: in place of the scene's.
-        most: set-ups that may be used; None: as many as it takes.
-        offer: poses that are proposed, at most; None: `PROPOSED`, or none beside those that the scene gives.
         scene_path: where the scene came from; None for the built-in one.
         out: the folder to make; None makes one below sim_runs/.
         argv: for the manifests.
@@ -81,31 +76,27 @@ def plan_setups(
         UsageError: for a wish that a cover of several set-ups does not answer.
         UnreachableError: if no set-up that is offered measures anything.
     """
-    for key in _FOREIGN:
-        if getattr(scene.plan, key) != PlanSettings.model_fields[key].default:
-            raise UsageError(f"plan.{key} is no wish that a cover of several set-ups answers; leave it out")
-    if scene.region:
-        raise UsageError("regions are no wish that a cover of several set-ups answers; leave them out")
-    if offer is None:
-        offer = 0 if scene.setup else PROPOSED
-    if not (offer or scene.setup):
+    options.check(scene)
+    if options.offer == 0 and not scene.setup:
         raise UsageError("no set-up is offered: give [[setup]] tables in the scene, or let some be proposed")
-    steps_of = partial(_steps, most, offer, scene_path, narrator)
     return pipeline.plan(
         scene, part=part, scene_path=scene_path, out=out, argv=argv, use_cache=use_cache, narrator=narrator,
-        steps_of=steps_of,
+        steps_of=partial(_steps, options, scene_path, narrator),
     )  # fmt: skip
 
 
-def _steps(most: int | None, offer: int, scene_path: Path | None, narrator: Narrator, run: Run, job: Job) -> int:
+def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, run: Run, job: Job) -> int:
     """All of it, into the open folder; returns 0, or 3 where a coverage that was asked for is missed."""
-    surface, offers, tried = _offered(run, job, offer)
+    usual = 0 if job.scene.setup else PROPOSED
+    surface, offers, tried = _offered(run, job, usual if options.offer is None else options.offer)
     setups = {row: found for row, found in enumerate(tried) if isinstance(found, Setup)}
     if not any(len(setup.measured.M.indices) for setup in setups.values()):
         told = next((found for found in tried if isinstance(found, str)), "no candidate measures anything")
         raise UnreachableError(f"none of the {len(offers)} set-ups offered can be planned ({told}); move the part")
+    require_named(options, tried)
     with run.step("select and connect"):
-        search = Search(run, surface, setups, most)
+        asked = Asked.of(job.scene, options)
+        search = Search(run, surface, setups, asked)
         found, connected = search.result()
         setups = dict(search.setups)
     visible = {row: setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()}
@@ -121,7 +112,7 @@ def _steps(most: int | None, offer: int, scene_path: Path | None, narrator: Narr
             argv=run.folder.manifest.argv, use_cache=run.use_cache, narrator=narrator,
             steps_of=partial(_write, surface, problem, plan),
         )  # fmt: skip
-    file = _file(run, job, setups, found, offers, tried, [(row, visible[row]) for row in order])
+    file = _file(run, job, asked, setups, found, offers, tried, [(row, visible[row]) for row in order])
     run.folder.write_json("setups.json", file.as_json())
     run.folder.write_text("report.md", page(file))
     for number in apart(file.shared, range(1, len(order) + 1)):
@@ -129,7 +120,7 @@ def _steps(most: int | None, offer: int, scene_path: Path | None, narrator: Narr
             f"what set-up {number} measures together with others leaves its scans free to move against theirs, and no "
             "candidate helps: the reference alone will hold them together"
         )
-    missed = file.coverage.visible_of_coverable < file.coverage.asked < 1
+    missed = asked.promises and file.coverage.visible_of_coverable < file.coverage.asked < 1
     if missed:
         run.narrator.note(
             f"the set-ups measure {100 * file.coverage.visible_of_coverable:.2f} % of what can be measured, less than "
@@ -184,8 +175,8 @@ def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: R
 
 
 def _file(
-    run: Run, job: Job, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer], tried: list[Setup | str],
-    used: list[tuple[int, Bools]],
+    run: Run, job: Job, asked: Asked, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer],
+    tried: list[Setup | str], used: list[tuple[int, Bools]],
 ) -> SetupsFile:  # fmt: skip
     """What setups.json says."""
     chosen, seen = [], np.zeros_like(used[0][1])
@@ -212,15 +203,34 @@ def _file(
         part=job.part.name,
         seed=run.seed,
         coverage=coverage,
-        status=status(found, len(offers), job.scene.plan.coverage),
+        status=status(found, len(offers), asked.request.asked),
         setups_bound=found.setups_bound,
         views=sum(each.views for each in chosen),
         views_bound=found.views_bound,
+        seconds=None if found.price is None else found.price[0],
+        seconds_bound=None if found.price is None else found.price[1],
+        kept=None if asked.once else found.share,
+        regions=tuple(_regions(job, _samples(setups), seen, can)),
         chosen=tuple(chosen),
         offered=tuple(_told(offer, each) for offer, each in zip(offers, tried, strict=True)),
         shared=shared({number: visible for number, (_, visible) in enumerate(used, start=1)}, _samples(setups)),
         open=left_open(setups, [row for row, _ in used], seen, run.rng(_ASKED)),
     )
+
+
+def _regions(job: Job, samples: SurfaceSamples, seen: Bools, can: Bools) -> Iterator[SetupsRegion]:
+    """What all set-ups measure of each region that counts; nothing where the part has none."""
+    for number, wishes in enumerate(complete(job.scene.region)):
+        own = samples.region == number
+        if wishes.cared and np.any(own):
+            visible, coverable = float(seen[own].mean()), float(can[own].mean())
+            yield SetupsRegion(
+                name=wishes.name,
+                asked=job.scene.plan.coverage if wishes.coverage is None else wishes.coverage,
+                visible=visible,
+                coverable=coverable,
+                visible_of_coverable=visible / coverable if coverable else 1.0,
+            )
 
 
 def _samples(setups: Mapping[int, Setup]) -> SurfaceSamples:

@@ -2,9 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from cell.run.setups_json import PlannedOpen, SetupsFile, SharedSurface
 from cell.setups.joint import JointCover
 from cell.words import listed, percent
+from planner.values import Floats
 
 _WHY = {
     "not_asked": "candidates measure it, and less was asked for (--coverage)",
@@ -15,13 +18,13 @@ _WHY = {
 }
 
 
-def status(found: JointCover, offered: int, asked: float) -> str:
+def status(found: JointCover, offered: int, asked: Floats) -> str:
     """What is proven of both numbers, for these candidates and samples.
 
     Args:
         found: the cover.
         offered: set-ups that were looked at.
-        asked: share of what can be measured that was asked for.
+        asked: (P,) share of what can be measured of each part of the samples that was asked for.
     """
     setups, setups_bound, views, views_bound = len(found.views), found.setups_bound, found.n_views, found.views_bound
     fewest = (
@@ -31,7 +34,17 @@ def status(found: JointCover, offered: int, asked: float) -> str:
     )
     if not found.enough:
         fewest = f"{setups} of the {offered} set-ups offered, too few for what was asked"
-    at = "" if found.target == asked else f", at {percent(found.target)} of the samples for the {100 * asked:g} % asked"
+    if found.upper_area is not None:
+        points = 100 * (found.upper_area - found.covered_area) / max(found.upper_area, 1e-300)
+        if points <= 0:
+            return f"{fewest}; proven most that so many views measure in so many"
+        return f"{fewest}; so many views measure at most {max(points, 0.01):.2f} % more in so many"
+    if found.price is not None:
+        paid, least = found.price
+        in_all = "with what set-ups cost" if found.priced_setups else "in so many"
+        return f"{fewest}; costs at most {100 * (paid - least) / least:.3g} % more than the cheapest views {in_all}"
+    raised = not np.array_equal(found.targets, asked)
+    at = f", at {listed(np.round(100 * found.targets, 2))} % of the samples for what was asked" if raised else ""
     if views <= views_bound:
         return f"{fewest}; proven fewest views in so many{at}"
     more = views - views_bound
@@ -49,6 +62,18 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
             f"{percent(coverage.visible)} of the surface, {percent(coverage.visible_of_coverable)} of what the "
             "set-ups offered can measure",
         ),
+    ]
+    if file.kept is not None:
+        found.append(("as asked", f"{percent(file.kept)} of what can be, from so many views or with that probability"))
+    if file.seconds is not None:
+        found.append(("cost", f"{file.seconds:.1f} s, not less than {file.seconds_bound:.1f}"))
+    found += [
+        (
+            f"region {each.name}",
+            f"{percent(each.visible)} of it, {percent(each.visible_of_coverable)} of what can be measured"
+            f" (asked {percent(each.asked)})",
+        )
+        for each in file.regions
     ]
     found += [
         (setup.folder, f"{file.offered[setup.offered].name}: {setup.views} views, adds {percent(setup.adds)}")

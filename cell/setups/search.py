@@ -20,11 +20,13 @@ from cell.rays.matrix import PartSurface
 from cell.setups.joint import JointCover, joint_cover
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
+from cell.setups.options import named
 from cell.setups.shared import joining
+from cell.setups.wishes import Asked
 from planner.cover import CoverStatus
 from planner.measurability.sample_rows import add_rows
 from planner.surface.sample import pick_samples, sample
-from planner.values import Ints
+from planner.values import Floats, Ints
 
 _TRIES = 20  # covers in all
 _STEP = 0.0005  # beyond the gap that the held-out samples show, as `cell.plan.request` raises a target
@@ -39,16 +41,17 @@ class Search:
         run: the open run; nothing is written.
         surface: the part.
         setups: the possible ones, by their rows among those offered.
-        most: of them that may be used; None: any number.
+        asked: of all of them together.
     """
 
-    def __init__(self, run: Run, surface: PartSurface, setups: Mapping[int, Setup], most: int | None) -> None:
-        self._run, self._surface, self._most = run, surface, most
+    def __init__(self, run: Run, surface: PartSurface, setups: Mapping[int, Setup], asked: Asked) -> None:
+        self._run, self._surface, self._asked = run, surface, asked.about(run, setups)
         self._setups = dict(setups)
         self._M = {row: setup.measured.M for row, setup in setups.items()}  # as the arms leave it
         self._usable = {row: np.array(setup.measured.reached.reachable) for row, setup in setups.items()}
-        self._asked = next(iter(setups.values())).job.scene.plan.coverage
-        self._target = self._asked
+        for row, column in asked.own.bans:
+            self._usable[row][column] = False
+        self._targets = asked.request.asked
         self._spread = next(iter(setups.values())).prediction.samples
         self._fresh = run.rng(steps.FRESH)
         self._chooses = run.rng(steps.SELECTION)
@@ -68,27 +71,25 @@ class Search:
                 continue
             last = found, connected
             lacks = self._lacks(found, connected)
-            if lacks <= 0:
+            if (lacks <= 0).all():
                 break
             rounds += 1
             if rounds > denser_samples.ROUNDS or not self._add_rows(connected):
-                if self._target >= 1:
+                if (self._targets[lacks > 0] >= 1).all():
                     break
-                self._target = min(1.0, self._target + lacks + _STEP)
+                self._targets = np.where(lacks > 0, np.minimum(self._targets + lacks + _STEP, 1.0), self._targets)
         if last is None:
             raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
         found, connected = last
         moved = self._moved(found)
         thorough = self._cover(brief=False, start=None if moved is None else moved.views)
-        for better in sorted((thorough, moved or thorough), key=_size):
-            plans = self._connected(better) if _size(better) < _size(found) else None
-            if plans is not None and self._lacks(better, plans) <= 0:
+        for better in sorted((thorough, moved or thorough), key=lambda one: one.size):
+            plans = self._connected(better) if better.size < found.size else None
+            if plans is not None and (self._lacks(better, plans) <= 0).all():
                 found, connected = better, plans
                 break
-        bound = min(max(thorough.views_bound, found.views_bound if moved is None else 1), found.n_views)
-        setups_bound = min(thorough.setups_bound, len(found.views))  # where moved views count too
-        found, connected = self._held_together(found, connected)
-        return replace(found, setups_bound=setups_bound, views_bound=bound), connected
+        found = found.bounded(thorough)  # which knows all set-ups, and moved views too
+        return self._held_together(found, connected)
 
     @property
     def setups(self) -> Mapping[int, Setup]:
@@ -96,19 +97,20 @@ class Search:
         return self._setups
 
     def _cover(self, *, brief: bool, start: Mapping[int, Ints] | None = None) -> JointCover:
+        own, plan = self._asked.own, self._asked.request.plan
         return joint_cover(
-            list(self._M.values()), list(self._usable.values()), self._target, self._chooses, most=self._most,
-            brief=brief, start=start,
+            self._asked.problem(self._M, self._usable), self._targets, self._chooses, most=own.most,
+            setup_cost=own.setup_s, solver=plan.solver, brief=brief, start=start,
         )  # fmt: skip
 
     def _moved(self, found: JointCover) -> JointCover | None:
         """The cover by fewer views, of which some were moved and are candidates from here on; None where none can."""
         rows = list(self._setups)
-        if not (self._asked < 1 and movable(self._setups)):
+        if not (self._asked.plain and self._asked.promises and movable(self._setups)):
             return None
         chosen = {rows[index]: views for index, views in found.views.items()}
         self._setups, self._M, views = with_fewer(
-            self._run, self._surface, self._setups, self._M, chosen, found.wanted_area
+            self._run, self._surface, self._setups, self._M, chosen, float(found.rows.wanted[0])
         )
         if sum(map(len, views.values())) == found.n_views:
             return None
@@ -140,19 +142,19 @@ class Search:
         except PinnedOutError:
             return None  # its candidate is usable no more
         self._M |= {row: plan.matrix for row, (_, plan) in plans.items()}
-        covered = np.logical_or.reduce(
-            [plan.matrix.matrix()[:, plan.candidate].sum(axis=1) > 0 for _, plan in plans.values()]
+        brought = sum(
+            self._asked.brought(row, plan.matrix)[:, plan.candidate].sum(axis=1) for row, (_, plan) in plans.items()
         )
-        area = float(next(iter(self._M.values())).features.areas[covered].sum())
-        return plans if area >= found.wanted_area * (1 - 1e-9) else None
+        return plans if found.kept_by(np.asarray(brought).ravel()) else None
 
-    def _lacks(self, found: JointCover, connected: Connected) -> float:
-        """Share of what can be measured of the held-out samples by which a coverage below 1 is missed.
+    def _lacks(self, found: JointCover, connected: Connected) -> Floats:
+        """(P,) share of what can be measured of the held-out samples by which a coverage below 1 is missed.
 
         What can be measured by all set-ups; by those that are used where so many as are allowed are too few.
         """
-        if self._asked >= 1:
-            return 0.0
+        asked = self._asked.request.asked
+        if not self._asked.promises:
+            return np.zeros(len(asked))
         seen = np.logical_or.reduce(
             [self._setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()]
         )
@@ -160,7 +162,8 @@ class Search:
             np.logical_or.reduce([self._setups[row].coverable for row in (self._setups if found.enough else connected)])
             | seen
         )
-        return self._asked - float(seen.sum() / can.sum())  # they stand for equal areas
+        shares = self._asked.shares(next(iter(self._setups.values())).prediction.samples, seen, can)
+        return np.where(asked < 1, asked - shares, 0.0)
 
     def _add_rows(self, connected: Connected) -> bool:
         """Whether fresh samples showed what a candidate measures and no view: rows of every set-up then."""
@@ -203,14 +206,12 @@ class Search:
                 problem, first_choice(problem, chooses), selection_rng=chooses, motion_rng=self._run.rng(steps.MOTION)
             )
         except PinnedOutError as error:
+            if (row, error.candidate) in self._asked.own.pins:
+                name = named((row, error.candidate))
+                raise UnreachableError(
+                    f"candidate {name} is pinned and cannot be part of a motion: {error.reason}; pin another"
+                ) from error
             self._usable[row][error.candidate] = False
             raise
         cover = replace(chosen.cover, lower_bound=1, status=CoverStatus.BOUNDED, solver="joint")
-        return problem, replace(
-            chosen, cover=cover, selected=replace(chosen.selected, targets=np.array([self._target]))
-        )
-
-
-def _size(found: JointCover) -> tuple[int, int]:
-    """What is to be small: set-ups, then views."""
-    return len(found.views), found.n_views
+        return problem, replace(chosen, cover=cover, selected=replace(chosen.selected, targets=self._targets))

@@ -1,100 +1,216 @@
 """The cover over several set-ups against all choices of views."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_array
 
 from cell.setups import joint
-from cell.setups.joint import fewest_setups, joint_cover
-from planner.measurability.matrix import Measurability
-from planner.surface.sample import SurfaceSamples
+from cell.setups.fewest import Rows, fewest_setups
+from cell.setups.joint import JointCover, joint_cover
+from planner.cover import Overlap, Problem
+from planner.values import Bools
+
+ROWS = 14
 
 
-def _matrices(rng: np.random.Generator, setups: int, rows: int, columns: int) -> list[Measurability]:
-    flat = np.zeros(rows, dtype=np.int32)
-    areas = rng.integers(1, 4, rows).astype(float)
-    features = SurfaceSamples(np.zeros((rows, 3)), np.tile([0.0, 0, 1], (rows, 1)), areas, flat, flat)
+def _wish(rng: np.random.Generator, setups: int, columns: int) -> Problem:
+    """Columns of all set-ups, each of which measures other rows; nine of ten are usable."""
+    dense = np.column_stack(
+        [(rng.random((ROWS, columns)) < 0.3) & (rng.random(ROWS) < 0.6)[:, None] for _ in range(setups)]
+    )
+    areas = rng.integers(1, 4, ROWS).astype(float)
+    group = np.repeat(np.arange(setups), columns)
+    return Problem(csc_array(dense), areas, allowed=rng.random(setups * columns) < 0.9, group=group)
+
+
+def _best(wish: Problem, size: Callable[[list[int], Bools], tuple[float, ...] | None]) -> tuple[float, ...]:
+    """The smallest size of all choices of usable columns; None is none. Told (S,) rows that have what they need."""
+    dense, usable = wish.matrix.toarray(), np.flatnonzero(wish.allowed)
+    need = np.minimum(dense[:, usable].sum(axis=1), wish.demand)
     found = []
-    for _ in range(setups):
-        entries = (rng.random((rows, columns)) < 0.3) & (rng.random(rows) < 0.6)[:, None]
-        indptr = np.concatenate([[0], np.cumsum(entries.sum(axis=1))])
-        found.append(Measurability(indptr, np.nonzero(entries)[1].astype(np.int32), features, columns))
-    return found
+    for count in range(1, len(usable) + 1):
+        for some in combinations(usable.tolist(), count):
+            if set(wish.pinned) <= set(some):
+                told = size(list(some), (need > 0) & (dense[:, list(some)].sum(axis=1) >= need))
+                found += [] if told is None else [told]
+    return min(found)
 
 
-def _best(dense: np.ndarray, group: np.ndarray, areas: np.ndarray, wanted: float) -> tuple[int, int]:
-    """Fewest set-ups, then fewest views, of all choices of columns."""
-    best = (99, 99)
-    for count in range(1, dense.shape[1] + 1):
-        for some in combinations(range(dense.shape[1]), count):
-            if areas[dense[:, some].any(axis=1)].sum() >= wanted - 1e-9:
-                best = min(best, (len(set(group[list(some)])), count))
-    return best
+def _wanted(wish: Problem, target: float) -> float:
+    dense = wish.matrix.toarray()[:, wish.allowed]
+    return target * float(np.asarray(wish.areas)[dense.any(axis=1)].sum())
+
+
+def _checked(wish: Problem, found: JointCover) -> None:
+    """The views are usable, contain the pinned ones, and cover what is said."""
+    group, dense = np.asarray(wish.group), wish.matrix.toarray()
+    columns = np.concatenate([np.flatnonzero(group == setup)[views] for setup, views in found.views.items()])
+    assert np.asarray(wish.allowed)[columns].all()
+    assert set(wish.pinned) <= set(columns.tolist())
+    need = np.minimum(dense[:, wish.allowed].sum(axis=1), wish.demand)
+    has = (need > 0) & (dense[:, columns].sum(axis=1) >= need)
+    assert np.asarray(wish.areas)[has].sum() >= found.covered_area - 1e-9
+    assert found.kept_by(dense[:, columns].sum(axis=1))
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_fewest_setups_and_then_fewest_views(seed: int) -> None:
-    """Both numbers are the best there is, or within what the bounds say; the views reach the target."""
-    rng = np.random.default_rng(seed)
-    matrices = _matrices(rng, 3, 14, 4)
-    usable = [rng.random(4) < 0.9 for _ in matrices]
-    target = (1.0, 0.8)[seed % 2]
-    found = joint_cover(matrices, usable, target, np.random.default_rng(0))
-    allowed = np.concatenate(usable)
-    dense = np.column_stack([M.matrix().toarray() for M in matrices])[:, allowed]
-    group = np.repeat(np.arange(3), 4)[allowed]
-    areas = np.asarray(matrices[0].features.areas)
-    wanted = target * areas[dense.any(axis=1)].sum()
-    setups, views = _best(dense, group, areas, wanted)
+@pytest.mark.parametrize("wished", ["plain", "pinned", "twice"])
+def test_fewest_setups_and_then_fewest_views(seed: int, wished: str) -> None:
+    """Both numbers are the best there is; pinned views are taken, and rows may need two views of any set-ups."""
+    wish = _wish(np.random.default_rng(seed), 3, 4)
+    if wished == "pinned":
+        wish = replace(wish, pinned=np.flatnonzero(wish.allowed)[[1, -1]].tolist())
+    if wished == "twice":
+        wish = replace(wish, demand=2)
+    target, group = (1.0, 0.8)[seed % 2], np.asarray(wish.group)
+    found = joint_cover(wish, np.array([target]), np.random.default_rng(0))
+
+    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
+        enough = np.asarray(wish.areas)[has].sum() >= _wanted(wish, target) - 1e-9
+        return (len(set(group[some])), len(some)) if enough else None
+
+    setups, views = _best(wish, size)
     assert (len(found.views), found.setups_bound) == (setups, setups)
     assert (found.n_views, found.views_bound) == (views, views)
     assert found.enough
-    seen = np.zeros(14, dtype=bool)
-    for setup, chosen in found.views.items():
-        assert usable[setup][chosen].all()
-        seen |= matrices[setup].matrix().toarray()[:, chosen].any(axis=1)
-    assert areas[seen].sum() == pytest.approx(found.covered_area)
-    assert areas[seen].sum() >= wanted - 1e-9
+    _checked(wish, found)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_seconds_come_after_set_ups_or_with_them(seed: int) -> None:
+    """The cheapest views in the fewest set-ups; where a set-up has a price, the cheapest sum, and no bound above it."""
+    rng = np.random.default_rng(50 + seed)
+    wish = _wish(rng, 3, 4)
+    wish = replace(wish, costs=rng.integers(1, 9, 12).astype(float))
+    costs, group = np.asarray(wish.costs), np.asarray(wish.group)
+    for each in (None, 6.0):
+        found = joint_cover(wish, np.array([0.8]), np.random.default_rng(0), setup_cost=each)
+
+        def size(some: list[int], has: Bools, each: float | None = each) -> tuple[float, ...] | None:
+            if np.asarray(wish.areas)[has].sum() < _wanted(wish, 0.8) - 1e-9:
+                return None
+            setups = len(set(group[some]))
+            paid = float(costs[some].sum())
+            return (setups, paid) if each is None else (paid + each * setups,)
+
+        assert found.price is not None
+        assert found.price[0] == pytest.approx(_best(wish, size)[-1])
+        assert found.price[1] <= found.price[0] + 1e-9
+        assert found.price[1] >= found.price[0] * (1 - 1e-3)
+        _checked(wish, found)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_most_area_with_so_many_views(seed: int) -> None:
+    """In as few set-ups as could measure what is asked for with all their views; the bound is no less."""
+    wish = replace(_wish(np.random.default_rng(80 + seed), 4, 3), max_views=3)
+    found = joint_cover(wish, np.array([0.8]), np.random.default_rng(0))
+    rows, group = Rows(wish, np.array([0.8])), np.asarray(wish.group)
+    count, members = fewest_setups(rows, (), None)
+
+    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
+        inside = any(set(group[some]) <= set(each) for each in members)
+        return (-float(np.asarray(wish.areas)[has].sum()),) if len(some) <= 3 and inside else None
+
+    assert found.covered_area == pytest.approx(-_best(wish, size)[0])
+    assert found.upper_area == pytest.approx(found.covered_area)
+    assert len(found.views) <= count
+    assert found.n_views <= 3
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_parts_of_the_rows_have_targets_of_their_own(seed: int) -> None:
+    """All of one part and half of the other, in the fewest set-ups; the bound on views is one."""
+    rng = np.random.default_rng(120 + seed)
+    wish = replace(_wish(rng, 3, 4), part=np.arange(ROWS) % 2)
+    targets, areas, group = np.array([1.0, 0.5]), np.asarray(wish.areas), np.asarray(wish.group)
+    can = wish.matrix.toarray()[:, wish.allowed].any(axis=1)
+    wanted = [float(share * areas[can & (np.arange(ROWS) % 2 == part)].sum()) for part, share in enumerate(targets)]
+
+    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
+        reached = [float(areas[has & (np.arange(ROWS) % 2 == part)].sum()) for part in range(2)]
+        return (len(set(group[some])), len(some)) if np.all(np.array(reached) >= np.array(wanted) - 1e-9) else None
+
+    found = joint_cover(wish, targets, np.random.default_rng(0))
+    setups, views = _best(wish, size)
+    assert len(found.views) == found.setups_bound == setups
+    assert found.views_bound <= views <= found.n_views
+    _checked(wish, found)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_views_of_all_set_ups_hang_together(seed: int) -> None:
+    """One chain of views that share a row, whichever set-up each is of; no bound is above the best."""
+    wish = replace(_wish(np.random.default_rng(160 + seed), 3, 4), overlap=Overlap(area=0.5))
+    dense, group = wish.matrix.toarray(), np.asarray(wish.group)
+
+    def hang(some: list[int]) -> bool:
+        joined, left = {some[0]}, set(some[1:])
+        while near := {one for one in left if any((dense[:, one] & dense[:, other]).any() for other in joined)}:
+            joined, left = joined | near, left - near
+        return not left
+
+    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
+        enough = np.asarray(wish.areas)[has].sum() >= _wanted(wish, 0.7) - 1e-9
+        return (len(set(group[some])), len(some)) if enough and hang(some) else None
+
+    found = joint_cover(wish, np.array([0.7]), np.random.default_rng(0))
+    columns = np.concatenate([np.flatnonzero(group == setup)[views] for setup, views in found.views.items()])
+    if hang(columns.tolist()):  # else no choice of so few set-ups does
+        setups, views = _best(wish, size)
+        assert (found.setups_bound, found.views_bound) <= (setups, views)
+        assert len(found.views) == setups
+        assert views <= found.n_views <= views + 1
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_many_choices_are_one_problem(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where only one choice is covered by itself, the number of set-ups stays exact and the bound on views a bound."""
     monkeypatch.setattr(joint, "_EACH", 1)
-    rng = np.random.default_rng(100 + seed)
-    matrices = _matrices(rng, 4, 14, 3)
-    usable = [np.ones(3, dtype=bool)] * 4
-    found = joint_cover(matrices, usable, 0.75, np.random.default_rng(0))
-    dense = np.column_stack([M.matrix().toarray() for M in matrices])
-    areas = np.asarray(matrices[0].features.areas)
-    wanted = 0.75 * areas[dense.any(axis=1)].sum()
-    setups, views = _best(dense, np.repeat(np.arange(4), 3), areas, wanted)
+    wish = _wish(np.random.default_rng(100 + seed), 4, 3)
+    group = np.asarray(wish.group)
+    found = joint_cover(wish, np.array([0.75]), np.random.default_rng(0))
+
+    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
+        enough = np.asarray(wish.areas)[has].sum() >= _wanted(wish, 0.75) - 1e-9
+        return (len(set(group[some])), len(some)) if enough else None
+
+    setups, views = _best(wish, size)
     assert (len(found.views), found.setups_bound) == (setups, setups)
     assert found.views_bound <= views <= found.n_views
-    assert found.covered_area >= wanted - 1e-9
+    _checked(wish, found)
 
 
 def test_one_set_up_alone_does_what_it_can() -> None:
     """Where more set-ups would be needed than are allowed, the one that can measure most is covered."""
-    matrices = _matrices(np.random.default_rng(1), 3, 14, 4)
-    usable = [np.ones(4, dtype=bool)] * 3
-    found = joint_cover(matrices, usable, 1.0, np.random.default_rng(0), most=1)
-    can = [M.features.areas[M.matrix().toarray().any(axis=1)].sum() for M in matrices]
+    wish = _wish(np.random.default_rng(1), 3, 4)
+    found = joint_cover(wish, np.array([1.0]), np.random.default_rng(0), most=1)
+    dense = wish.matrix.toarray() & wish.allowed
+    can = [np.asarray(wish.areas)[dense[:, np.asarray(wish.group) == row].any(axis=1)].sum() for row in range(3)]
     assert list(found.views) == [int(np.argmax(can))]
     assert not found.enough
     assert found.covered_area == pytest.approx(max(can))
 
 
 def test_choices_of_set_ups_are_all_that_reach_the_area() -> None:
-    """Against all subsets of the fewest."""
+    """Against all subsets of the fewest; those that must be used are in each."""
     rng = np.random.default_rng(5)
     can, areas = rng.random((7, 60)) < 0.45, rng.random(60)
-    wanted = 0.9 * float(areas.sum())
-    count, members = fewest_setups(can, areas, wanted, None)
-    enough = {
-        size: {some for some in combinations(range(7), size) if areas[can[list(some)].any(axis=0)].sum() >= wanted}
-        for size in range(1, count + 1)
-    }
-    assert set(members) == enough[count]
-    assert not any(enough[size] for size in range(1, count))
+    wish = Problem(csc_array(can.T), areas, allowed=np.ones(7, dtype=bool), group=np.arange(7))
+    wanted = 0.9 * float(areas[can.any(axis=0)].sum())
+    for must in ((), (3,)):
+        count, members = fewest_setups(Rows(wish, np.array([0.9])), must, None)
+        enough = {
+            size: {
+                some
+                for some in combinations(range(7), size)
+                if set(must) <= set(some) and areas[can[list(some)].any(axis=0)].sum() >= wanted
+            }
+            for size in range(1, count + 1)
+        }
+        assert set(members) == enough[count]
+        assert not any(enough[size] for size in range(1, count))

@@ -18,11 +18,13 @@ from cell.scene.scene import Scene
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
+from cell.setups.fewest import Rows
 from cell.setups.joint import JointCover
 from cell.setups.offered import proposed
 from cell.setups.search import Search
 from cell.why import advise
 from cell.world.model import compile_world
+from planner.cover import Problem
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 
@@ -167,7 +169,8 @@ def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) 
 
 def _cover(views: dict[int, int], setups_bound: int) -> JointCover:
     columns = {row: np.arange(count) for row, count in views.items()}
-    return JointCover(columns, setups_bound, 1, 1.0, 1.0, 0.9, enough=True)
+    wish = Problem(np.ones((1, 1)), np.ones(1), np.ones(1, dtype=bool), group=np.zeros(1, dtype=np.int64))
+    return JointCover(columns, setups_bound, 1, 1.0, Rows(wish, np.ones(1)), np.ones(1), enough=True)
 
 
 def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
@@ -176,10 +179,10 @@ def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
     """Once views were moved one set-up may do: it is taken though two need fewer views, and no bound is above it."""
     first, moved, thorough = _cover({0: 3, 1: 3}, 2), _cover({0: 2, 1: 2}, 2), _cover({0: 5}, 1)
     for name, answer in (
-        ("__init__", lambda self: setattr(self, "_target", 0.9)),
+        ("__init__", lambda _: None),
         ("_cover", lambda _, *, brief, start=None: first if brief else thorough),
         ("_connected", lambda _, found: {"of": found}),
-        ("_lacks", lambda *_: 0.0),
+        ("_lacks", lambda *_: np.zeros(1)),
         ("_moved", lambda *_: moved),
         ("_held_together", lambda _, found, connected: (found, connected)),
     ):
