@@ -36,8 +36,11 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from cell.plan import picture_process
+from cell.rays.prediction import held_out
+from cell.reconstruction.deviation import deviation
 from cell.run import digest
 from cell.view.contents import HALF_PAGE
+from planner.measurability import coverage
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
 # `--hypothesis-profile=full` has four times as many.
@@ -62,6 +65,7 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+_SAMPLES = 10_000
 _SMALL_SETUPS = (
     "--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "2", "--standoff", "250", "--seed", "3",
     "--candidates", "optimal-scanning-zone", "--coverage", "0.97",
@@ -181,15 +185,15 @@ class _DrawingHere(picture_process.Drawing):
         pass
 
 
-def _only_where_looked_at(draw: Callable[..., object], *, page: bool) -> Callable[..., object]:
-    """A function that writes a picture, or returns a page, as it is or without content."""
+def _only_where_looked_at(draw: Callable[..., object], instead: object) -> Callable[..., object]:
+    """A function that writes a picture (instead: an empty file), or returns a page or what is drawn on."""
 
     def look(*arguments: Any, **named: Any) -> object:
         if _Looks.drawn:
             return draw(*arguments, **named)
-        if not page:
+        if instead is Path:
             next(path for path in arguments if isinstance(path, Path)).write_bytes(b"")
-        return ""
+        return instead
 
     return look
 
@@ -200,7 +204,9 @@ _PICTURES = (
 )  # fmt: skip
 _PAGES = (
     "cell.view.contents.execution_page", "cell.view.contents.why_page", "cell.view.explore_page.explore_page",
+    "cell.diff.compare.page",
 )  # fmt: skip
+_CANVASES = ("cell.scan.post_processing.canvas_of", "cell.why.explain.canvas_of")
 
 
 @contextlib.contextmanager
@@ -215,8 +221,30 @@ def drawing_is_here() -> Iterator[None]:
     """A plan made in this process needs no other for its pictures; those of `start_cell` have their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(picture_process, "beside", lambda: contextlib.nullcontext(_DrawingHere()))
-        for name in (*_PICTURES, *_PAGES):
-            patch.setattr(name, _only_where_looked_at(resolve_name(name), page=name in _PAGES))
+        for names, instead in ((_PICTURES, Path), (_PAGES, ""), (_CANVASES, None)):
+            for name in names:
+                patch.setattr(name, _only_where_looked_at(resolve_name(name), instead))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def a_tenth_of_the_samples() -> Iterator[None]:
+    """Coverage and deviation are measured on 10,000 samples: what holds of them holds of the definition's 100,000.
+
+    Processes of `start_cell` have them all, and so has whoever names a number.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(coverage, "SAMPLES", _SAMPLES)
+        patch.setattr(held_out, "__defaults__", (_SAMPLES,))
+        patch.setattr(deviation, "__kwdefaults__", {**deviation.__kwdefaults__, "count": _SAMPLES})
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_waits_for_the_disk() -> Iterator[None]:
+    """What is kept when the power fails is no test's property; processes of `start_cell` do wait."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
         yield
 
 

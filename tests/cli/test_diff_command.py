@@ -50,6 +50,7 @@ def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_p
     assert said["surface"]["gained_mm2"] == said["surface"]["lost_mm2"] == 0
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_settings_views_and_areas_of_two_plans(
     planned: Path, other: Path, run_cell: Cell, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
