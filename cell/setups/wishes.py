@@ -21,7 +21,7 @@ from planner.cover.robust import DEMAND, loads
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.surface.sample import SurfaceSamples
-from planner.timing import motion as timing
+from planner.timing.limits import scaled
 from planner.values import Bools, Floats
 
 
@@ -84,7 +84,7 @@ class Asked:
         for row, setup in setups.items():
             world, robot, known = setup.cell.world, setup.job.scene.robot, setup.measured
             if plan.cost == "time":
-                limits = timing.scaled(world.limits, robot.speed_scaling, robot.acceleration_scaling)
+                limits = scaled(world.limits, robot.speed_scaling, robot.acceleration_scaling)
                 home = world.home if known.candidates.T_object_scanner.shape[1] == 1 else None
                 seconds[row] = seconds_of_views(plan, known.reached, home, limits)
             if not pose_error(plan).none:
