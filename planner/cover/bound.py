@@ -28,7 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from planner.cover.budget import Budget
-from planner.cover.sets import Sets
+from planner.cover.sets import Sets, of_slices
 from planner.values import Bools, Floats, Ints
 
 ROUNDING = 1e-6
@@ -64,7 +64,7 @@ class Relaxation:
         """Evaluate the first multipliers."""
         self.sets, self.size = sets, sets.most
         self.A, self.owner = _shares(sets)
-        self.At = sp.csr_array(self.A.T)
+        self.At = sets.transposed() if sets.once else sp.csr_array(self.A.T)
         self.units = sets.units.astype(np.float64)
         self.open_units = np.zeros(sets.most + 1)
         self._must = sets.units > sets.slack
@@ -76,8 +76,9 @@ class Relaxation:
         else:
             # Feasible: each row's share of the best of its columns, so that no reduced cost is negative.
             weights = np.ones(sets.n_rows) if sets.full else self.units
-            worth = (self.At[:, : sets.n_rows] @ weights) / sets.costs
-            largest = np.maximum.reduceat(np.append(worth[sets.row_columns], 0.0), sets.row_start[:-1])
+            own = self.At if len(self.owner) == sets.n_rows else self.At[:, : sets.n_rows]
+            worth = (own @ weights) / sets.costs
+            largest = of_slices(np.maximum, sets.row_start, sets.row_columns, worth.__getitem__)
             first[: sets.n_rows] = weights / np.maximum(largest, 1e-300)
         self.evaluate(first)
 

@@ -26,6 +26,10 @@ WORK_PER_SECOND = 500_000_000
 DEFAULT_WORK = 1_000_000_000
 """Default budget of a selection: about two seconds; most end long before."""
 
+DEFAULT_WORK_PER_ENTRY = 200
+"""Default budget for each entry of a matrix, where that is more: of what large ones get, half goes before the search
+(canonical form, first choice, reductions)."""
+
 UNLIMITED_WORK = 10**15
 """A budget that only a clock ends."""
 

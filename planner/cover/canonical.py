@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from planner.cover.graph import NO_GRAPH, joined_columns
 from planner.cover.problem import Problem
-from planner.cover.sets import Sets, both_ways, set_hash
+from planner.cover.sets import Sets, both_ways, of_slices, set_hash
 from planner.errors import PlannerError
 from planner.values import Bools, Floats, Ints, Value, freeze
 
@@ -96,19 +96,24 @@ def canonical(problem: Problem) -> Canonical:
 
     chosen = np.flatnonzero(usable & (np.diff(matrix.indptr) > 0))
     part = matrix if len(chosen) == n_columns else matrix[:, chosen]
-    available = np.asarray(part.sum(axis=1)).ravel()
+    plain = part.dtype == np.int8
+    weights = None if plain else part.data
+    available = np.bincount(part.indices, weights, matrix.shape[0]).astype(np.int64)  # exact below 2^53
     rows = np.flatnonzero(available)
-    part = part if len(rows) == matrix.shape[0] else sp.csc_array(part[rows])
+    if len(rows) < matrix.shape[0]:
+        place = np.cumsum(available > 0, dtype=part.indices.dtype) - 1
+        part = sp.csc_array((part.data, place[part.indices], part.indptr), shape=(len(rows), len(chosen)))
     part.sort_indices()
     units = _units(areas[rows])
     most = min(problem.demand, 2**30) if isinstance(problem.demand, int) else np.minimum(problem.demand, 2**30)
     asked = np.broadcast_to(most, available.shape)
     demand = np.minimum(available, asked)[rows]
-    part.data = np.minimum(part.data, demand[part.indices])
-    start = part.indptr.astype(np.int64)
-    covered = np.add.reduceat(units[part.indices], start[:-1]) if len(chosen) else units[:0]
+    start, of_entry = part.indptr.astype(np.int64), part.indices
+    if not plain:
+        part.data, of_entry = np.minimum(part.data, demand[part.indices]), of_entry.astype(np.int64)
+    covered = of_slices(np.add, start, part.indices, units.__getitem__)
     given = costs if problem.costs is None else np.asarray(problem.costs, dtype=np.float64)  # unrounded: fewer ties
-    held = set_hash(start, part.indices.astype(np.int64) * (1 + int(part.data.max(initial=1))) + part.data)
+    held = set_hash(start, of_entry * (1 + int(part.data.max(initial=1))) + part.data)
     first = part.indices[start[:-1]]
     order = np.lexsort((chosen, given[chosen], group[chosen], held, first, -covered))
     columns = chosen[order]
@@ -145,7 +150,7 @@ def _checked(problem: Problem) -> tuple[Any, Bools, Ints]:
         if len(matrix.data) and matrix.data.min() < 0:
             raise PlannerError(f"a load of the matrix is {matrix.data.min()}; loads must be zero or above")
     else:
-        matrix = sp.csc_array((np.ones(matrix.nnz, np.int64), matrix.indices, matrix.indptr), shape=matrix.shape)
+        matrix = sp.csc_array((np.ones(matrix.nnz, np.int8), matrix.indices, matrix.indptr), shape=matrix.shape)
     n_rows, n_columns = matrix.shape
     areas = np.array(problem.areas, dtype=np.float64)
     if areas.shape != (n_rows,):

@@ -10,7 +10,7 @@ import heapq
 import numpy as np
 
 from planner.cover.graph import connected, join
-from planner.cover.sets import Sets, gather
+from planner.cover.sets import Sets, gather, of_slices
 from planner.values import Floats, Ints
 
 
@@ -29,9 +29,14 @@ class Open:
     def __init__(self, sets: Sets, columns: Ints) -> None:
         self.sets, self.chosen = sets, [int(j) for j in columns]
         self.deficit = np.maximum(sets.demand - sets.loads(columns), 0)
-        self.gains: Floats = np.zeros(sets.n_columns)
         rows = np.flatnonzero(self.deficit)
-        self._change(rows, np.zeros(len(rows), dtype=np.int64), self.deficit[rows])
+        if sets.plain:
+            waiting = np.where(self.deficit > 0, sets.units, 0)
+            brought = of_slices(np.add, sets.column_start, sets.column_rows, waiting.__getitem__)
+            self.gains: Floats = brought.astype(np.float64)
+        else:
+            self.gains = np.zeros(sets.n_columns)
+            self._change(rows, np.zeros(len(rows), dtype=np.int64), self.deficit[rows])
         self.gains[columns] = -np.inf
         self.missing = int(sets.units[rows].sum()) - (0 if sets.most >= 0 else sets.slack)
         self.work = 8 * sets.n_entries

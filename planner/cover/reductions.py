@@ -21,16 +21,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.cover.budget import Budget
-from planner.cover.sets import Sets, gather, packed, set_hash
+from planner.cover.sets import Sets, blocks, gather, of_slices, packed, set_hash
 from planner.values import Bools, Ints, Ints32
 
 SHARE = 0.2
 """Share of the work left that one pass of subset tests may cost."""
 
-PAIR_WORK, MEMBER_WORK = 3, 12
+PAIR_WORK, MEMBER_WORK = 3, 6
 """Charge of a subset test, and of packing a member."""
 
-LARGE, WORTHWHILE = 200_000, 0.02
+LARGE, WORTHWHILE = 200_000, 0.1
 """A matrix with more ones than this gets another round only when the last one removed at least this share of them."""
 
 
@@ -77,7 +77,7 @@ def _round(found: Reduction, budget: Budget, only_forced: bool) -> tuple[Reducti
     """Every reduction once, and whether another round is worth it."""
     sets, forced, columns = found.sets, found.forced, found.columns
     shape, entries = sets.shape, sets.n_entries
-    budget.spend((2 if only_forced else 20) * entries)
+    budget.spend((2 if only_forced else 15) * entries)
     must = _forced_columns(sets)
     if len(must):
         rest, left = sets.without(must)
@@ -119,9 +119,12 @@ def _merged(sets: Sets) -> Sets:
     if not len(pairs):
         return sets
     # Equal hashes are only a hint: the members are compared.
-    first, count = gather(start, members, previous[pairs])
-    second, _ = gather(start, members, current[pairs])
-    alike[pairs] = np.logical_and.reduceat(first == second, np.cumsum(count) - count)
+    ends = np.cumsum(lengths[previous[pairs]])
+    for block in blocks(ends - lengths[previous[pairs]]):
+        some = pairs[block]
+        first, count = gather(start, members, previous[some])
+        second, _ = gather(start, members, current[some])
+        alike[some] = np.logical_and.reduceat(first == second, np.cumsum(count) - count)
     group = np.concatenate(([0], np.cumsum(~alike)))
     leader = order[np.concatenate(([True], ~alike))]
     summed = np.zeros(sets.n_rows, dtype=np.int64)
@@ -134,8 +137,7 @@ def _merged(sets: Sets) -> Sets:
 def _dominated_columns(sets: Sets, budget: Budget) -> Bools:
     """Columns whose rows enough others cover that cost no more; and columns without a row (theirs were dominated)."""
     sizes = np.diff(sets.column_start)
-    demands = np.append(sets.demand[sets.column_rows], 0)
-    most = np.maximum.reduceat(demands, sets.column_start[:-1])
+    most = of_slices(np.maximum, sets.column_start, sets.column_rows, sets.demand.__getitem__)
     group = np.where(sets.group_costs[sets.group] == 0, -1, sets.group)
     by_column = sets.column_start, sets.column_rows, sets.row_start, sets.row_columns
     gone: Bools = (sizes == 0) | _dominated(*by_column, sets.costs, group, most, budget)
@@ -160,13 +162,10 @@ def _dominated(
     from planner.cover.reduction_kernels import dominated  # importing numba costs 0.3 s
 
     frequency, sizes, n_sets = np.diff(of_start), np.diff(start), len(start) - 1
-    filled = np.flatnonzero(sizes > 0)
-    key = frequency[members] * len(frequency) + members
-    rarest = np.zeros(n_sets, dtype=np.int64)
-    if len(filled):
-        rarest[filled] = np.minimum.reduceat(key, start[:-1][filled]) % len(frequency)
-    work = PAIR_WORK * int(frequency[rarest[filled]].sum()) + MEMBER_WORK * len(members)
-    if not len(filled) or work > SHARE * budget.left:
+    key = frequency.astype(np.int64) * len(frequency) + np.arange(len(frequency))
+    rarest = of_slices(np.minimum, start, members, key.__getitem__) % max(len(frequency), 1)
+    work = PAIR_WORK * int(frequency[rarest[sizes > 0]].sum()) + MEMBER_WORK * len(members)
+    if not len(members) or work > SHARE * budget.left:
         return np.zeros(n_sets, dtype=bool)
     budget.spend(work)
     bits = packed(start, members, len(frequency))

@@ -7,7 +7,7 @@ import numpy as np
 
 from planner.cover.answer import Cover
 from planner.cover.answer_of_columns import told
-from planner.cover.budget import DEFAULT_WORK, Budget
+from planner.cover.budget import DEFAULT_WORK, DEFAULT_WORK_PER_ENTRY, Budget
 from planner.cover.canonical import canonical
 from planner.cover.overlap import connected_cover
 from planner.cover.problem import Problem
@@ -16,7 +16,7 @@ from planner.cover.targets import solve_parts
 from planner.errors import PlannerError
 from planner.values import Ints
 
-CANONICAL_WORK = 50
+CANONICAL_WORK = 25
 """Charge of checking and sorting, for each entry of the matrix."""
 
 
@@ -26,7 +26,7 @@ def solve(
     rng: np.random.Generator,
     solver: str = "auto",
     start: Ints | None = None,
-    budget: int = DEFAULT_WORK,
+    budget: int | None = None,
     time_limit_s: float | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Cover:
@@ -41,7 +41,8 @@ def solve(
         solver: a name in `SOLVERS`.
         start: (n,) columns of a choice to begin with, which need not meet what is asked for; others are left out where
             they may not be used. None, and where views have to hang together: the greedy choice.
-        budget: units of work for everything together (500 million are about a second of one core).
+        budget: units of work for everything together (500 million are about a second of one core); None:
+            `DEFAULT_WORK`, or more where the matrix is large (`DEFAULT_WORK_PER_ENTRY`).
         time_limit_s: wall-clock guard [s]; reported in the status when it fires.
         clock: seconds, for the guard.
 
@@ -55,12 +56,14 @@ def solve(
 
         def ask(single: Problem, share: float) -> Cover:
             left = None if time_limit_s is None else max(time_limit_s - (clock() - since), 0.0)
-            work = int(share * budget)
+            work = int(share * (DEFAULT_WORK if budget is None else budget))
             return solve(single, rng=rng, solver=solver, start=start, budget=work, time_limit_s=left, clock=clock)
 
         return solve_parts(problem, ask, start)
-    work = Budget(budget, time_limit_s, clock)
+    work = Budget(DEFAULT_WORK if budget is None else budget, time_limit_s, clock)
     found = canonical(problem)
+    if budget is None:
+        work.limit = max(work.limit, DEFAULT_WORK_PER_ENTRY * found.whole.n_entries)
     work.spend(CANONICAL_WORK * found.whole.n_entries)
     if len(found.rest.adjacent):
         return connected_cover(problem, found, rng, work, solver)

@@ -4,17 +4,20 @@ Rows demand a load, columns bring one to each of their rows. Two objectives, bot
 cost of the columns that reach the required units, or, with a number of columns allowed, the units that stay open.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from planner.values import Bools, Ints, Ints32, Value
 
 Graph = NDArray[np.uint8]
 """(V, V) 1 where two columns are joined; (0, 0) where nothing has to hold together."""
+
+_BLOCK = 100_000  # entries that are looked at at a time where nothing of them is kept: they stay in a near cache
 
 SAME = 1e-6
 """Most area: selections that differ by no more than this share of all units count as equal (HiGHS's tolerance)."""
@@ -163,8 +166,11 @@ class Sets(Value):
 
     def matrix(self) -> Any:
         """The (S, V) loads as a scipy csr_array of float64."""
-        data = np.ones(self.n_entries) if self.plain else self.row_load.astype(np.float64)
-        return sp.csr_array((data, self.row_columns, self.row_start), shape=self.shape)
+        return _sparse(self.row_start, self.row_columns, self.row_load, self.shape, np.float64)
+
+    def transposed(self) -> Any:
+        """The same the other way round, (V, S)."""
+        return _sparse(self.column_start, self.column_rows, self.column_load, self.shape[::-1], np.float64)
 
     def restricted(
         self, rows: Bools | None = None, columns: Bools | None = None, *, demand: Ints | None = None,
@@ -174,10 +180,9 @@ class Sets(Value):
         rows = np.ones(self.n_rows, dtype=bool) if rows is None else rows
         columns = np.ones(self.n_columns, dtype=bool) if columns is None else columns
         demand = (self.demand if demand is None else demand)[rows]
-        data = np.ones(self.n_entries, dtype=np.int32) if self.plain else self.row_load
-        M: Any = sp.csr_array((data, self.row_columns, self.row_start), self.shape)
+        M = _sparse(self.row_start, self.row_columns, self.row_load, self.shape, np.int8 if self.plain else np.int32)
         M = M if rows.all() else M[rows]
-        M = sp.csr_array(M if columns.all() else M[:, columns])
+        M = M if columns.all() else M[:, columns]
         if not self.plain:
             M.data = np.minimum(M.data, np.repeat(demand, np.diff(M.indptr)))
         place = np.cumsum(columns) - 1
@@ -206,13 +211,19 @@ class Sets(Value):
         return replace(rest, group_costs=paid), np.flatnonzero(useful)
 
 
+def _sparse(start: Ints, items: Ints32, load: Ints32, shape: tuple[int, int], dtype: DTypeLike) -> Any:
+    """A scipy csr_array of the loads, 1 each where there are none; its indices are not copied where int32 will do."""
+    data = load.astype(dtype) if len(load) else np.ones(len(items), dtype=dtype)
+    start = start.astype(np.int32) if len(items) < 2**31 else start
+    return sp.csr_array((data, items, start), shape=shape)
+
+
 def both_ways(loads: Any) -> tuple[Ints, Ints32, Ints32, Ints, Ints32, Ints32]:
     """A sparse (S, V) matrix of loads by rows and by columns: the first six attributes of `Sets`."""
-    by_column: Any = sp.csc_array(loads)
-    by_column.sort_indices()
-    by_row: Any = sp.csr_array(by_column)
-    one = not len(by_row.data) or int(by_row.data.max()) == 1
-    row_load, column_load = (by_row.data[:0], by_column.data[:0]) if one else (by_row.data, by_column.data)
+    loads.sort_indices()
+    by_row, by_column = loads.tocsr(), loads.tocsc()
+    some = by_row.data.max(initial=1) > 1
+    row_load, column_load = (m.data[: None if some else 0].astype(np.int32) for m in (by_row, by_column))
     return by_row.indptr, by_row.indices, row_load, by_column.indptr, by_column.indices, column_load
 
 
@@ -242,13 +253,33 @@ def set_hash(start: Ints, items: NDArray[np.integer]) -> NDArray[np.uint64]:
 
     The sum modulo 2^64 of SplitMix64 (Steele, Lea, Flood 2014, doi:10.1145/2660193.2660195) of the members.
     """
-    z = (items.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z ^= z >> np.uint64(31)
-    total = np.concatenate(([np.uint64(0)], np.cumsum(z, dtype=np.uint64)))
-    hashes: NDArray[np.uint64] = total[start[1:]] - total[start[:-1]]
-    return hashes
+
+    def mixed(members: NDArray[np.integer]) -> NDArray[np.uint64]:
+        z = (members.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        return z ^ (z >> np.uint64(31))
+
+    return of_slices(np.add, start, items, mixed)
+
+
+def of_slices(
+    ufunc: np.ufunc, start: Ints, items: NDArray[Any], worth: Callable[[NDArray[Any]], NDArray[Any]]
+) -> NDArray[Any]:
+    """(N,) what the members of each slice are worth, reduced by `ufunc`; 0 for an empty one."""
+    found = np.zeros(len(start) - 1, dtype=worth(items[:0]).dtype)
+    filled = np.flatnonzero(start[1:] > start[:-1])
+    begin = start[filled]
+    for some in blocks(begin):
+        entries = slice(begin[some[0]], start[filled[some[-1]] + 1])
+        found[filled[some]] = ufunc.reduceat(worth(items[entries]), begin[some] - begin[some[0]])
+    return found
+
+
+def blocks(begin: Ints) -> list[Ints]:
+    """Numbers of consecutive slices, which begin there, of about `_BLOCK` entries together."""
+    parts = np.split(np.arange(len(begin)), np.flatnonzero(np.diff(begin // _BLOCK)) + 1)
+    return parts if len(begin) else []
 
 
 def packed(start: Ints, members: NDArray[np.integer], n_members: int) -> NDArray[np.uint64]:
