@@ -1,5 +1,7 @@
 """From a choice of columns to the answer: order, areas, cost and bounds as the caller gave them, status."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from planner.cover.answer import Cover, CoverStatus
@@ -83,6 +85,13 @@ def told(
         max_views=problem.max_views,
         unconnected_views=unconnected_views,
     )
+
+
+def retold(found: Canonical, cover: Cover, views: Ints, problem: Problem) -> Cover:
+    """Views told in the areas of another problem, with status, bound, price and work of the cover that they are of."""
+    columns = np.flatnonzero(np.isin(found.columns, views))
+    other = told(found, columns, 0, solver=cover.solver, work=Budget(0), problem=problem)
+    return replace(other, status=cover.status, lower_bound=cover.lower_bound, price=cover.price, work=cover.work)
 
 
 def _price(found: Canonical, views: Ints, bound: int, problem: Problem) -> tuple[float, float]:

@@ -18,8 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from planner.cover.answer import Cover
-from planner.cover.answer_of_columns import told
-from planner.cover.budget import Budget
+from planner.cover.answer_of_columns import retold
 from planner.cover.canonical import canonical
 from planner.cover.problem import Problem
 from planner.cover.selection import solve
@@ -136,9 +135,7 @@ def robust_cover(
         kept.data = kept.data * np.repeat(enough, np.diff(kept.indptr))
         asked = replace(problem, matrix=kept, demand=DEMAND)
         promised = solve(asked, rng=rng, budget=budget)
-        chosen = np.flatnonzero(np.isin(nominal.columns, promised.views))
-        cover = told(nominal, chosen, 0, solver="robust", work=Budget(0), problem=problem)
-        cover = replace(cover, status=promised.status, lower_bound=promised.lower_bound, work=promised.work)
+        cover = retold(nominal, replace(promised, solver="robust"), promised.views, problem)
     sums = np.asarray(brought[:, cover.views].sum(axis=1)).ravel()
     p = sp.csr_array((layer.probability, layer.indices, layer.indptr), shape=brought.shape)[:, cover.views]
     with np.errstate(divide="ignore"):

@@ -17,12 +17,12 @@ Rows may also count by weights of the caller's in place of their areas; what is 
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from planner.cover.answer import Cover, CoverStatus
+from planner.cover.answer_of_columns import retold
+from planner.cover.canonical import canonical
 from planner.cover.problem import Problem
 from planner.errors import PlannerError
 from planner.values import Bools, Floats, Ints
@@ -86,50 +86,50 @@ class _Parts:
     """The rows of a problem by their parts."""
 
     def __init__(self, problem: Problem) -> None:
-        matrix: Any = problem.matrix if sp.issparse(problem.matrix) else np.asarray(problem.matrix)
-        self.problem, self.columns = problem, sp.csc_array(matrix).astype(np.int64)
-        rows = self.columns.shape[0]
-        self.areas = np.array(problem.areas, dtype=np.float64)
-        given = problem.areas if problem.weights is None else problem.weights
-        self.worth: Floats = np.array(given, dtype=np.float64)
+        areas = np.array(problem.areas, dtype=np.float64)
+        self.worth: Floats = np.array(areas if problem.weights is None else problem.weights, dtype=np.float64)
         self.coverage = np.array(problem.part_coverage, dtype=np.float64)
-        self.part: Ints = np.zeros(rows, dtype=np.int64) if problem.part is None else np.array(problem.part, np.int64)
-        if self.worth.shape != (rows,) or not (np.isfinite(self.worth) & (self.worth >= 0)).all():
-            raise PlannerError(f"weights must be {rows} finite numbers, zero or above, one for each row")
+        self.part: Ints = np.zeros(len(areas), np.int64) if problem.part is None else np.array(problem.part, np.int64)
+        if self.worth.shape != areas.shape or not (np.isfinite(self.worth) & (self.worth >= 0)).all():
+            raise PlannerError(f"weights must be {len(areas)} finite numbers, zero or above, one for each row")
         count = max(len(self.coverage), 1)
-        if self.part.shape != (rows,) or (rows and not 0 <= self.part.min() <= self.part.max() < count):
-            raise PlannerError(f"part must give each of {rows} rows a part from 0 to {count - 1}")
+        if self.part.shape != areas.shape or not 0 <= self.part.min(initial=0) <= self.part.max(initial=0) < count:
+            raise PlannerError(f"part must give each of {len(areas)} rows a part from 0 to {count - 1}")
         if not ((self.coverage >= 0) & (self.coverage <= 1)).all():
             raise PlannerError("each of part_coverage is a share of what is coverable and must be from 0 to 1")
-        usable = np.ones(self.columns.shape[1], dtype=bool) if problem.allowed is None else np.array(problem.allowed)
-        usable[list(problem.banned)] = False
-        self._usable: Bools = usable
-        available = self.columns @ usable.astype(np.int64)
-        self.coverable: Bools = available > 0
-        self.demand = np.minimum(available, problem.demand)
-        whole = np.bincount(self.part, weights=self.worth * self.coverable, minlength=count)
-        self.slack = (1 - self.coverage) * whole[: len(self.coverage)]
+        self.problem = replace(problem, pinned=list(problem.pinned), banned=list(problem.banned))
+        self._nominal = canonical(
+            replace(self.problem, coverage=0.0, max_views=None, weights=None, part=None, part_coverage=())
+        )
+        self.slack = (1 - self.coverage) * self._by_part(np.ones(self._nominal.whole.n_rows, dtype=bool))
 
-    def satisfied(self, views: Ints) -> Bools:
-        """(S,) coverable rows that have what they demand."""
-        loads = np.asarray(self.columns[:, views].sum(axis=1)).ravel()
-        return self.coverable & (loads >= self.demand)
+    def _by_part(self, rows: Bools) -> Floats:
+        """(G,) worth of some of the coverable rows in each part."""
+        of = self._nominal.rows[rows]
+        worth = np.bincount(self.part[of], self.worth[of], max(len(self.coverage), 1)).astype(np.float64)
+        return worth[: len(self.coverage)]
+
+    def _left(self, views: Ints) -> Bools:
+        """Coverable rows that lack what they demand."""
+        return ~self._nominal.whole.covered(np.flatnonzero(np.isin(self._nominal.columns, views)))
 
     def open(self, views: Ints) -> Floats:
         """(G,) worth that is left open in each part."""
-        left = self.worth * (self.coverable & ~self.satisfied(views))
-        return np.bincount(self.part, weights=left, minlength=len(self.slack)).astype(np.float64)
+        return self._by_part(self._left(views))
 
     def met(self, views: Ints) -> bool:
         """Whether every target is met."""
-        whole = float((self.worth * self.coverable).sum())
-        left = self.coverable & ~self.satisfied(views)
-        strict = (self.slack == 0)[self.part]
+        rows, left = self._nominal.rows, self._left(views)
+        strict = (self.slack == 0)[self.part[rows]]
+        whole = float(self.worth[rows].sum())
         return bool((self.open(views) <= self.slack + _SLACK * whole).all() and not (left & strict).any())
 
     def answers(self, views: Ints) -> bool:
         """Whether a choice may be taken and meets every target."""
-        return bool(self._usable[views].all()) and set(self.problem.pinned) <= set(views.tolist()) and self.met(views)
+        usable = np.union1d(self._nominal.columns, self._nominal.pinned)
+        return (
+            bool(np.isin(views, usable).all()) and set(self.problem.pinned) <= set(views.tolist()) and self.met(views)
+        )
 
     def cost(self, views: Ints) -> float:
         """What a choice costs; its number of views where no costs were given."""
@@ -140,39 +140,13 @@ class _Parts:
         """The problem with one target: sum_g u_g open_g / slack_g <= most, and nothing open where there is no slack."""
         scale = np.divide(u, self.slack, out=np.zeros(len(u)), where=self.slack > 0)
         weight = np.where((self.slack > 0)[self.part], scale[self.part] * self.worth, 2.0)
-        whole = float(weight[self.coverable].sum())
+        whole = float(weight[self._nominal.rows].sum())
         coverage = max(1.0 - most / whole, 0.0) if whole > 0 and (self.slack > 0).any() else 1.0
         return replace(self.problem, areas=weight, coverage=coverage, weights=None, part=None, part_coverage=())
 
     def told(self, found: Cover, views: Ints) -> Cover:
         """The answer in areas, the view that satisfies the largest area first."""
-        order: list[int] = []
-        added: list[float] = []
-        have = np.zeros(len(self.areas), dtype=np.int64)
-        left = views.tolist()
-        while left:
-            gains = []
-            for view in left:
-                rows = slice(self.columns.indptr[view], self.columns.indptr[view + 1])
-                at, load = self.columns.indices[rows], self.columns.data[rows]
-                now = (have[at] < self.demand[at]) & (have[at] + load >= self.demand[at])
-                gains.append(float(self.areas[at][now].sum()))
-            best = int(np.argmax(gains))
-            view = left.pop(best)
-            rows = slice(self.columns.indptr[view], self.columns.indptr[view + 1])
-            have[self.columns.indices[rows]] += self.columns.data[rows]
-            order.append(view)
-            added.append(gains[best])
-        coverable = float(self.areas[self.coverable].sum())
-        return replace(
-            found,
-            views=np.array(order, dtype=np.int64),
-            marginal_area=np.array(added),
-            covered_area=float(self.areas[self.satisfied(views)].sum()),
-            coverable_area=coverable,
-            total_area=float(self.areas.sum()),
-            upper_area=coverable,
-        )
+        return retold(self._nominal, found, views, self.problem)
 
 
 def _with_bounds(parts: _Parts, found: Cover, bounds: list[Cover]) -> Cover:
