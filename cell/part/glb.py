@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 from planner.values import Floats, Ints
 
+Table = Mapping[str, Any]
+"""An object of the description, as a stranger wrote it: each value is looked at before it is used."""
+
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # kinds of chunks (4.4.3)
 _INDICES: Mapping[int, np.dtype[Any]] = {
     5121: np.dtype("<u1"),
@@ -49,7 +52,7 @@ class Primitive:
     vertices: Floats
     faces: Ints
     colour: tuple[float, float, float] | None
-    extensions: Mapping[str, Any]
+    extensions: Table
     numbers: Callable[[Any], Ints]
 
 
@@ -108,7 +111,7 @@ def primitives(content: bytes) -> Iterator[Primitive]:
             )
 
 
-def _colour(described: Mapping[str, Any], material: Any) -> tuple[float, float, float] | None:
+def _colour(described: Table, material: Any) -> tuple[float, float, float] | None:
     """Base colour of a material (3.9.2); None where nothing says one."""
     materials = _list(described, "materials")
     rough = (
@@ -121,7 +124,7 @@ def _colour(described: Mapping[str, Any], material: Any) -> tuple[float, float, 
     return float(red), float(green), float(blue)
 
 
-def _chunks(content: bytes) -> tuple[Mapping[str, Any], bytes]:
+def _chunks(content: bytes) -> tuple[Table, bytes]:
     """The scene's description, and the binary data."""
     if content[:4] != b"glTF" or len(content) < 20:
         raise BrokenGlbError("is not a binary glTF file (GLB): export the mesh again")
@@ -146,7 +149,7 @@ def _chunks(content: bytes) -> tuple[Mapping[str, Any], bytes]:
     return described, data
 
 
-def _placed(described: Mapping[str, Any]) -> Iterator[tuple[Floats, Mapping[str, Any]]]:
+def _placed(described: Table) -> Iterator[tuple[Floats, Table]]:
     """Transform and mesh of every node of the scene; all nodes without a parent where no scene is named."""
     nodes = _list(described, "nodes")
     scenes = _list(described, "scenes")
@@ -170,7 +173,7 @@ def _placed(described: Mapping[str, Any]) -> Iterator[tuple[Floats, Mapping[str,
         todo += [(child, T) for child in reversed(_list(node, "children", numbers=True))]
 
 
-def _transform(node: Mapping[str, Any]) -> Floats:
+def _transform(node: Table) -> Floats:
     """(4, 4) of a node: its matrix, column by column, or translation times rotation times scale (3.5.2)."""
     if "matrix" in node:
         return _numbers(node["matrix"], 16).reshape(4, 4).T
@@ -188,7 +191,7 @@ def _transform(node: Mapping[str, Any]) -> Floats:
     return T
 
 
-def _primitive(described: Mapping[str, Any], data: bytes, primitive: Any) -> tuple[Floats, Ints] | None:
+def _primitive(described: Table, data: bytes, primitive: Any) -> tuple[Floats, Ints] | None:
     """Vertices and triangles of a primitive; None of points and lines."""
     if not isinstance(primitive, Mapping):
         raise BrokenGlbError("has a primitive that is no table: export the mesh again")
@@ -212,9 +215,7 @@ def _primitive(described: Mapping[str, Any], data: bytes, primitive: Any) -> tup
     return vertices, strip
 
 
-def _accessor(
-    described: Mapping[str, Any], data: bytes, number: Any, kind: np.dtype[Any] | None, form: str
-) -> NDArray[Any]:
+def _accessor(described: Table, data: bytes, number: Any, kind: np.dtype[Any] | None, form: str) -> NDArray[Any]:
     """The array of an accessor: a view into the file's bytes, which must hold all of it.
 
     Args:
@@ -253,7 +254,7 @@ def _accessor(
     return np.ndarray((count, length), stored, data, begin + offset, (stride, stored.itemsize))
 
 
-def _list(table: Mapping[str, Any], key: str, *, numbers: bool = False) -> list[Any]:
+def _list(table: Table, key: str, *, numbers: bool = False) -> list[Any]:
     """A list of tables, or of numbers of nodes; [] where there is none."""
     found = table.get(key, [])
     if not isinstance(found, list) or not all(numbers or isinstance(entry, dict) for entry in found):

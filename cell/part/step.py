@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,7 +161,7 @@ def _bodies(made: bytes) -> Iterator[_Body]:
         count += len(cad)
 
 
-def cad_face(number: int, described: Mapping[str, Any], T: Floats) -> CadFace:
+def cad_face(number: int, described: glb.Table, T: Floats) -> CadFace:
     """A face as the extension describes it, placed by its node.
 
     Args:
