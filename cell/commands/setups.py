@@ -1,12 +1,11 @@
 """`cell setups` as the command line gives it: a part in, the poses it is measured in and their plans out."""
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields, print_json
+from cell.commands.options import AsJson, NoCache, OfScene, Part, RunToMake, SceneFile, from_fields, print_json
 from cell.scene.option import flag
 from cell.scene.options import scene_of
 
@@ -39,15 +38,9 @@ def setups(
             rich_help_panel="Set-ups",
         ),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
-    ] = None,
+    out: RunToMake = None,
     as_json: AsJson = False,
-    no_cache: Annotated[
-        bool,
-        typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel="Output"),
-    ] = False,
+    no_cache: NoCache = False,
 ) -> None:
     """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views, each with a bound."""
     from cell import api
