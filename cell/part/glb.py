@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.surface.mesh import joined
 from planner.values import Floats, Ints
 
 Table = Mapping[str, Any]
@@ -62,14 +63,7 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
     Raises:
         BrokenGlbError: in words, if it is broken, or uses what is not supported.
     """
-    vertices: list[Floats] = [np.zeros((0, 3))]
-    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
-    begin = 0
-    for primitive in primitives(content):
-        vertices.append(primitive.vertices)
-        faces.append(primitive.faces + begin)
-        begin += len(primitive.vertices)
-    return np.concatenate(vertices), np.concatenate(faces)
+    return joined((primitive.vertices, primitive.faces) for primitive in primitives(content))[:2]
 
 
 def primitives(content: bytes) -> Iterator[Primitive]:
