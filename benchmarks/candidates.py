@@ -24,7 +24,7 @@ from cell.plan import candidates as generators
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import surface_features
 from cell.rays.occluders import occluder_triangles
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene_file import load_scene
@@ -123,7 +123,7 @@ class Bench:
             scene, reference.vertices, part_faces=reference.faces, baseline_mm=self.settings.scanner["baseline_mm"]
         )
         self.checker = MujocoCollisionChecker(self.world)
-        self.kinematics = Kr16Kinematics.from_model(self.world.model)
+        self.kinematics = kinematics_of(self.world.model)
         others = trimesh.util.concatenate(
             [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in occluder_triangles(self.world)]
         )

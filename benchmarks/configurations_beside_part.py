@@ -7,7 +7,7 @@ and turned: what tells hull, pieces and triangles apart lies there. Base frame, 
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.values import Floats
@@ -35,7 +35,7 @@ def configurations(
     apart = np.eye(4)
     apart[:3, 3] = 0.0, 0.0, _APART_M
     elsewhere = MujocoCollisionChecker(world, apart)
-    kinematics = Kr16Kinematics.from_model(world.model)
+    kinematics = kinematics_of(world.model)
 
     def solutions(T: Floats, count: int) -> Floats:
         T_base_flange = world.T_base_object @ T @ np.linalg.inv(world.T_flange_scanner)

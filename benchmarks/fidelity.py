@@ -25,9 +25,10 @@ from benchmarks.parts import meshes
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.scene.resolve import resolve
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
@@ -154,7 +155,7 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
             started = time.process_time()
             free = checker.free(q)
             seconds.append(time.process_time() - started)
-        kinematics = Kr16Kinematics.from_model(world.model)
+        kinematics = kinematics_of(world.model)
         started = time.process_time()
         reached = reach.solve(views, world.T_base_object, world.T_flange_scanner, kinematics, checker)
         rows.append(

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from cell.plant import factory
 from cell.plant.servo import Settings
 from cell.robot import model as robot
+from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from drivers.controller import SETTLE_LIMIT
@@ -98,13 +99,13 @@ class OneMove:
 
     def tracking_error(self) -> float:
         """Largest distance of the point on the flange from its reference at the same time [m]."""
-        errors = self.trace.errors(Kr16Kinematics.from_model(load()), _mount())
+        errors = self.trace.errors(kinematics_of(load()), _mount())
         return float(np.linalg.norm(errors["true"] - errors["reference"], axis=1).max())
 
     def positions(self) -> tuple[Floats, Floats]:
         """Times (N,) [s] and positions (N, 3) [m] of the point on the flange, at each step."""
         times, axes = self.trace.axes()
-        return times, np.asarray((Kr16Kinematics.from_model(load()).forward(axes) @ _mount())[:, :3, 3])
+        return times, np.asarray((kinematics_of(load()).forward(axes) @ _mount())[:, :3, 3])
 
 
 def one_move(settings: Settings) -> OneMove:

@@ -31,6 +31,7 @@ from benchmarks.hard_move import OneMove, Trace, one_move
 from cell.plant import factory
 from cell.plant.mujoco_plant import MujocoPlant
 from cell.plant.servo import Settings
+from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from cell.run import reader as run_reader
@@ -61,7 +62,7 @@ def run() -> list[dict[str, Any]]:
 def default_plan(run_record: RunRecord, speed: float) -> dict[str, Any]:
     """One row: the plan's legs at a speed fraction."""
     motion, T = run_reader.motion(run_record), run_reader.scene(run_record).T_flange_scanner
-    kinematics = Kr16Kinematics.from_model(load())
+    kinematics = kinematics_of(load())
     seconds, stands, trace = np.inf, [], Trace()
     for attempt in range(4):
         recorded: list[MujocoPlant] = []

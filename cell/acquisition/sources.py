@@ -16,11 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.errors import UsageError
 from planner.values import Floats, Ints, Value, freeze
 
 if TYPE_CHECKING:
+    from pydantic import JsonValue
+
     from cell.run.cell import RunCell
 
 GROUP = "cell.acquisition"
@@ -84,8 +87,8 @@ class Acquired:
 
     points: Floats
     frame: Frame
-    kept: Mapping[str, Any] = field(default_factory=dict)
-    told: Mapping[str, Any] = field(default_factory=dict)
+    kept: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    told: "Mapping[str, JsonValue]" = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

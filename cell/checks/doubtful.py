@@ -17,6 +17,7 @@ from cell.rays.occluders import floor_square
 from cell.robot import told
 from cell.scene.fixtures import MeshFixture
 from cell.world.model import World
+from planner.surface.mesh import joined
 from planner.values import Floats
 
 TOUCHING = 1e-3
@@ -64,7 +65,10 @@ def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:
 
 def _standing_badly(world: World, solids: dict[str, Solid]) -> list[str]:
     """What nothing carries, and what tips."""
-    beside = {name: {other for other in solids if other != name and _touch(solids, name, other)} for name in solids}
+    beside = {
+        name: {other for other in solids if other != name and touches(solids[name], solids[other], TOUCHING)}
+        for name in solids
+    }
     if "post" in solids:  # it holds the part, wherever that touches it
         beside["part"].add("post")
         beside["post"].add("part")
@@ -106,10 +110,6 @@ def _in_the_air(world: World, solids: dict[str, Solid], together: set[str]) -> s
     )
 
 
-def _touch(solids: dict[str, Solid], one: str, other: str) -> bool:
-    return touches(solids[one], solids[other], TOUCHING)
-
-
 def _joined(beside: dict[str, set[str]], some: list[str], without: str) -> set[str]:
     """What a chain of contacts joins with some things, `without` one thing."""
     found = {name for name in some if name != without}
@@ -133,16 +133,9 @@ class _Rests:
 
     def __init__(self, solid: Solid, others: list[Solid], floor: float, grid: int = _GRID) -> None:
         self._solid, self._names = solid, [*(other.name for other in others), "floor"]
-        pieces: list[tuple[Floats, NDArray[np.integer]]] = [
-            *((other.vertices, other.faces) for other in others),
-            floor_square(floor),
-        ]
-        first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
-        self._of_face = np.repeat(np.arange(len(pieces)), [len(faces) for _, faces in pieces])
-        below = EmbreeRayCaster(
-            np.concatenate([vertices for vertices, _ in pieces]),
-            np.concatenate([np.asarray(faces) + start for (_, faces), start in zip(pieces, first[:-1], strict=True)]),
-        )
+        ground = Solid("floor", *floor_square(floor))
+        vertices, faces, self._of_face = joined((each.vertices, each.faces) for each in (*others, ground))
+        below = EmbreeRayCaster(vertices, faces)
         size = solid.high - solid.low
         self._step = float(max(size[:2].max(), 1e-6)) / grid
         sides = [np.arange(solid.low[axis] + self._step / 2, solid.high[axis], self._step) for axis in range(2)]

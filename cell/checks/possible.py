@@ -99,20 +99,16 @@ def _in_what_stands(world: World, solids: dict[str, Solid]) -> list[str]:
     pairs = [("part", name) for name in (*fixtures, *_STILL)]
     pairs += [("post", name) for name in _STILL] + [(name, "base") for name in fixtures]
     problems: list[str] = []
+    on_part = {fixture.name for fixture in world.scene.fixtures if fixture.attached_to == "object"}
     held = set()  # what the part stands in: its post does too, and goes with it
     for one, other in pairs:
         if one == "post" and other in held:
             continue
         if one in solids and other in solids and inside(solids[one], solids[other]):
             held |= {other} if one == "part" else set()
-            mover = other if (one, _attached(world, other)) == ("part", "object") else one
+            mover = other if one == "part" and other in on_part else one
             problems.append(stands_inside(world, solids[mover], solids[one if mover == other else other]))
     return problems
-
-
-def _attached(world: World, name: str) -> str:
-    """The frame that a fixture moves with; "base" for everything else."""
-    return next((fixture.attached_to for fixture in world.scene.fixtures if fixture.name == name), "base")
 
 
 def _in_the_robot(world: World, solids: dict[str, Solid]) -> list[str]:

@@ -1,15 +1,12 @@
 """What stands in a cell while the robot is at home, as solids in the base frame."""
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.checks.solid import Solid
 from cell.rays.occluders import prism, shape_triangles
 from cell.robot.model import bodies
 from cell.world.model import World
-from planner.values import Floats
+from planner.surface.mesh import joined
 
 _SIDES = 192  # of a prism around a cylinder: its corners stand off by 0.04 mm at a radius of 300 mm
 OWN = ("post", "pedestal", "floor")
@@ -43,7 +40,7 @@ def standing(world: World) -> dict[str, Solid]:
             sides = {} if name in of_robot else {"sides": _SIDES}
             pieces = [shape_triangles(world.model, data, geom, **sides) for geom in geoms]
             axes = data.geom_xmat[geoms[0]].reshape(3, 3).T if len(geoms) == 1 else None
-            found[name] = Solid(name, *_joined(pieces), axes)
+            found[name] = Solid(name, *joined(pieces)[:2], axes)
     return found
 
 
@@ -55,11 +52,4 @@ def arm(world: World) -> tuple[str, ...]:
 def robot(world: World, solids: dict[str, Solid]) -> Solid:
     """Base, arm, bracket and housing as one."""
     pieces = [(solids[name].vertices, solids[name].faces) for name in arm(world) if name in solids]
-    return Solid("robot", *_joined(pieces))
-
-
-def _joined(pieces: Sequence[tuple[Floats, NDArray[np.integer]]]) -> tuple[Floats, NDArray[np.integer]]:
-    """Vertices and faces of several pieces as those of one mesh."""
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
-    faces = [faces + start for (_, faces), start in zip(pieces, first[:-1], strict=True)]
-    return np.concatenate([vertices for vertices, _ in pieces]), np.concatenate(faces)
+    return Solid("robot", *joined(pieces)[:2])

@@ -1,12 +1,11 @@
 """`cell edit` as the command line gives it: options in, a table and what the edit gains or costs out."""
 
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from cell.commands.options import AsJson, from_fields, print_json
+from cell.commands.options import AsJson, RunFolder, RunToMake, from_fields, print_json
 from cell.edit.options import Edit
 
 if TYPE_CHECKING:
@@ -28,12 +27,9 @@ EPILOG = (
 @from_fields
 def edit(
     *,
-    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    run: RunFolder,
     wanted: Edit,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
-    ] = None,
+    out: RunToMake = None,
     as_json: AsJson = False,
 ) -> None:
     """Change a plan by hand: drop, move, turn, add or reorder views. The result is a new run with its own checks."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, from_fields, print_json
+from cell.commands.options import AsJson, RunFolder, from_fields, print_json
 from cell.errors import UsageError
 from cell.locate.options import Locating
 
@@ -27,7 +27,7 @@ EPILOG = (
 @from_fields
 def locate(
     *,
-    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    run: RunFolder,
     wanted: Locating,
     out: Annotated[
         Path | None,

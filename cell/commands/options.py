@@ -27,6 +27,13 @@ Part = Annotated[
 SceneFile = Annotated[
     Path | None, typer.Option(help="Scene file (TOML). Default: the built-in scene.", rich_help_panel=PART)
 ]
+RunFolder = Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")]
+RunToMake = Annotated[
+    Path | None, typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output")
+]
+NoCache = Annotated[
+    bool, typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel="Output")
+]
 AsJson = Annotated[
     bool,
     typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel="Output"),

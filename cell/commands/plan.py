@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfScene, Part, SceneFile, from_fields, print_json
+from cell.commands.options import AsJson, NoCache, OfScene, Part, RunToMake, SceneFile, from_fields, print_json
 from cell.scene.option import flag
 from cell.scene.options import scene_of
 from cell.scene.posed import PART
@@ -40,15 +40,9 @@ def plan(
             rich_help_panel=PART,
         ),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
-    ] = None,
+    out: RunToMake = None,
     as_json: AsJson = False,
-    no_cache: Annotated[
-        bool,
-        typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel="Output"),
-    ] = False,
+    no_cache: NoCache = False,
 ) -> None:
     """Plan the views that measure a part: which, whether the robot reaches them, in which order, along which motion."""
     from cell import api

@@ -1,12 +1,11 @@
 """`cell setups` as the command line gives it: a part in, the poses it is measured in and their plans out."""
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields, print_json
+from cell.commands.options import AsJson, NoCache, Part, RunToMake, SceneFile, Wishes, from_fields, print_json
 from cell.scene.option import flag, offers
 from cell.scene.options import scene_of
 from cell.scene.scene import Scene
@@ -33,15 +32,9 @@ def setups(
     scene: SceneFile = None,
     wishes: _OfScene,
     options: SetupOptions,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output"),
-    ] = None,
+    out: RunToMake = None,
     as_json: AsJson = False,
-    no_cache: Annotated[
-        bool,
-        typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel="Output"),
-    ] = False,
+    no_cache: NoCache = False,
 ) -> None:
     """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views, each with a bound."""
     from cell import api

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.commands.options import AsJson, print_json
+from cell.commands.options import AsJson, RunFolder, print_json
 
 if TYPE_CHECKING:
     from cell.commands.terminal import Terminal
@@ -22,7 +22,7 @@ EPILOG = (
 
 
 def why(
-    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    run: RunFolder,
     samples: Annotated[
         int | None,
         typer.Option(metavar="N", help="Surface samples to ask about. Default: 100,000, as coverage is defined."),

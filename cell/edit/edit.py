@@ -194,18 +194,14 @@ def _require_reached(edited: EditedViews, reached: Reach) -> None:
     for view in edited.views:
         if not reached.reachable[view]:
             verdict, blocker = Verdict(int(reached.verdict[view])), reached.blocker[view]
+            of_run = edited.called[view].startswith("view")
             raise UnreachableError(
                 f"{edited.called[view]} cannot be taken: "
                 + ("" if verdict is Verdict.COLLISION else "it is ")
                 + verdict.sentence
                 + (f" ({blocker})" if blocker else "")
-                + _instead(edited.called[view])
+                + ("; move it elsewhere, or drop it" if of_run else "; give another, or leave it out")
             )
-
-
-def _instead(called: str) -> str:
-    """What to do about a view that cannot be, as the end of a sentence."""
-    return "; move it elsewhere, or drop it" if called.startswith("view") else "; give another, or leave it out"
 
 
 def _without_dropped(job: Job, edited: EditedViews) -> Scene:

@@ -15,7 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.surface.mesh import joined
 from planner.values import Floats, Ints
+
+Table = Mapping[str, Any]
+"""An object of the description, as a stranger wrote it: each value is looked at before it is used."""
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # kinds of chunks (4.4.3)
 _INDICES: Mapping[int, np.dtype[Any]] = {
@@ -49,7 +53,7 @@ class Primitive:
     vertices: Floats
     faces: Ints
     colour: tuple[float, float, float] | None
-    extensions: Mapping[str, Any]
+    extensions: Table
     numbers: Callable[[Any], Ints]
 
 
@@ -59,14 +63,7 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
     Raises:
         BrokenGlbError: in words, if it is broken, or uses what is not supported.
     """
-    vertices: list[Floats] = [np.zeros((0, 3))]
-    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
-    begin = 0
-    for primitive in primitives(content):
-        vertices.append(primitive.vertices)
-        faces.append(primitive.faces + begin)
-        begin += len(primitive.vertices)
-    return np.concatenate(vertices), np.concatenate(faces)
+    return joined((primitive.vertices, primitive.faces) for primitive in primitives(content))[:2]
 
 
 def primitives(content: bytes) -> Iterator[Primitive]:
@@ -108,7 +105,7 @@ def primitives(content: bytes) -> Iterator[Primitive]:
             )
 
 
-def _colour(described: Mapping[str, Any], material: Any) -> tuple[float, float, float] | None:
+def _colour(described: Table, material: Any) -> tuple[float, float, float] | None:
     """Base colour of a material (3.9.2); None where nothing says one."""
     materials = _list(described, "materials")
     rough = (
@@ -121,7 +118,7 @@ def _colour(described: Mapping[str, Any], material: Any) -> tuple[float, float, 
     return float(red), float(green), float(blue)
 
 
-def _chunks(content: bytes) -> tuple[Mapping[str, Any], bytes]:
+def _chunks(content: bytes) -> tuple[Table, bytes]:
     """The scene's description, and the binary data."""
     if content[:4] != b"glTF" or len(content) < 20:
         raise BrokenGlbError("is not a binary glTF file (GLB): export the mesh again")
@@ -146,7 +143,7 @@ def _chunks(content: bytes) -> tuple[Mapping[str, Any], bytes]:
     return described, data
 
 
-def _placed(described: Mapping[str, Any]) -> Iterator[tuple[Floats, Mapping[str, Any]]]:
+def _placed(described: Table) -> Iterator[tuple[Floats, Table]]:
     """Transform and mesh of every node of the scene; all nodes without a parent where no scene is named."""
     nodes = _list(described, "nodes")
     scenes = _list(described, "scenes")
@@ -170,7 +167,7 @@ def _placed(described: Mapping[str, Any]) -> Iterator[tuple[Floats, Mapping[str,
         todo += [(child, T) for child in reversed(_list(node, "children", numbers=True))]
 
 
-def _transform(node: Mapping[str, Any]) -> Floats:
+def _transform(node: Table) -> Floats:
     """(4, 4) of a node: its matrix, column by column, or translation times rotation times scale (3.5.2)."""
     if "matrix" in node:
         return _numbers(node["matrix"], 16).reshape(4, 4).T
@@ -188,7 +185,7 @@ def _transform(node: Mapping[str, Any]) -> Floats:
     return T
 
 
-def _primitive(described: Mapping[str, Any], data: bytes, primitive: Any) -> tuple[Floats, Ints] | None:
+def _primitive(described: Table, data: bytes, primitive: Any) -> tuple[Floats, Ints] | None:
     """Vertices and triangles of a primitive; None of points and lines."""
     if not isinstance(primitive, Mapping):
         raise BrokenGlbError("has a primitive that is no table: export the mesh again")
@@ -212,9 +209,7 @@ def _primitive(described: Mapping[str, Any], data: bytes, primitive: Any) -> tup
     return vertices, strip
 
 
-def _accessor(
-    described: Mapping[str, Any], data: bytes, number: Any, kind: np.dtype[Any] | None, form: str
-) -> NDArray[Any]:
+def _accessor(described: Table, data: bytes, number: Any, kind: np.dtype[Any] | None, form: str) -> NDArray[Any]:
     """The array of an accessor: a view into the file's bytes, which must hold all of it.
 
     Args:
@@ -253,7 +248,7 @@ def _accessor(
     return np.ndarray((count, length), stored, data, begin + offset, (stride, stored.itemsize))
 
 
-def _list(table: Mapping[str, Any], key: str, *, numbers: bool = False) -> list[Any]:
+def _list(table: Table, key: str, *, numbers: bool = False) -> list[Any]:
     """A list of tables, or of numbers of nodes; [] where there is none."""
     found = table.get(key, [])
     if not isinstance(found, list) or not all(numbers or isinstance(entry, dict) for entry in found):

@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from cell.errors import FileError
 from cell.part import glb
 from cell.part.cad import CadFace, CadModel, SurfaceKind
 from cell.part.mesh_checks import Finding, Kind, Severity, bodies, collapsed, double_areas, neighbours
+from planner.surface.mesh import joined
 from planner.values import Floats, Ints
 
 DEVIATION_MM = 0.02
@@ -83,17 +83,11 @@ def coloured(source: str, content: bytes) -> tuple[Floats, Ints, Floats]:
         surfaces = list(glb.primitives(_as_glb(source, content, by_face=True)))
     except glb.BrokenGlbError as error:
         raise _broken(source) from error
-    begins = np.cumsum([0, *(len(each.vertices) for each in surfaces)])
     linear = np.array([each.colour or (np.nan,) * 3 for each in surfaces]).reshape(-1, 3)
     # IEC 61966-2-1: what a STEP file and a screen count in.
     counted = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return (
-        np.concatenate([np.zeros((0, 3)), *(each.vertices for each in surfaces)]),
-        np.concatenate(
-            [np.zeros((0, 3), np.int64), *(e.faces + at for e, at in zip(surfaces, begins[:-1], strict=True))]
-        ),
-        np.repeat(counted, np.array([len(each.faces) for each in surfaces], dtype=np.int64), axis=0),
-    )
+    vertices, faces, of_face = joined((each.vertices, each.faces) for each in surfaces)
+    return vertices, faces, counted[of_face]
 
 
 def _as_glb(source: str, content: bytes, *, by_face: bool = False) -> bytes:
@@ -162,7 +156,7 @@ def _bodies(made: bytes) -> Iterator[_Body]:
         count += len(cad)
 
 
-def cad_face(number: int, described: Mapping[str, Any], T: Floats) -> CadFace:
+def cad_face(number: int, described: glb.Table, T: Floats) -> CadFace:
     """A face as the extension describes it, placed by its node.
 
     Args:
@@ -205,19 +199,14 @@ def _bounds_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
 def _solids(found: list[_Body]) -> Solids:
     """One surface of all solids; of all surfaces where nothing is a solid, which the mesh check then says."""
     some = any(body.solid.any() for body in found)
-    vertices: list[Floats] = [np.zeros((0, 3))]
-    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
-    index: list[Ints] = [np.zeros(0, np.int64)]
+    kept = [(body, body.solid if some else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
+    left_out = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in kept)
+    vertices, faces, _ = joined((body.vertices, body.faces[own]) for body, own in kept)
     every: list[CadFace] = []
-    begin, left_out = 0, 0.0
-    for body in found:
-        kept = body.solid if some else np.ones(len(body.faces), dtype=np.bool_)
-        left_out += float(double_areas(body.vertices, body.faces[~kept]).sum()) / 2
-        vertices.append(body.vertices)
-        faces.append(body.faces[kept] + begin)
-        index.append(body.face_of[kept] + len(every))
+    index: list[Ints] = [np.zeros(0, np.int64)]
+    for body, own in kept:
+        index.append(body.face_of[own] + len(every))
         every += body.cad
-        begin += len(body.vertices)
     there, of_triangle = np.unique(np.concatenate(index), return_inverse=True)
     cad = CadModel(tuple(every[k] for k in there.tolist()), of_triangle.astype(np.int32))
     findings: tuple[Finding, ...] = ()
@@ -227,4 +216,4 @@ def _solids(found: list[_Body]) -> Solids:
             "them in the CAD program"
         )
         findings = (Finding(Kind.NO_SOLID, sentence, Severity.WARNING),)
-    return Solids(np.concatenate(vertices), np.concatenate(faces), cad, findings)
+    return Solids(vertices, faces, cad, findings)

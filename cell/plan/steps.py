@@ -54,8 +54,7 @@ from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
-FEATURES, SELECTION, MOTION, ENSEMBLE = 0, 2, 3, 4
-EXECUTIONS, CURVE, SCOUTS, _ASKED, FRESH = 5, 6, 7, 8, 9
+FEATURES, SELECTION, MOTION, ENSEMBLE, EXECUTIONS, CURVE, SCOUTS, _ASKED, FRESH = 0, *range(2, 10)
 """Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
 appetite does not change another's draws."""
 
@@ -148,8 +147,7 @@ def compile_cell(run: Run, job: Job, surface: PartSurface, *, believed: bool = F
             require_possible(world)
             for sentence in (*doubtful(world), *doubts.of_scanner(job.scanner)):
                 run.narrator.note(sentence)
-        described = scanners.described(job.scene.scanner.type, job.scanner)
-        faces = len(surface.planning.faces)
+        described, faces = scanners.described(job.scene.scanner.type, job.scanner), len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
         return Cell(world, MujocoCollisionChecker(world), world.kinematics)
 
@@ -182,8 +180,7 @@ def grow_candidates(
     with run.step("grow the candidates") as progress:
         scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(SCOUTS))
         casters = casters_of(surface, cell)
-        scanner = limited(job.scene, job.scanner)
-        arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
+        arm = arm_of(cell.world, cell.kinematics, cell.checker, limited(job.scene, job.scanner), casters)
         grown = grow(candidates, reached.reachable, scouts, arm, progress)
         reached = join_reach([reached, reach_of(job, cell, grown)])
         candidates = join_viewpoints([candidates, grown])
@@ -232,8 +229,8 @@ def casters_of(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
 
 def predicted(run: Run, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
     """The held-out samples, and what reachable candidates measure of them."""
-    samples = held_out(surface.reference, surface.planning, run.seed)
     poses = measured.candidates.T_object_scanner[measured.reached.reachable]
+    samples = held_out(surface.reference, surface.planning, run.seed)
     return Prediction.of(samples, measured.scanner, measured.casters, poses, progress)
 
 
@@ -271,10 +268,10 @@ def connect(
         if problem.candidates is not before.candidates:
             plan_files.write_viewpoints(run.folder, problem.candidates)
             plan_files.write_reach(run.folder, problem.reached)
-        chosen = choose_and_connect(
-            problem, selected, selection_rng=chooses, motion_rng=run.rng(MOTION), progress=progress
+        drives = run.rng(MOTION)
+        return problem, choose_and_connect(
+            problem, selected, selection_rng=chooses, motion_rng=drives, progress=progress
         )
-        return problem, chosen
 
 
 def prove_and_time(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:
@@ -298,7 +295,6 @@ def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainabl
 
 def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
     """Verdicts and joint solutions of viewpoints."""
-    poses, world = scanners.swept(job.scanner, views), cell.world
-    return reach.solve(
-        poses, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker, progress=progress
-    )
+    T_base_object, T_flange_scanner = cell.world.T_base_object, cell.world.T_flange_scanner
+    poses = scanners.swept(job.scanner, views)
+    return reach.solve(poses, T_base_object, T_flange_scanner, cell.kinematics, cell.checker, progress=progress)

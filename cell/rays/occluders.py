@@ -18,7 +18,7 @@ from cell.robot import model as robot
 from cell.world.gap import mesh_of
 from cell.world.model import World
 from planner.ports import ARM_AXES
-from planner.surface.mesh import TriangleMesh
+from planner.surface.mesh import TriangleMesh, joined
 from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:
@@ -140,9 +140,7 @@ def caster_of(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = 
         pieces: in one frame.
         T: (4, 4) from their frame to that of the rays [m]; None leaves them where they are.
     """
-    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = np.concatenate([piece.faces + start for piece, start in zip(pieces, first[:-1], strict=True)])
-    vertices = np.concatenate([piece.vertices for piece in pieces])
+    vertices, faces, _ = joined((piece.vertices, piece.faces) for piece in pieces)
     if T is not None:
         vertices = vertices @ T[:3, :3].T + T[:3, 3]
     return EmbreeRayCaster(vertices, faces.astype(np.int32))

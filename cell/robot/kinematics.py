@@ -32,14 +32,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import SceneError
 from cell.robot.model import Dimensions, dimensions, limits, load
 from planner.errors import PlannerError
 from planner.ports import JointLimits
 from planner.values import Floats
 
 if TYPE_CHECKING:
-    import mujoco
+    pass
 
 BRANCHES = 8
 
@@ -57,21 +56,6 @@ _WRIST_NEAR_SINGULAR = 1e-3
 _ROTATION_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class SphericalWrist:
-    """The family's chain in the frames, angles and signs of this module."""
-
-    lengths: Dimensions
-
-    def forward(self, t: Floats, T: Floats) -> None:
-        """Fill T (n, 4, 4), zeros, with the poses at t (6, n)."""
-        _forward(self.lengths, t, T)
-
-    def inverse(self, T: Floats, t: Floats, first: int) -> None:
-        """Fill t (n, 8, 6) with the branches of T (n, 4, 4); `first` is the number of T[0] for messages."""
-        _inverse(self.lengths, T, t, first)
-
-
 class Kr16Kinematics:
     """`planner.ports.Kinematics` of an arm of the KR 16's family.
 
@@ -81,35 +65,22 @@ class Kr16Kinematics:
     """
 
     def __init__(self, arm: Dimensions, joint_limits: JointLimits) -> None:
-        self._arm = arm
+        self.arm = arm
+        self._wrist = SphericalWrist(arm)
         self._limits = joint_limits
-
-    @classmethod
-    def from_model(cls, model: mujoco.MjModel) -> Kr16Kinematics:
-        """Kinematics of a compiled model of the robot alone (its world is the base frame).
-
-        Raises:
-            SceneError: if the model's arm is no KR 16 in other lengths.
-        """
-        arm = dimensions(model)
-        if arm is None:
-            raise SceneError("the robot model is not an arm with the KR 16's axes, zeros and wrist")
-        return cls(arm, limits(model))
 
     @classmethod
     def load(cls) -> Kr16Kinematics:
         """Kinematics of models/kr16.xml."""
-        return cls.from_model(load())
+        model = load()
+        arm = dimensions(model)
+        assert arm is not None, "models/kr16.xml is no KR 16"
+        return cls(arm, limits(model))
 
     @property
     def limits(self) -> JointLimits:
         """Limits of the axes."""
         return self._limits
-
-    @property
-    def arm(self) -> Dimensions:
-        """Lengths of the arm."""
-        return self._arm
 
     def forward(self, q: Floats) -> Floats:
         """Flange poses.
@@ -129,7 +100,7 @@ class Kr16Kinematics:
         T = np.zeros((len(q), 4, 4))
         for start in range(0, len(q), _CHUNK):
             chunk = slice(start, start + _CHUNK)
-            _forward(self._arm, q[chunk].T, T[chunk])
+            self._wrist.forward(q[chunk].T, T[chunk])
         return T
 
     def inverse(self, T_base_flange: Floats) -> Floats:
@@ -150,104 +121,111 @@ class Kr16Kinematics:
         q = np.empty((len(T), BRANCHES, 6))
         for start in range(0, len(T), _CHUNK):
             chunk = slice(start, start + _CHUNK)
-            _inverse(self._arm, T[chunk], q[chunk], start)
+            self._wrist.inverse(T[chunk], q[chunk], start)
         return q
 
 
-def _forward(arm: Dimensions, q: Floats, T: Floats) -> None:
-    """Fill T (n, 4, 4) with the flange poses of q (6, n)."""
-    a1, a2, a4, a5, a6 = q[0], q[1], q[3], q[4], q[5]
-    s = q[1] + q[2]
-    c1, s1, cs, ss = np.cos(a1), np.sin(a1), np.cos(s), np.sin(s)
-    c4, s4, c5, s5, c6, s6 = np.cos(a4), np.sin(a4), np.cos(a5), np.sin(a5), np.cos(a6), np.sin(a6)
-    r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * cs + arm.a3 * ss
-    z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * ss + arm.a3 * cs
-    # Columns of the wrist Rx(-A4) Ry(A5) Rx(-A6), each turned by Ry(s), then by Rz(-A1).
-    wrist = (
-        (c5, -s4 * s5, -c4 * s5),
-        (-s5 * s6, c4 * c6 - s4 * c5 * s6, -s4 * c6 - c4 * c5 * s6),
-        (s5 * c6, c4 * s6 + s4 * c5 * c6, -s4 * s6 + c4 * c5 * c6),
-    )
-    # The flange's axes (x, y, z) are R's columns (-2, 1, 0).
-    for column, (x, y, up), sign in ((2, wrist[0], 1.0), (1, wrist[1], 1.0), (0, wrist[2], -1.0)):
-        ahead = cs * x + ss * up
-        T[:, 0, column] = sign * (c1 * ahead + s1 * y)
-        T[:, 1, column] = sign * (c1 * y - s1 * ahead)
-        T[:, 2, column] = sign * (cs * up - ss * x)
-    T[:, 0, 3] = r * c1 + arm.b * s1 + arm.d6 * T[:, 0, 2]
-    T[:, 1, 3] = -r * s1 + arm.b * c1 + arm.d6 * T[:, 1, 2]
-    T[:, 2, 3] = z + arm.d6 * T[:, 2, 2]
-    T[:, 3, 3] = 1.0
+@dataclass(frozen=True, slots=True)
+class SphericalWrist:
+    """The family's chain in the frames, angles and signs of this module."""
 
+    lengths: Dimensions
 
-def _inverse(arm: Dimensions, T: Floats, q: Floats, first: int) -> None:
-    """Fill q (n, 8, 6) with the branches of T (n, 4, 4); `first` is the number of T[0] for messages."""
-    # Contiguous rows, one per matrix element: R = flange axes Ry(-90 deg) = (z, y, -x).
-    e = np.ascontiguousarray(T[:, :3, :].reshape(len(T), 12).T)
-    R = np.stack((e[2], e[6], e[10], e[1], e[5], e[9], -e[0], -e[4], -e[8])).reshape(3, 3, -1)  # [column][row]
-    _require_rigid(R, e, T, first)
-    w = e[3::4] - arm.d6 * R[0]
+    def forward(self, q: Floats, T: Floats) -> None:
+        """Fill T (n, 4, 4), zeros, with the flange poses at q (6, n)."""
+        arm = self.lengths
+        a1, a2, a4, a5, a6 = q[0], q[1], q[3], q[4], q[5]
+        s = q[1] + q[2]
+        c1, s1, cs, ss = np.cos(a1), np.sin(a1), np.cos(s), np.sin(s)
+        c4, s4, c5, s5, c6, s6 = np.cos(a4), np.sin(a4), np.cos(a5), np.sin(a5), np.cos(a6), np.sin(a6)
+        r = arm.a1 + arm.a2 * np.cos(a2) + arm.d4 * cs + arm.a3 * ss
+        z = arm.d1 - arm.a2 * np.sin(a2) - arm.d4 * ss + arm.a3 * cs
+        # Columns of the wrist Rx(-A4) Ry(A5) Rx(-A6), each turned by Ry(s), then by Rz(-A1).
+        wrist = (
+            (c5, -s4 * s5, -c4 * s5),
+            (-s5 * s6, c4 * c6 - s4 * c5 * s6, -s4 * c6 - c4 * c5 * s6),
+            (s5 * c6, c4 * s6 + s4 * c5 * c6, -s4 * s6 + c4 * c5 * c6),
+        )
+        # The flange's axes (x, y, z) are R's columns (-2, 1, 0).
+        for column, (x, y, up), sign in ((2, wrist[0], 1.0), (1, wrist[1], 1.0), (0, wrist[2], -1.0)):
+            ahead = cs * x + ss * up
+            T[:, 0, column] = sign * (c1 * ahead + s1 * y)
+            T[:, 1, column] = sign * (c1 * y - s1 * ahead)
+            T[:, 2, column] = sign * (cs * up - ss * x)
+        T[:, 0, 3] = r * c1 + arm.b * s1 + arm.d6 * T[:, 0, 2]
+        T[:, 1, 3] = -r * s1 + arm.b * c1 + arm.d6 * T[:, 1, 2]
+        T[:, 2, 3] = z + arm.d6 * T[:, 2, 2]
+        T[:, 3, 3] = 1.0
 
-    # Shoulder (2, n): A1, and the wrist centre in the plane of the arm.
-    radius = np.hypot(w[0], w[1])
-    aside = radius > _ON_A1
-    reach = np.where(aside, radius, 1.0)
-    c1 = np.where(aside, w[0] / reach, 1.0)
-    s1 = np.where(aside, -w[1] / reach, 0.0)
-    a1, c1, s1, out = _shoulders(arm.b, radius, c1, s1)
-    x = np.stack((out, -out)) - arm.a1
-    y = arm.d1 - w[2]
-    # Every axis of the wrist's rotation in the plane of the arm: forward, sideways (turned by +A1). (2, 3 columns, n)
-    ahead = c1[:, None] * R[:, 0] - s1[:, None] * R[:, 1]
-    sideways = s1[:, None] * R[:, 0] + c1[:, None] * R[:, 1]
-    up = R[:, 2]
+    def inverse(self, T: Floats, q: Floats, first: int) -> None:
+        """Fill q (n, 8, 6) with the branches of T (n, 4, 4); `first` is the number of T[0] for messages."""
+        arm = self.lengths
+        # Contiguous rows, one per matrix element: R = flange axes Ry(-90 deg) = (z, y, -x).
+        e = np.ascontiguousarray(T[:, :3, :].reshape(len(T), 12).T)
+        R = np.stack((e[2], e[6], e[10], e[1], e[5], e[9], -e[0], -e[4], -e[8])).reshape(3, 3, -1)  # [column][row]
+        require_rigid(T, first)
+        w = e[3::4] - arm.d6 * R[0]
 
-    # Elbow (2 shoulder, 2 elbow, n): the two-bar chain a2, L to the point (x, y), y down.
-    forearm = np.hypot(arm.d4, arm.a3)
-    phi = np.arctan2(-arm.a3, arm.d4)
-    square = x * x + y * y
-    rho = np.sqrt(square)
-    longest, shortest = arm.a2 + forearm, abs(arm.a2 - forearm)
-    real = (rho <= longest + STRETCH_TOLERANCE) & (rho >= shortest - STRETCH_TOLERANCE) & (rho > 0.0)
-    real &= radius >= abs(arm.b) - STRETCH_TOLERANCE
-    # 16 times the squared area of the triangle (Heron), factored so that it loses no digits near the stretched arm.
-    heron = np.maximum((longest - rho) * (longest + rho) * (rho - shortest) * (rho + shortest), 0.0)
-    sine = np.sqrt(heron)  # 2 a2 L sin psi
-    cosine = square - (arm.a2 * arm.a2 + forearm * forearm)  # 2 a2 L cos psi
-    psi = np.arctan2(sine, cosine)
-    psi = np.stack((psi, -psi), axis=1)
-    # Angle between upper arm and the line to the wrist centre: atan2(L sin psi, a2 + L cos psi), times 2 a2.
-    along = square + (arm.a2 * arm.a2 - forearm * forearm)
-    lean = np.arctan2(sine, along)
-    line = np.arctan2(y, x)
-    a2 = np.stack((line - lean, line + lean), axis=1)
-    a3 = psi - phi
-    s = a2 + a3
-    cs, ss = np.cos(s), np.sin(s)
+        # Shoulder (2, n): A1, and the wrist centre in the plane of the arm.
+        radius = np.hypot(w[0], w[1])
+        aside = radius > _ON_A1
+        reach = np.where(aside, radius, 1.0)
+        c1 = np.where(aside, w[0] / reach, 1.0)
+        s1 = np.where(aside, -w[1] / reach, 0.0)
+        a1, c1, s1, out = _shoulders(arm.b, radius, c1, s1)
+        x = np.stack((out, -out)) - arm.a1
+        y = arm.d1 - w[2]
+        # Every axis of the wrist's rotation in the arm's plane: forward, sideways (turned by +A1). (2, 3 columns, n)
+        ahead = c1[:, None] * R[:, 0] - s1[:, None] * R[:, 1]
+        sideways = s1[:, None] * R[:, 0] + c1[:, None] * R[:, 1]
+        up = R[:, 2]
 
-    # Wrist (2, 2, 3 columns, n): M = Ry(-s) Rz(A1) R = Rx(-A4) Ry(A5) Rx(-A6); its first row and first column.
-    row = cs[:, :, None] * ahead[:, None] - ss[:, :, None] * up
-    m20 = ss * ahead[:, None, 0] + cs * up[0]
-    m10 = np.broadcast_to(sideways[:, None, 0], m20.shape)
-    s5 = np.hypot(m10, m20)
-    a4 = np.arctan2(-m10, -m20)
-    a5 = np.arctan2(s5, row[:, :, 0])
-    a6 = np.arctan2(-row[:, :, 1], row[:, :, 2])
-    near = s5 < _WRIST_NEAR_SINGULAR
-    if near.any():
-        _near_singular_wrist(near, s5, (ahead, sideways, up), (cs, ss), a4, a5, a6)
+        # Elbow (2 shoulder, 2 elbow, n): the two-bar chain a2, L to the point (x, y), y down.
+        forearm = np.hypot(arm.d4, arm.a3)
+        phi = np.arctan2(-arm.a3, arm.d4)
+        square = x * x + y * y
+        rho = np.sqrt(square)
+        longest, shortest = arm.a2 + forearm, abs(arm.a2 - forearm)
+        real = (rho <= longest + STRETCH_TOLERANCE) & (rho >= shortest - STRETCH_TOLERANCE) & (rho > 0.0)
+        real &= radius >= abs(arm.b) - STRETCH_TOLERANCE
+        # 16 times the squared area of the triangle (Heron), factored so that it loses no digits near the stretched arm.
+        heron = np.maximum((longest - rho) * (longest + rho) * (rho - shortest) * (rho + shortest), 0.0)
+        sine = np.sqrt(heron)  # 2 a2 L sin psi
+        cosine = square - (arm.a2 * arm.a2 + forearm * forearm)  # 2 a2 L cos psi
+        psi = np.arctan2(sine, cosine)
+        psi = np.stack((psi, -psi), axis=1)
+        # Angle between upper arm and the line to the wrist centre: atan2(L sin psi, a2 + L cos psi), times 2 a2.
+        along = square + (arm.a2 * arm.a2 - forearm * forearm)
+        lean = np.arctan2(sine, along)
+        line = np.arctan2(y, x)
+        a2 = np.stack((line - lean, line + lean), axis=1)
+        a3 = psi - phi
+        s = a2 + a3
+        cs, ss = np.cos(s), np.sin(s)
 
-    for shoulder in (0, 1):
-        for elbow in (0, 1):
-            slot = 4 * shoulder + 2 * elbow
-            u4, u5, u6 = (angle[shoulder, elbow] for angle in (a4, a5, a6))
-            for wrist, angles in ((0, (u4, u5, u6)), (1, (_opposite(u4), -u5, _opposite(u6)))):
-                for axis, angle in enumerate((a1[shoulder], a2[shoulder, elbow], a3[shoulder, elbow], *angles)):
-                    q[:, slot + wrist, axis] = angle
-    np.add(q, 2.0 * np.pi, out=q, where=q <= -np.pi)
-    np.subtract(q, 2.0 * np.pi, out=q, where=q > np.pi)
-    for shoulder in (0, 1):
-        q[~real[shoulder], 4 * shoulder : 4 * shoulder + 4] = np.nan
+        # Wrist (2, 2, 3 columns, n): M = Ry(-s) Rz(A1) R = Rx(-A4) Ry(A5) Rx(-A6); its first row and first column.
+        row = cs[:, :, None] * ahead[:, None] - ss[:, :, None] * up
+        m20 = ss * ahead[:, None, 0] + cs * up[0]
+        m10 = np.broadcast_to(sideways[:, None, 0], m20.shape)
+        s5 = np.hypot(m10, m20)
+        a4 = np.arctan2(-m10, -m20)
+        a5 = np.arctan2(s5, row[:, :, 0])
+        a6 = np.arctan2(-row[:, :, 1], row[:, :, 2])
+        near = s5 < _WRIST_NEAR_SINGULAR
+        if near.any():
+            _near_singular_wrist(near, s5, (ahead, sideways, up), (cs, ss), a4, a5, a6)
+
+        for shoulder in (0, 1):
+            for elbow in (0, 1):
+                slot = 4 * shoulder + 2 * elbow
+                u4, u5, u6 = (angle[shoulder, elbow] for angle in (a4, a5, a6))
+                for wrist, angles in ((0, (u4, u5, u6)), (1, (_opposite(u4), -u5, _opposite(u6)))):
+                    for axis, angle in enumerate((a1[shoulder], a2[shoulder, elbow], a3[shoulder, elbow], *angles)):
+                        q[:, slot + wrist, axis] = angle
+        np.add(q, 2.0 * np.pi, out=q, where=q <= -np.pi)
+        np.subtract(q, 2.0 * np.pi, out=q, where=q > np.pi)
+        for shoulder in (0, 1):
+            q[~real[shoulder], 4 * shoulder : 4 * shoulder + 4] = np.nan
 
 
 def _shoulders(b: float, radius: Floats, c: Floats, s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -301,19 +279,13 @@ def _near_singular_wrist(
 
 def require_rigid(T: Floats, first: int) -> None:
     """Raise PlannerError, naming the pose, unless every pose of T (n, 4, 4) is a rigid transform."""
-    e = np.ascontiguousarray(T[:, :3, :].reshape(len(T), 12).T)
-    _require_rigid(np.stack((e[0], e[4], e[8], e[1], e[5], e[9], e[2], e[6], e[10])).reshape(3, 3, -1), e, T, first)
-
-
-def _require_rigid(R: Floats, e: Floats, T: Floats, first: int) -> None:
-    """Raise PlannerError, naming the pose, unless every pose is a rigid transform."""
-    u, v, t = R
+    u, v, t = np.ascontiguousarray(T[:, :3, :3].transpose(2, 1, 0))
     cross = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
     miss = np.abs(u[0] * u[0] + u[1] * u[1] + u[2] * u[2] - 1.0) + np.abs(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
     miss += np.abs(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] - 1.0)
     miss += np.abs(cross[0] - t[0]) + np.abs(cross[1] - t[1]) + np.abs(cross[2] - t[2])
     miss += np.abs(T[:, 3, :] - (0.0, 0.0, 0.0, 1.0)).sum(axis=1)
-    good = (miss <= _ROTATION_TOLERANCE) & np.isfinite(e[3] + e[7] + e[11])  # a NaN fails both
+    good = (miss <= _ROTATION_TOLERANCE) & np.isfinite(T[:, :3, 3].sum(axis=1))  # a NaN fails both
     if not good.all():
         pose = first + int(np.argmin(good))
         raise PlannerError(

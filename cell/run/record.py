@@ -148,7 +148,8 @@ def npz(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
             with np.load(io.BytesIO(content), allow_pickle=False) as stored:
                 found = {name: stored[name] for name in stored.files}
         for array in found.values():  # characters that there are none of would fail where they are first looked at
-            if array.dtype.kind == "U" and (_code_points(array) > sys.maxunicode).any():
+            own = array.astype(array.dtype.newbyteorder("=")).tobytes() if array.dtype.kind == "U" else b""
+            if (np.frombuffer(own, dtype=np.uint32) > sys.maxunicode).any():
                 raise ValueError("holds a text that is none")
         return found
     except (
@@ -156,10 +157,6 @@ def npz(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         KeyError, MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
     ) as error:  # fmt: skip
         raise FileError(f"{path} is damaged or cut short and cannot be read; plan or scan again") from error
-
-
-def _code_points(array: NDArray[np.str_]) -> NDArray[np.uint32]:
-    return np.frombuffer(array.astype(array.dtype.newbyteorder("=")).tobytes(), dtype=np.uint32)
 
 
 def _require_room(content: bytes) -> None:

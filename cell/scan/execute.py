@@ -10,9 +10,9 @@ Arm and housing are not among the occluders, as in the plan's prediction.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any
 
 import numpy as np
+from pydantic import JsonValue
 
 from cell import signals
 from cell.acquisition.sources import Acquisition, View
@@ -117,7 +117,7 @@ def scan_and_write(
     folder: ExecutionFolder,
     name: str,
     still: Callable[[], None] = lambda: None,
-) -> tuple[int | None, Mapping[str, Any]]:
+) -> tuple[int | None, Mapping[str, JsonValue]]:
     """Scan from where the arm stands and put the scan on disk.
 
     Args:

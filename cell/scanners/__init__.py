@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 GROUP = "cell.scanners"
 
+Values = Mapping[str, Any]
+"""Arguments of a scanner's class by name (`_mm`, `_deg`): what they are, only the class knows."""
+
 _MEMBERS = ("source", "sensor", "grid_shape", "ray_directions", "reject", "parameters")
 
 
@@ -92,7 +95,7 @@ def keys(name: str) -> tuple[str, ...] | None:
     )
 
 
-def make(name: str, values: Mapping[str, Any]) -> ScannerPlugin:
+def make(name: str, values: Values) -> ScannerPlugin:
     """Make a scanner and look at whether it is one.
 
     Args:
@@ -144,7 +147,7 @@ def identity(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
     return described(name, scanner) | ({} if own else {"distribution": _distribution(point), "law": point.value})
 
 
-def settled(values: Mapping[str, Any], scanner: ScannerPlugin) -> dict[str, Any]:
+def settled(values: Values, scanner: ScannerPlugin) -> Values:
     """The keys that a scanner was made of, and those that it has settled itself, such as the length of its sweep."""
     own = scanner.parameters()
     return {**values, **{key: value for key, value in own.items() if key not in values and key != "type"}}
@@ -172,7 +175,7 @@ def unswept(scanner: Scanner, columns: "Viewpoints") -> "tuple[Viewpoints, Float
     return Viewpoints(middle, columns.face, columns.standoff, columns.roll), T_scanner_view
 
 
-def baseline_mm(values: Mapping[str, Any], scanner: Scanner) -> float:
+def baseline_mm(values: Values, scanner: Scanner) -> float:
     """Distance of source and sensor [mm]: the key, or what a scanner without that key says by its positions."""
     if "baseline_mm" in values:
         return float(values["baseline_mm"])

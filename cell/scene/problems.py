@@ -88,7 +88,7 @@ def _sentence(detail: ErrorDetails, model: type[BaseModel], lengths: Mapping[tup
         known = [word.strip("'") for word in context["expected"].replace(" or ", ", ").split(", ")]
         return f"{where} is {_show(value)}; {did_you_mean(value, known)}valid are: {', '.join(known)}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
-        known = _tags(model)
+        known = [tag for field in model.model_fields.values() for tag in _tagged(field.annotation)]
         if kind == "union_tag_not_found":
             return f"{where}.shape is missing; valid are: {', '.join(known)}"
         return (
@@ -136,10 +136,6 @@ def _tagged(annotation: Any) -> dict[str, type[BaseModel]]:
     """The classes of a union told apart by their `shape`."""
     classes = [found for found in _models(annotation) if "shape" in found.model_fields]
     return {str(get_args(found.model_fields["shape"].annotation)[0]): found for found in classes}
-
-
-def _tags(model: type[BaseModel]) -> list[str]:
-    return [tag for field in model.model_fields.values() for tag in _tagged(field.annotation)]
 
 
 def _path(keys: Sequence[int | str]) -> str:

@@ -3,14 +3,14 @@
 The result is in SI units and holds no None; it is written to `scene.resolved.json`.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from cell import scanners
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece
+from cell.scanners import Values
 from cell.scene import devices
 from cell.scene.scene import Scene
 from planner.viewpoints.viewpoints import enclosing_radius
@@ -18,6 +18,11 @@ from planner.viewpoints.viewpoints import enclosing_radius
 # Planning faces of the built-in parts: the paper's (Tables 1 and 2), changed only with a line in CHANGELOG.md.
 _FACES_OF = {"mseke": 930, "mug": 748, "robinet": 814, "petanque": 338, "humerus": 276, "st-jean": 746}
 _FACES = 1000
+_USUAL = (
+    *("fov_deg", "resolution_deg", "range_mm", "baseline_mm"),
+    *("grazing_max_deg", "sensor_grazing_max_deg", "sigma_angle_mdeg"),
+)
+_LIMITS = ("sensor_fov_deg", "sensor_tilt_deg", "depth_of_field_mm", "max_spacing_mm")  # only where they limit
 _LINE_KEYS = ("fan_deg", "sweep_mm", "sweep_deg", "sweep_steps", "line_points", "profile_rate_hz")
 _LEAST_CLEARANCE_MM = 1.0  # steps between collision checks are as long as the clearance: below, a motion takes millions
 
@@ -38,8 +43,8 @@ class Settings:
     faces: int
     standoffs: tuple[float, ...]
     rolls: tuple[float, ...]
-    scanner: Mapping[str, Any]
-    planning_scanner: Mapping[str, Any]
+    scanner: Values
+    planning_scanner: Values
     sphere_radius: float
 
 
@@ -74,19 +79,7 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
                 f"the standoff of {standoff:g} mm is outside the scanner's range of {near:g} to {far:g} mm; choose a "
                 "standoff inside it, or a scanner whose range holds it (cell sensors; that of 'paper' follows it)"
             )
-    scanner = {
-        "fov_deg": scene.scanner.fov_deg,
-        "resolution_deg": scene.scanner.resolution_deg,
-        "range_mm": (near, far),
-        "baseline_mm": scene.scanner.baseline_mm,
-        "grazing_max_deg": scene.scanner.grazing_max_deg,
-        "sensor_grazing_max_deg": scene.scanner.sensor_grazing_max_deg,
-        "sigma_angle_mdeg": scene.scanner.sigma_angle_mdeg,
-    }
-    for name in ("sensor_fov_deg", "sensor_tilt_deg", "depth_of_field_mm", "max_spacing_mm"):  # only where they limit
-        if getattr(scene.scanner, name) is not None:
-            scanner[name] = getattr(scene.scanner, name)
-    scanner = _of_the_plug_in(scene, scanner)
+    scanner = _of_the_plug_in(scene)
     planning_step = scene.scanner.planning_resolution_deg
     planned = {"resolution_deg": (planning_step, planning_step)} if "resolution_deg" in scanner else {}
     return Settings(
@@ -99,13 +92,12 @@ def resolve(scene: Scene, part: Workpiece) -> Settings:
     )
 
 
-def _of_the_plug_in(scene: Scene, usual: Mapping[str, Any]) -> dict[str, Any]:
-    """What the scanner's class takes: of the usual keys those that it has, and the keys of its own that are given."""
-    from cell import scanners
-
-    named = {key: getattr(scene.scanner, key) for key in _LINE_KEYS if getattr(scene.scanner, key) is not None}
-    known = scanners.keys(scene.scanner.type)
-    offered = {**usual, **named, **(scene.scanner.model_extra or {})}
+def _of_the_plug_in(scene: Scene) -> Values:
+    """What the scanner's class takes: of the known keys those that it has, and the keys of its own that are given."""
+    known, said = scanners.keys(scene.scanner.type), scene.scanner
+    named = {key: getattr(said, key) for key in (*_USUAL, *_LIMITS, *_LINE_KEYS)}
+    offered = {key: value for key, value in named.items() if value is not None or key in _USUAL}
+    offered |= said.model_extra or {}
     return {key: value for key, value in offered.items() if known is None or key in known}
 
 

@@ -18,7 +18,7 @@ from cell.rays.occluders import shape_triangles
 from cell.view import rays
 from cell.view.palette import BLUE, LOOKS, ORANGE, look_of
 from cell.view.pieces import Cell, Piece, placed
-from planner.surface.mesh import TriangleMesh
+from planner.surface.mesh import TriangleMesh, joined
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -238,10 +238,8 @@ def _distance(camera: rays.Camera, pieces: Sequence[Piece]) -> NDArray[np.float6
 
 def _joined(pieces: Sequence[Piece]) -> tuple[TriangleMesh, NDArray[np.int64]]:
     """The pieces as one mesh, and the piece of each of its faces."""
-    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = np.concatenate([piece.faces + at for piece, at in zip(pieces, starts[:-1], strict=True)])
-    mesh = TriangleMesh(np.concatenate([piece.vertices for piece in pieces]), faces.astype(np.int32))
-    return mesh, np.repeat(np.arange(len(pieces)), [len(piece.faces) for piece in pieces])
+    vertices, faces, of_face = joined((piece.vertices, piece.faces) for piece in pieces)
+    return TriangleMesh(vertices, faces.astype(np.int32)), of_face
 
 
 def _require_known(hide: Collection[str], names: Sequence[str]) -> None:

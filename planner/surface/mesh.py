@@ -3,6 +3,7 @@
 Object frame (the mesh file's axes), metres.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.values import Floats, Ints32, Value, freeze
+from planner.values import Floats, Ints, Ints32, Value, freeze
 
 
 @dataclass(frozen=True, eq=False)  # without slots: normals, areas and centres are kept once they were asked for
@@ -72,6 +73,18 @@ def cross_products(vertices: Floats, faces: NDArray[np.integer]) -> Floats:
         i, j = (k + 1) % 3, (k + 2) % 3
         np.subtract(one[:, i] * two[:, j], one[:, j] * two[:, i], out=result[:, k])
     return result
+
+
+def joined(pieces: Iterable[tuple[Floats, NDArray[np.integer]]]) -> tuple[Floats, Ints, Ints]:
+    """Several meshes, each (V, 3) and (F, 3), as one: its vertices, its faces, and the piece of each face."""
+    vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
+    begin, counts = 0, []
+    for corners, triangles in pieces:
+        vertices.append(corners)
+        faces.append(triangles + np.int64(begin))
+        counts.append(len(triangles))
+        begin += len(corners)
+    return np.concatenate(vertices), np.concatenate(faces), np.repeat(np.arange(len(counts)), counts)
 
 
 def _sealed(array: Floats) -> Floats:

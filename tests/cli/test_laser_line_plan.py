@@ -42,9 +42,9 @@ def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -
     """Judged by the stored arrays alone: every pose in its order, the source at rest, one rate of turn, limits kept."""
     import mujoco
 
-    from cell.robot.kinematics import Kr16Kinematics
+    from cell.robot.arm import kinematics_of
 
-    kinematics = Kr16Kinematics.from_model(mujoco.MjModel.from_xml_path(str(swept / "cell.xml")))
+    kinematics = kinematics_of(mujoco.MjModel.from_xml_path(str(swept / "cell.xml")))
     resolved = json.loads((swept / "scene.resolved.json").read_text())
     T_base_object, T_flange_scanner = (np.array(resolved[name]) for name in ("T_base_object", "T_flange_scanner"))
     plan, motion = json.loads((swept / "plan.json").read_text()), np.load(swept / "motion.npz")

@@ -13,7 +13,7 @@ import pytest
 from cell.commands.terminal import Terminal
 from cell.plant import servo
 from cell.plant.servo import Settings
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.robot.model import load
 from cell.run import reader as run_reader
 from cell.run.record import open_run
@@ -48,7 +48,7 @@ def test_every_scan_is_taken_from_the_pose_that_the_controller_reports(scanned: 
     record = open_run(scanned)
     scene = run_reader.scene(record)
     T_base_object, T_flange_scanner = scene.T_base_object, scene.T_flange_scanner
-    kinematics = Kr16Kinematics.from_model(load())
+    kinematics = kinematics_of(load())
     ideal = scans(scanned, "0003")
     taken = scans(scanned, "0001")
     assert len(taken) == len(ideal) > 1

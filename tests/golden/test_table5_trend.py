@@ -3,7 +3,7 @@
 import numpy as np
 
 from cell.part import workpiece
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
@@ -18,7 +18,7 @@ def test_reachable_counts_fall_as_the_part_moves_away() -> None:
     planning = decimate(part.reference, 930)
     candidates = optimal_scanning_zone(planning, [0.3], [0.0])
     world = compile_world(Scene(), part.reference.vertices, baseline_mm=75.0)
-    kinematics = Kr16Kinematics.from_model(world.model)
+    kinematics = kinematics_of(world.model)
 
     def count(x: float, y: float) -> int:
         centre = np.eye(4)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cell.robot import model as robot
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def model():
 
 def test_forward_is_the_flange_site_of_the_compiled_model(model):
     """T_base_flange equals the pose of the site `flange` to 1e-12 m and 1e-12, anywhere within the limits."""
-    kinematics = Kr16Kinematics.from_model(model)
+    kinematics = kinematics_of(model)
     rng = np.random.default_rng(1)
     q = rng.uniform(kinematics.limits.lower, kinematics.limits.upper, (2000, 6))
     q = np.vstack([q, kinematics.limits.lower, kinematics.limits.upper, np.zeros(6), robot.home(model)])

@@ -14,8 +14,8 @@ import trimesh
 
 from benchmarks.triangle_cell import TriangleCell
 from cell.checks.possible import impossible
+from cell.robot.arm import kinematics_of
 from cell.robot.frames import pose_from_kuka_abc
-from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.clearance import of_motion
 from cell.world.collision import MujocoCollisionChecker
@@ -73,7 +73,7 @@ def worlds(request: pytest.FixtureRequest, path: Path) -> dict[str, World]:
 
 
 def _solutions(world: World, T_base_scanner: Floats) -> Floats:
-    q = Kr16Kinematics.from_model(world.model).inverse(T_base_scanner @ np.linalg.inv(world.T_flange_scanner))
+    q = kinematics_of(world.model).inverse(T_base_scanner @ np.linalg.inv(world.T_flange_scanner))
     q = q.reshape(-1, 6)
     q = q[np.isfinite(q).all(axis=1)]
     return np.asarray(q[((q >= world.limits.lower) & (q <= world.limits.upper)).all(axis=1)])
@@ -161,7 +161,7 @@ def test_a_view_in_the_bracket_is_reached_on_a_way_that_touches_nothing(worlds: 
     for name, world in worlds.items():
         one = Viewpoints(np.linalg.inv(world.T_base_object) @ T[None, None], np.zeros(1), np.full(1, 0.3), np.zeros(1))
         found[name] = reach.solve(
-            one, world.T_base_object, world.T_flange_scanner, Kr16Kinematics.from_model(world.model),
+            one, world.T_base_object, world.T_flange_scanner, kinematics_of(world.model),
             MujocoCollisionChecker(world),
         )  # fmt: skip
     assert not found["hull"].reachable.any()

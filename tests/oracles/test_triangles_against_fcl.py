@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.scene.scene import Scene
 from cell.world import triangle_distance as gjk
 from cell.world.collision import MujocoCollisionChecker
@@ -196,7 +196,7 @@ def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
     checker = MujocoCollisionChecker(world)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = np.diag([1.0, -1.0, -1.0]), [1.1, 0.0, -0.1 + 0.18 - 0.12]
-    q = Kr16Kinematics.from_model(world.model).inverse((T @ np.linalg.inv(world.T_flange_scanner))[None])[0]
+    q = kinematics_of(world.model).inverse((T @ np.linalg.inv(world.T_flange_scanner))[None])[0]
     q = q[np.isfinite(q).all(axis=1) & (q >= world.limits.lower).all(axis=1) & (q <= world.limits.upper).all(axis=1)]
     goal = q[checker.free(q)][0]
     found = connect(world.home, goal, checker, world.limits, np.random.default_rng(0))

@@ -13,7 +13,7 @@ import trimesh
 from cell.commands.terminal import Terminal
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import occluder_triangles
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, artefact, open_run
 from cell.scanners.laser_area import LaserArea
@@ -146,7 +146,7 @@ class _Cell:
     def measured(self, views: Viewpoints, scanner: LaserArea, answer: Answer) -> np.ndarray:
         reached = reach.solve(
             views, self.world.T_base_object, self.world.T_flange_scanner,
-            Kr16Kinematics.from_model(self.world.model), MujocoCollisionChecker(self.world),
+            kinematics_of(self.world.model), MujocoCollisionChecker(self.world),
         ).reachable  # fmt: skip
         return coverage.visible(views.T_object_scanner[reached], answer.samples, scanner, self.casters).covered
 

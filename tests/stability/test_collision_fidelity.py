@@ -11,7 +11,7 @@ import trimesh
 from cell.checks.possible import impossible
 from cell.errors import SceneError
 from cell.replay.overlays import touches
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.gap import Shapes
@@ -39,7 +39,7 @@ def _looking_down(world: World, depth: float) -> np.ndarray:
     T[:3, :3] = np.diag([1.0, -1.0, -1.0])
     centre = (world.T_base_object @ world.T_object_centre)[:3, 3]
     T[:3, 3] = centre + np.array([0.0, 0.0, np.ptp(world.part_hull.vertices[:, 2]) / 2 - depth])
-    kinematics = Kr16Kinematics.from_model(world.model)
+    kinematics = kinematics_of(world.model)
     q = kinematics.inverse((T @ np.linalg.inv(world.T_flange_scanner))[None])[0]
     q = q[np.isfinite(q).all(axis=1)]
     return q[((q >= world.limits.lower) & (q <= world.limits.upper)).all(axis=1)]

@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
@@ -31,7 +32,7 @@ def cell(beyond_mm: float) -> tuple[World, MujocoCollisionChecker, Kr16Kinematic
         {"fixtures": plates, "placement": {"position_mm": [0, 1500, 0]}, "post": {"enabled": False}}
     )
     world = compile_world(scene, BALL, baseline_mm=75.0)
-    return world, MujocoCollisionChecker(world), Kr16Kinematics.from_model(world.model)
+    return world, MujocoCollisionChecker(world), kinematics_of(world.model)
 
 
 def at(kinematics: Kr16Kinematics, checker: MujocoCollisionChecker, position: np.ndarray, turn: float) -> np.ndarray:

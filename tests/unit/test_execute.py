@@ -15,7 +15,7 @@ import pytest
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.robot.model import load
 from cell.run.cell import RunCell
 from cell.run.executions import read_scan
@@ -67,7 +67,7 @@ def _scene() -> RunCell:
     import trimesh
 
     model = load()
-    kinematics = Kr16Kinematics.from_model(model)
+    kinematics = kinematics_of(model)
     T_base_object = np.eye(4)
     T_base_object[:3, 3] = (kinematics.forward(HOME[None])[0] @ np.array([0, 0, 0.3, 1]))[:3]
     ball = trimesh.creation.icosphere(3, 0.06)

@@ -13,7 +13,7 @@ from cell.plant.mujoco_plant import AT_REST, MujocoPlant
 from cell.plant.servo import Settings, gains
 from cell.plant.tool import Piece, Tool
 from cell.robot import model as robot
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from drivers.clock import SimulatedClock
 from drivers.contract import Mode
 from drivers.errors import DriverError
@@ -32,7 +32,7 @@ URL = "sim://?plant=mujoco"
 
 def test_a_move_ends_in_position_within_the_repeatability() -> None:
     """The controller waits until no point of the tool is off by 0.05 mm; it reports the plant's axes, in counts."""
-    kinematics = Kr16Kinematics.from_model(robot.load())
+    kinematics = kinematics_of(robot.load())
     goal = np.array([[200_000, -850_000, 800_000, 300_000, 600_000, -400_000]], dtype=np.int32)
     with open_driver(URL, CONTEXT) as driver:
         assert isinstance(driver, SimDriver)
@@ -78,7 +78,7 @@ def test_once_at_rest_it_stays_within_the_repeatability() -> None:
 @pytest.mark.parametrize("with_jerk", [True, False])
 def test_the_scanner_keeps_to_its_path_faster_than_real_time(with_jerk: bool) -> None:
     """Through via points at full speed of every axis: below 1 mm on the way, at 10 x real time of one core or more."""
-    limits, kinematics = KR16, Kr16Kinematics.from_model(robot.load())
+    limits, kinematics = KR16, kinematics_of(robot.load())
     via = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])
     move = interpolate(HOME, via, limits.velocity, limits.acceleration, limits.jerk if with_jerk else None)
     errors: list[float] = []
@@ -187,7 +187,7 @@ def test_levers_bound_what_an_axis_moves() -> None:
     """No pose moves the tool's farthest point by more than the lever times the angle."""
     carried = Tool((Piece("housing", 1.0, np.full(3, 0.01), np.array([0.0, 0.0, 0.2]), np.eye(4)[0], 0.0),))
     levers = dynamics.levers(dynamics.arm(carried), carried)
-    kinematics, rng = Kr16Kinematics.from_model(robot.load()), np.random.default_rng(0)
+    kinematics, rng = kinematics_of(robot.load()), np.random.default_rng(0)
     q = rng.uniform(
         np.radians([-185, -155, -130, -350, -130, -350]), np.radians([185, 35, 154, 350, 130, 350]), (500, 6)
     )

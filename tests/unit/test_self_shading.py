@@ -8,7 +8,7 @@ from cell.rays import self_shading
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import Occluder, arm_triangles, box
 from cell.rays.self_shading import SHADED_SHARE, Look, OwnArm, visible_with_arm
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import Scene
 from cell.world.model import World, compile_world
@@ -34,7 +34,7 @@ def _world(**tables: object) -> World:
 def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
     """Candidates all around the ball with every joint solution of the closed form, and what they measure."""
     views = optimal_scanning_zone(TriangleMesh(PART.vertices, PART.faces[::20]), (0.48,), (0.0, np.pi / 2))
-    kinematics = Kr16Kinematics.from_model(world.model)
+    kinematics = kinematics_of(world.model)
     flange = world.T_base_object @ views.T_object_scanner[:, 0] @ np.linalg.inv(world.T_flange_scanner)
     branches = [q[np.isfinite(q).all(axis=1)] for q in kinematics.inverse(flange)]
     kept = [k for k, q in enumerate(branches) if len(q)]

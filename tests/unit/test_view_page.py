@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cell.plan.report import markdown
+from cell.robot.arm import kinematics_of
 from cell.robot.frames import pose_from_kuka_abc
-from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell
 from cell.run.record import RunRecord, open_run
@@ -102,7 +102,7 @@ def test_the_arm_of_the_page_is_the_planned_one(run: RunRecord) -> None:
     """Its chain puts the scanner where the closed-form kinematics and the mount do, at random angles."""
     scene = run_reader.scene(run)
     arm = cell_of_run(run, scene).arm
-    kinematics = Kr16Kinematics.from_model(run_reader.cell_model(run))
+    kinematics = kinematics_of(run_reader.cell_model(run))
     for q in np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6)):
         expected = kinematics.forward(q[None])[0] @ scene.T_flange_scanner
         np.testing.assert_allclose(arm.links(q)[-1] @ arm.T_link_scanner, expected, atol=1e-9)
