@@ -30,6 +30,7 @@ _FINE = 512  # ... where a length is told
 def doubtful(world: World) -> list[str]:
     """What is hardly meant in a compiled scene, one sentence each."""
     fixtures, of_arm = world.scene.fixtures, told.doubts(world.spec)
+    of_arm += _stopped_table(world)
     if not fixtures and world.scene.post.enabled:
         return of_arm
     solids = {name: solid for name, solid in standing(world).items() if name not in arm(world)}
@@ -41,6 +42,20 @@ def doubtful(world: World) -> list[str]:
                                      called(world, fixture.name))
     ]  # fmt: skip
     return of_arm + said + _in_each_other(world, solids) + _standing_badly(world, solids)
+
+
+def _stopped_table(world: World) -> list[str]:
+    """A rotary table that cannot turn its part all the way."""
+    if world.table is None:
+        return []
+    lower, upper = np.degrees([world.table.lower, world.table.upper]).round(4)
+    low, high = world.scene.table.limits_deg or (-180.0, 180.0)
+    if (lower, upper) == (low, high) or upper - lower >= 359:
+        return []
+    return [
+        f"the rotary table turns its part from {lower:g} to {upper:g} deg only: farther it would come nearer than the "
+        "clearance to what stands beside it"
+    ]
 
 
 def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:

@@ -150,7 +150,7 @@ def table_of(scene: ResolvedScene) -> RotaryTable | None:
     said = scene.table
     if said is None:
         return None
-    limits = said.limits_deg or HALF_A_TURN_DEG
+    limits = said.turn_deg or said.limits_deg or HALF_A_TURN_DEG
     rates = said.velocity_deg_s, said.acceleration_deg_s2, said.jerk_deg_s3
     return RotaryTable(said.T_base_table, *np.deg2rad([*limits, *rates]).tolist())
 

@@ -53,6 +53,7 @@ class ResolvedTable(JsonTable):
     height_mm: float = Field(description="of the cylinder")
     swing_mm: float = Field(description="diameter of the circle that the part may swing through")
     limits_deg: tuple[float, float] | None = Field(description="smallest and largest angle; null: endless")
+    turn_deg: tuple[float, float] | None = optional("of these, as far as the part keeps clear of what stands beside it")
     velocity_deg_s: float = Field(description="at full speed")
     acceleration_deg_s2: float = Field(description="at full acceleration")
     jerk_deg_s3: float = Field(description="at full acceleration")

@@ -117,7 +117,7 @@ def _table(resolved: ResolvedScene) -> Mapping[str, object]:
     """The keys of `[table]`; none where the part stands."""
     if resolved.table is None:
         return {}
-    said = resolved.table.model_dump(exclude={"T_base_table", "post_mm"})
+    said = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "turn_deg"})
     if resolved.table.post_mm is not None:
         return {**said, "post_mm": resolved.table.post_mm}
     return {**said, "position_mm": _pose(resolved.table.T_base_table)["position_mm"]}

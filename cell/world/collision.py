@@ -10,8 +10,8 @@ edge.
 Where the part is to be taken as its triangles (`plan.collision = "exact"`), its hull is in both models and only finds
 the pairs to look at; the distance from the triangles decides (`cell.world.triangles`).
 
-What a rotary table turns and what stands have no joint, and `mj_collision` leaves such pairs out: those that can come
-near each other are looked at one by one, once for each angle.
+What a rotary table turns and what stands have no joint, and `mj_collision` leaves such pairs out: they are looked at
+one by one, once for each angle (`cell.world.free_turn`).
 
 So `free`, `contacts` and `distance` agree, and depend on the configuration alone.
 """
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cell.world.free_turn import FreeTurn
 from cell.world.model import World
 from cell.world.rotary_table import Turner
 from cell.world.travel import TravelBound, swing
@@ -57,8 +58,8 @@ class MujocoCollisionChecker:
         moves = model.body_weldid[model.geom_bodyid] > 0
         mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] >= 0
         self._both_move = (moves & ~mocap)[self._pairs].all(axis=1)
-        self._by_angle = self._beside_the_table()
-        self._clear_at: dict[float, bool] = {}
+        still = world.data(T_base_object)
+        self._turn = FreeTurn(model, still, world.table, self._pairs, world.clearance, world.distance)
         self._on_floor = np.flatnonzero(self._pairs[:, 0] == model.geom("floor").id)  # the only shape without a sphere
 
     @property
@@ -89,8 +90,7 @@ class MujocoCollisionChecker:
             collision(model, data)
             if data.ncon:
                 free[i] = self._clear_after_all(q[i])
-            if free[i] and len(self._by_angle):
-                free[i] = self._clear_beside(q[i])
+            free[i] = free[i] and self._turn.clear(q[i])
         return free
 
     def contacts(self, q: Floats) -> tuple[str, ...]:
@@ -231,38 +231,6 @@ class MujocoCollisionChecker:
         touching = dict.fromkeys(map(tuple, self._grown.contact.geom.tolist()))
         world, data, least = self._world, self._data, self.clearance
         return all(world.distance(data, a, b, least, any_nearer=True) >= least for a, b in touching)
-
-    def _beside_the_table(self) -> list[tuple[int, int]]:
-        """Guarded pairs of what a table turns and what stands that come near each other at some angle."""
-        model, data, table = self._world.model, self._data, self._world.table
-        if table is None:
-            return []
-        moves = model.body_treeid[model.geom_bodyid] >= 0
-        found = []
-        for a, b in self._pairs[~moves[self._pairs].any(axis=1)]:
-            still, turned = (a, b) if model.body_mocapid[model.geom_bodyid[a]] < 0 else (b, a)
-            middle, axis = data.geom_xpos[turned], table.T_base_table[:2, 3]
-            # All angles put it into a ball about the axis.
-            reach = np.linalg.norm(middle[:2] - axis) + model.geom_rbound[turned] + self.clearance
-            off = data.geom_xpos[still] - [*axis, middle[2]]
-            if still == model.geom("floor").id:
-                near = -off[2] < model.geom_rbound[turned] + self.clearance
-            else:
-                near = np.linalg.norm(off) < reach + model.geom_rbound[still]
-            if near:
-                found.append((int(a), int(b)))
-        return found
-
-    def _clear_beside(self, q: Floats) -> bool:
-        """Whether what the table turns is at least the clearance from all that stands, at (axes,) joint angles."""
-        angle, least = float(q[ARM_AXES]), self.clearance
-        if angle not in self._clear_at:
-            self._set(q)
-            world, data = self._world, self._data
-            self._clear_at[angle] = all(
-                world.distance(data, a, b, least, any_nearer=True) >= least for a, b in self._by_angle
-            )
-        return self._clear_at[angle]
 
     def _candidates(self, reach: float) -> tuple[Floats, Ints]:
         """Guarded pairs whose bounding spheres are nearer than `reach`, nearest first, and those lower bounds [m]."""

@@ -23,6 +23,7 @@ from cell.scene.posed import Placement
 from cell.scene.scene import Scene
 from cell.world import guarded, wrist
 from cell.world import shapes as cell_shapes
+from cell.world.free_turn import FreeTurn
 from cell.world.gap import Shapes, is_convex, meshes_of
 from cell.world.robot_spec import spec_of
 from cell.world.rotary_table import height_above, on_table, rotary_table
@@ -227,31 +228,46 @@ def compile_world(
     )
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
     near = {pair: keep for pair, keep in told.kept_near(model).items() if keep < clearance}
-    return World(
-        scene=scene,
-        model=model,
-        grown=_compiled(_grown(spec, clearance / 2)),
-        spec=spec,
-        T_base_object=T_base_object,
-        T_object_centre=T_object_centre,
-        T_flange_scanner=T_flange_scanner,
-        T_flange_housing=T_flange_housing,
-        baseline=baseline_mm / 1000.0,
-        home=np.append(np.deg2rad(scene.robot.settled_home_deg), [] if table is None else [0.0]),
-        limits=limits if table is None else table.limits(limits),
-        table=table,
-        clearance=clearance,
-        part_hull=hull,
-        part_mesh=part.get("part", hull),
-        collision=scene.plan.collision if part else "hull",
-        shapes=Shapes(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
-        nearer={pair: clearance - keep for pair, keep in near.items()},
-        finer=guarded.finer(model, clearance, near),
-        followers=robot.Followers.of(model),
-        fixture_meshes=fixture_meshes,
-        entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
-        pairs=guarded.pairs(model),
+    return _stopped_by_what_stands(
+        World(
+            scene=scene,
+            model=model,
+            grown=_compiled(_grown(spec, clearance / 2)),
+            spec=spec,
+            T_base_object=T_base_object,
+            T_object_centre=T_object_centre,
+            T_flange_scanner=T_flange_scanner,
+            T_flange_housing=T_flange_housing,
+            baseline=baseline_mm / 1000.0,
+            home=np.append(np.deg2rad(scene.robot.settled_home_deg), [] if table is None else [0.0]),
+            limits=limits if table is None else table.limits(limits),
+            table=table,
+            clearance=clearance,
+            part_hull=hull,
+            part_mesh=part.get("part", hull),
+            collision=scene.plan.collision if part else "hull",
+            shapes=Shapes(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
+            nearer={pair: clearance - keep for pair, keep in near.items()},
+            finer=guarded.finer(model, clearance, near),
+            followers=robot.Followers.of(model),
+            fixture_meshes=fixture_meshes,
+            entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
+            pairs=guarded.pairs(model),
+        )
     )
+
+
+def _stopped_by_what_stands(world: World) -> World:
+    """The cell with its table limited to where it can turn its part."""
+    if (table := world.table) is None:
+        return world
+    turn = FreeTurn(world.model, world.data(), table, world.pairs, world.clearance, world.distance)
+    table = turn.within(table, world.home, endless=world.scene.table.limits_deg is None)
+    lower, upper = (
+        np.append(ends[:ARM_AXES], end)
+        for ends, end in ((world.limits.lower, table.lower), (world.limits.upper, table.upper))
+    )
+    return replace(world, table=table, limits=replace(world.limits, lower=lower, upper=upper))
 
 
 def _with_device(scene: Scene, vertices: Floats, baseline_mm: float | None) -> tuple[Scene, float]:

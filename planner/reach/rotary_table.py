@@ -61,8 +61,10 @@ class RotaryTable(Value):
             count: over the whole turn.
         """
         whole = from_steps(to_steps((np.arange(count) - count // 2) * (2 * np.pi / count)))
+        # An axis that goes farther to one side than half a turn has the rest of the other side there.
+        whole = np.where(whole < self.lower, whole + 2 * np.pi, np.where(whole > self.upper, whole - 2 * np.pi, whole))
         # Limits that leave room for less than one step still have an angle: the middle of the range.
-        inside = whole[(whole >= self.lower) & (whole <= self.upper)]
+        inside = from_steps(to_steps(whole[(whole >= self.lower - 1e-9) & (whole <= self.upper + 1e-9)]))
         return inside if len(inside) else from_steps(to_steps([(self.lower + self.upper) / 2]))
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from cell.checks.doubtful import doubtful
 from cell.checks.possible import impossible
 from cell.errors import SceneError
 from cell.robot import model as robot
@@ -159,6 +160,35 @@ def test_a_table_without_a_place_goes_with_the_part_and_another_stays(off_axis: 
     np.testing.assert_allclose(there.T_base_object @ there.T_object_centre, T, atol=1e-9)
     with pytest.raises(SceneError, match="swings through a circle"):
         off_axis.elsewhere(T)
+
+
+def test_a_table_turns_as_far_as_its_part_keeps_clear_and_no_angle_behind_is_offered() -> None:
+    """A pillar in the way of a part beside the axis: every angle up to it is clear, by brute force the next is not.
+
+    Stopped to one side, an endless axis goes round to the other; between two pillars it has what lies between.
+    """
+    place = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "placement": {"position_mm": [1450.0, 500.0, 0.0]}}
+
+    def at(deg: float) -> dict[str, object]:
+        x, y = 1200 + 250 * np.cos(np.radians(deg)), 500 + 250 * np.sin(np.radians(deg))
+        return {"name": f"pillar {deg:g}", "shape": "cylinder", "size_mm": [40, 300], "position_mm": [x, y, 0]}
+
+    one, two = (_world(**place, fixtures=[at(deg) for deg in some]) for some in ((100,), (100, -120)))
+    for world, round_it in ((one, True), (two, False)):
+        assert world.table is not None
+        lower, upper = np.degrees([world.table.lower, world.table.upper])
+        assert 40 < upper < 100
+        assert (lower < -180) == round_it
+        checker, q = MujocoCollisionChecker(world), np.repeat(world.home[None], 3, axis=0)
+        q[:, 6] = np.radians([upper, upper + 1, lower - 1])
+        assert checker.free(q).tolist() == [True, False, False]
+        angles = np.degrees(world.table.angles(36)).round(4)
+        assert len(angles) == len({angle % 360 for angle in angles})
+        assert ((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all()
+        assert len(angles) == sum(any(lower <= a + k <= upper for k in (-360, 0)) for a in range(-180, 180, 10))
+        kept = world.limits
+        assert (kept.lower[6], kept.upper[6]) == (world.table.lower, world.table.upper)
+    assert any("the rotary table turns its part" in said for said in doubtful(two))
 
 
 def test_the_switch_of_the_command_line_and_the_table_of_a_scene_say_the_same() -> None:
