@@ -37,8 +37,8 @@ class Batch:
     per_second: bool = False
 
 
-_FEW, _ROUGH = 4, 10
-"""Views of the first ring: what follows batch by batch corrects it; a rough model that all else rests on wants more."""
+_FEW, _ROUGH = 3, 10
+"""Views of the first ring: what follows view by view corrects it; a rough model that all else rests on wants more."""
 
 Policy = Callable[[ExploreOptions, So], Batch | None]
 
