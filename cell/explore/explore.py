@@ -92,7 +92,7 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Batch, str]:
     seconds = sum(stage.seconds for stage in file.stages)
     if limit is not None and seconds >= limit:
         return Batch(0), f"the {limit:g} s of motion of the budget are used up"
-    batch = POLICIES[work.options.policy](work.options, So(len(file.stages), left))
+    batch = POLICIES[work.options.policy](work.options, So(len(file.stages), left, specification.asked(work.scene)))
     return (Batch(0), "all batches of the policy were executed") if batch is None else (batch, "")
 
 

@@ -58,13 +58,13 @@ class ExploreOptions(Table):
         int | None,
         Field(ge=1),
         Option(
-            "Views of the first ring, which see the cylinder best. Default: 4 stepwise, 10 where one plan follows.",
+            "Views of the first ring, which see the cylinder best. Default: 3 stepwise, 10 where one plan follows.",
             _EXPLORE,
         ),
     ] = None
     batch: Annotated[
         int, Field(ge=1), Option("Views that are planned and executed at a time (stepwise).", _EXPLORE)
-    ] = 2
+    ] = 1
     least_gain: Annotated[
         NotNegative,
         Field(lt=1),
@@ -73,7 +73,7 @@ class ExploreOptions(Table):
             _EXPLORE,
             metavar="SHARE",
         ),
-    ] = 0.0005
+    ] = 0.001
     max_seconds: Annotated[
         Positive | None, Option("Begin no batch after so many seconds of motion. Default: no limit.", _EXPLORE)
     ] = None

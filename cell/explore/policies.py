@@ -14,10 +14,12 @@ class So:
     Attributes:
         stages: executed.
         left: views that may still be taken; None: as many as it wants.
+        limited: whether sigma or spacing is limited.
     """
 
     stages: int
     left: int | None
+    limited: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,7 @@ class Batch:
     """What the next stage is asked for.
 
     Attributes:
-        views: that measure the most; None: the fewest for the scene's coverage.
+        views: that measure the most, at most; None: as many as are worth it.
         whole: whether surface that was seen counts as well; otherwise only what is open does.
         rough: whether it is there to plan on, so that limits of sigma and spacing do not hold for it.
         per_second: whether the most per second of standing and moving is wanted; otherwise the most.
@@ -37,8 +39,8 @@ class Batch:
     per_second: bool = False
 
 
-_FEW, _ROUGH = 4, 10
-"""Views of the first ring: what follows batch by batch corrects it; a rough model that all else rests on wants more."""
+_FEW, _ROUGH = 3, 10
+"""Views of the first ring: what follows view by view corrects it; a rough model that all else rests on wants more."""
 
 Policy = Callable[[ExploreOptions, So], Batch | None]
 
@@ -51,13 +53,14 @@ def stepwise(options: ExploreOptions, so: So) -> Batch | None:
 
 
 def two_stage(options: ExploreOptions, so: So) -> Batch | None:
-    """A ring gives a rough model, and one set cover on it all the other views.
+    """A ring gives a rough model, one set cover on it the fine views, and one more those for what stayed open.
 
     W. R. Scott, "Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
+    The fine views measure all of the part anew where sigma or spacing is limited, as rough points need not keep limits.
     """
     if so.stages == 0:
         return Batch(_within(so, options.ring or _ROUGH), rough=True)
-    return Batch(so.left, whole=True) if so.stages == 1 else None
+    return Batch(so.left, whole=so.limited and so.stages == 1) if so.stages <= 2 else None
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType({"stepwise": stepwise, "two-stage": two_stage})

@@ -143,7 +143,7 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         prediction = Prediction.of(scouts, scanner, casters, poses, progress)
     problem = steps.ask(run, job, cell, measured, prediction)
     try:
-        problem, chosen = _connected(run, problem, surface, asked.batch)
+        problem, chosen = _connected(run, problem, surface, asked)
     except UnreachableError as error:
         raise EnoughError(str(error), explained()) from error
     if told := _too_little(chosen, surface, asked):
@@ -194,10 +194,11 @@ def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples
     )
 
 
-def _connected(run: Run, problem: Problem, surface: PartSurface, batch: Batch) -> tuple[Problem, ConnectedPlan]:
+def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -> tuple[Problem, ConnectedPlan]:
     """Steps 6 to 8; views that cannot be connected are replaced by those that measure the most."""
+    batch = asked.batch
     if not batch.per_second or batch.views is None:
-        return steps.connect(run, problem, surface)
+        return steps.connect(run, _worth(problem, surface, asked) if asked.least_gain else problem, surface)
     with run.step("select, order and connect") as progress:
         M, reached, plan, rng = problem.M, problem.reached, problem.request.plan, run.rng(steps.SELECTION)
         seconds = seconds_of_views(plan, reached, problem.world.home, problem.limits)
@@ -209,6 +210,16 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, batch: Batch) -
         return problem, choose_and_connect(
             problem, selected, selection_rng=rng, motion_rng=run.rng(steps.MOTION), progress=progress
         )
+
+
+def _worth(problem: Problem, surface: PartSurface, asked: Asked) -> Problem:
+    """The problem for no more views than greedily each add the least gain."""
+    M, usable = problem.M, problem.usable(())
+    least = asked.least_gain * float(surface.reference.areas.sum())
+    most = len(usable) if asked.batch.views is None else asked.batch.views
+    views = len(most_per_second(M.matrix(), M.features.areas, np.ones(len(usable)), usable, most, least))
+    plan = problem.request.plan.model_copy(update={"max_views": max(views, 1)})
+    return replace(problem, request=replace(problem.request, plan=plan))
 
 
 def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> str:

@@ -84,7 +84,9 @@ class Record(Value):
         return np.asarray(((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes])
 
 
-def most_per_second(measured: "csr_array", areas: Floats, seconds: Floats, usable: Bools, count: int) -> Ints:
+def most_per_second(
+    measured: "csr_array", areas: Floats, seconds: Floats, usable: Bools, count: int, least: float = 0.0
+) -> Ints:
     """Up to `count` views, each with the most open area per second after those before it; ties go to the smaller.
 
     Args:
@@ -92,13 +94,14 @@ def most_per_second(measured: "csr_array", areas: Floats, seconds: Floats, usabl
         areas: (S,) expected of each row [m^2].
         seconds: (V,) that each view takes, above 0.
         usable: (V,) those that may be taken.
-        count: how many; fewer are returned where no other adds anything.
+        count: how many; fewer are returned where no other adds more than `least`.
+        least: area per second that each adds at least [m^2/s].
     """
     left, taken = np.array(areas), list[int]()
     columns = measured.T.tocsr()
     while len(taken) < count:
         rates = np.where(usable, columns @ left / seconds, 0.0)
-        if rates[best := int(rates.argmax())] <= 0:
+        if rates[best := int(rates.argmax())] <= least:
             break
         taken.append(best)
         left[columns[[best]].indices] = 0.0
