@@ -40,6 +40,7 @@ from cell.rays.prediction import held_out
 from cell.reconstruction.deviation import deviation
 from cell.run import digest
 from cell.view.contents import HALF_PAGE
+from planner.cover.curve import coverage_curve
 from planner.measurability import coverage
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
@@ -66,6 +67,7 @@ def pytest_collection_finish() -> None:
 
 
 _SAMPLES = 10_000
+_CURVE_WORK = 10_000_000
 _SMALL_SETUPS = (
     "--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "2", "--standoff", "250", "--seed", "3",
     "--candidates", "optimal-scanning-zone", "--coverage", "0.97",
@@ -228,14 +230,16 @@ def drawing_is_here() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def a_tenth_of_the_samples() -> Iterator[None]:
+def fewer_samples_and_less_work() -> Iterator[None]:
     """Coverage and deviation are measured on 10,000 samples: what holds of them holds of the definition's 100,000.
 
-    Processes of `start_cell` have them all, and so has whoever names a number.
+    The curve of coverage over views gets less work, too. Processes of `start_cell` have the whole of both, and so has
+    whoever names a number.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(coverage, "SAMPLES", _SAMPLES)
         patch.setattr(held_out, "__defaults__", (_SAMPLES,))
+        patch.setattr(coverage_curve, "__kwdefaults__", {**coverage_curve.__kwdefaults__, "budget": _CURVE_WORK})
         patch.setattr(deviation, "__kwdefaults__", {**deviation.__kwdefaults__, "count": _SAMPLES})
         yield
 

@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from benchmarks.triangle_cell import TriangleCell
 from cell.errors import FileError
 from cell.explore.hidden import Hidden
 from cell.part import workpiece
-from cell.plan import curve
 from cell.run import explore_json, reader
 from cell.run.cell import world_of
 from cell.run.record import open_finished
@@ -41,9 +39,7 @@ def explored(
 
     def make(folder: Path) -> None:
         command = ("explore", part_file, "--units", "mm", *OPTIONS, "--out", "explored", "--json")
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(curve, "coverage_curve", partial(curve.coverage_curve, budget=100_000_000))  # 5 s by default
-            done = run_cell(*command, cwd=folder)
+        done = run_cell(*command, cwd=folder)
         assert done.returncode == 0, done.stderr
         (folder / "stdout").write_text(done.stdout)
 

@@ -3,13 +3,9 @@
 import re
 import subprocess
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from cell.plan import curve
 from cell.run import explore_json
 
 OPTIONS = (
@@ -24,10 +20,8 @@ def test_every_batch_waits_for_a_word(
     part_file: Path,
     emulate: Callable[..., Any],
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Without a word nothing moves; a digest releases its batch alone; `explore` releases the rest."""
-    monkeypatch.setattr(curve, "coverage_curve", partial(curve.coverage_curve, budget=10_000_000))  # 5 s by default
     emulated, out = emulate("modbus", "--time-scale", "20"), tmp_path / "out"
     command = ("explore", part_file, "--units", "mm", *OPTIONS, "--driver", emulated.url, "--out", out)
     refused = run_cell(*command, cwd=tmp_path)

@@ -11,6 +11,8 @@ from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import face_features, sample
 from planner.viewpoints.zone import optimal_scanning_zone
 
+_SAMPLES = 300
+
 
 def sliver_cylinder() -> trimesh.Trimesh:
     """A CAD cylinder: 400 faces from end to end, each 500 times longer than wide."""
@@ -122,15 +124,17 @@ def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face
     assert (planning.vertices > low - 0.1 * extent).all()
     assert (planning.vertices < high + 0.1 * extent).all()
 
-    samples = sample(reference, planning, 1000, np.random.default_rng(1))
+    samples = sample(reference, planning, _SAMPLES, np.random.default_rng(1))
     distance = _distance(samples.points, reference.vertices[reference.faces[samples.face]], extent)
     assert distance.max() < 1e-9 * (extent + np.abs(reference.vertices).max())
     assert samples.areas.sum() == pytest.approx(body.area, rel=1e-9)
     points = np.repeat(samples.points, len(planning.faces), axis=0)
-    to_all = _distance(points, np.tile(planning.vertices[planning.faces], (1000, 1, 1)), extent).reshape(1000, -1)
+    to_all = _distance(points, np.tile(planning.vertices[planning.faces], (_SAMPLES, 1, 1)), extent).reshape(
+        _SAMPLES, -1
+    )
     same_side = samples.normals @ planning.normals.T > 0
     nearest = np.where(same_side, to_all, np.inf).min(axis=1)
-    chosen = to_all[np.arange(1000), samples.planning_face]
+    chosen = to_all[np.arange(_SAMPLES), samples.planning_face]
     comparable = np.isfinite(nearest)
     assert (chosen[comparable] - nearest[comparable] < 0.05 * extent).all()
 

@@ -1,6 +1,7 @@
 """Awkward parts looked at from all round without an arm: what is known of the space about them, what is believed."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -88,8 +89,10 @@ def _learned(space: VoxelSpace, points: Floats, T: Floats) -> VoxelSpace:
     return space.judged_from(points, stands[0], eye.blank(points, T), NEAR, FAR)
 
 
-def _explored(mesh: TriangleMesh, noise: float = 0.0, pose: float = 0.0) -> VoxelSpace:
+@cache
+def _explored(name: str, noise: float = 0.0, pose: float = 0.0) -> VoxelSpace:
     """What is known after views from all round, their points with noise and their reported poses off [m]."""
+    mesh = PARTS[name]
     rng, space = np.random.default_rng(0), VoxelSpace.of_cylinder(RADIUS, HEIGHT, EDGE)
     for T in _poses():
         points = _points(mesh, T)
@@ -110,14 +113,14 @@ def _surface(mesh: TriangleMesh) -> Floats:
 @pytest.mark.parametrize("name", PARTS)
 def test_no_surface_is_farther_than_the_clearance_from_what_the_arm_keeps_away_from(name: str) -> None:
     """Of wires too, of which rays miss most: what was seen free ends within a clearance of the true surface."""
-    space = _explored(PARTS[name])
+    space = _explored(name)
     away = ndimage.distance_transform_edt(space.state == FREE) * space.edge
     assert space.at(_surface(PARTS[name]), away).max() < CLEARANCE
 
 
 def test_what_is_believed_has_the_hole_of_a_ring() -> None:
     """Views through it vote: its middle is not believed, and nearly all of the ring was seen."""
-    space = _explored(PARTS["ring"])
+    space = _explored("ring")
     middle = np.zeros((1, 3))
     assert not space.at(middle, space.believed())[0]
     assert space.seen(_surface(PARTS["ring"])).mean() > 0.95
@@ -125,14 +128,14 @@ def test_what_is_believed_has_the_hole_of_a_ring() -> None:
 
 def test_two_bodies_are_believed_as_two() -> None:
     """Each with points of its own, and nothing believed between them."""
-    labels, count = ndimage.label(_explored(PARTS["two bodies"]).believed(), np.ones((3, 3, 3)))
+    labels, count = ndimage.label(_explored("two bodies").believed(), np.ones((3, 3, 3)))
     sizes = np.bincount(labels.ravel())[1:]
     assert (sizes > 0.2 * sizes.max()).sum() == 2, (count, sizes)
 
 
 def test_the_inside_of_a_closed_box_stays_unknown_and_is_told() -> None:
     """No voxel in it is free, its walls are not taken for seen, and its volume counts as never entered."""
-    space = _explored(PARTS["closed box"])
+    space = _explored("closed box")
     x, y, z = np.abs(space.centres(space.state == FREE)).T
     assert not ((x < 0.02) & (y < 0.02) & (z < 0.015)).any()
     inside = trimesh.creation.box((0.03, 0.03, 0.02))
@@ -142,7 +145,7 @@ def test_the_inside_of_a_closed_box_stays_unknown_and_is_told() -> None:
 
 def test_noise_and_pose_errors_are_no_part_that_moved() -> None:
     """Points a quarter of a millimetre off and poses half a millimetre: each view agrees with those before it."""
-    space = _explored(PARTS["ring"], noise=0.00025, pose=0.0005)
+    space = _explored("ring", noise=0.00025, pose=0.0005)
     assert (space.state == OCCUPIED).any()
 
 
@@ -150,7 +153,7 @@ def test_noise_and_pose_errors_are_no_part_that_moved() -> None:
 @pytest.mark.parametrize("shift", [(0.008, 0, 0), (-0.008, 0, 0), (0, 0.008, 0), (0, 0, 0.008)])
 def test_a_part_that_was_moved_is_noticed(name: str, shift: tuple[float, float, float]) -> None:
     """Points of views after the move lie in space that was free, or behind surface that was measured."""
-    space, moved = _explored(PARTS[name]), PARTS[name].vertices + np.array(shift)
+    space, moved = _explored(name), PARTS[name].vertices + np.array(shift)
     mesh = replace(PARTS[name], vertices=moved)
     shares = [space.contradicted(points) for T in _poses(5) if len(points := _points(mesh, T))]
     assert np.mean(shares) > 0.01
@@ -159,6 +162,6 @@ def test_a_part_that_was_moved_is_noticed(name: str, shift: tuple[float, float, 
 def test_a_believed_surface_is_closed_before_and_after() -> None:
     """Marching cubes about voxels within the grid: each edge has two faces, of tight and of rough surfaces."""
     unknown = VoxelSpace.of_cylinder(RADIUS, HEIGHT, EDGE)
-    for space in (unknown, _explored(PARTS["ring"])):
+    for space in (unknown, _explored("ring")):
         for mesh in (belief.surface_of(space), belief.rough(space)):
             assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
