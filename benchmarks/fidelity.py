@@ -27,7 +27,8 @@ from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
 from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.resolve import resolve
-from cell.scene.scene import Scene, load_scene
+from cell.scene.scene import Scene
+from cell.scene.scene_file import load_scene
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
