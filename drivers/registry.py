@@ -22,17 +22,8 @@ from drivers.url import DriverUrl
 GROUP = "cell.drivers"
 
 _PARTS = (
-    "connect",
-    "close",
-    "__enter__",
-    "__exit__",
-    "capabilities",
-    "state",
-    "take",
-    "ready",
-    "move",
-    "stop",
-    "reset",
+    *("connect", "close", "__enter__", "__exit__", "capabilities", "state"),
+    *("take", "ready", "move", "stop", "reset"),
 )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.cover.cover_files import CoverFile, read
+from cell.cover.options import CoverOptions
 from cell.errors import FileError, UsageError
 from planner import cover
 from planner.cover.budget import DEFAULT_WORK, UNLIMITED_WORK, WORK_PER_SECOND
@@ -76,64 +77,37 @@ class CoverOutcome:
         ]
 
 
-def solve_file(
-    path: Path,
-    *,
-    form: str | None,
-    solver: str,
-    budget_s: float | None,
-    time_limit_s: float | None,
-    unicost: bool,
-    coverage: float,
-    multiplicity: int,
-    seed: int,
-) -> CoverOutcome:
+def solve_file(path: Path, wanted: CoverOptions, *, unicost: bool) -> CoverOutcome:
     """Solve a set-cover file.
 
     Args:
         path: the file, see `cell.cover.cover_files`.
-        form: its format; None: the one that fits.
-        solver: a name of `planner.cover.SOLVERS`.
-        budget_s: work in seconds of a usual core; None: the default budget, or, with a time limit, no end but that.
-        time_limit_s: wall-clock guard [s].
+        wanted: its format, solver, work and time; without a budget the default one, or, with a time limit, no end but
+            that.
         unicost: whether every column costs 1, whatever the file says.
-        coverage: share of the coverable rows that must be covered.
-        multiplicity: how many columns must cover a row.
-        seed: of the solver's random choices.
 
     Raises:
         FileError: if the file is not a set-cover file.
         UsageError: for an option out of its range.
     """
-    if budget_s is not None and not 0 <= budget_s <= UNLIMITED_WORK / WORK_PER_SECOND:
-        most = UNLIMITED_WORK // WORK_PER_SECOND
-        raise UsageError(f"--budget is {budget_s:g}; it must be from 0 to {most} seconds' worth of work")
-    if seed < 0:
-        raise UsageError(f"--seed is {seed}; it must be zero or above")
-    problem = read(path, form)
+    most = UNLIMITED_WORK // WORK_PER_SECOND
+    if wanted.budget_s is not None and wanted.budget_s > most:
+        raise UsageError(f"--budget is {wanted.budget_s:g}; it must be from 0 to {most} seconds' worth of work")
+    problem = read(path, wanted.form)
     if not min(problem.matrix.shape):
         raise FileError(
             f"{path} has {problem.matrix.shape[0]} rows and {problem.matrix.shape[1]} columns; both must be 1 or more"
         )
-    if budget_s is not None:
-        budget = round(budget_s * WORK_PER_SECOND)
+    if wanted.budget_s is not None:
+        budget = round(wanted.budget_s * WORK_PER_SECOND)
     else:
-        budget = DEFAULT_WORK if time_limit_s is None else UNLIMITED_WORK
+        budget = DEFAULT_WORK if wanted.time_limit_s is None else UNLIMITED_WORK
+    rows, costs = np.ones(problem.matrix.shape[0]), None if unicost else problem.costs
     start = time.perf_counter()
     try:
-        result = cover.solve(
-            cover.Problem(
-                problem.matrix,
-                np.ones(problem.matrix.shape[0]),
-                coverage=coverage,
-                demand=multiplicity,
-                costs=None if unicost else problem.costs,
-            ),
-            rng=np.random.default_rng(seed),
-            solver=solver,
-            budget=budget,
-            time_limit_s=time_limit_s,
-        )
+        asked = cover.Problem(problem.matrix, rows, coverage=wanted.coverage, demand=wanted.multiplicity, costs=costs)
+        rng = np.random.default_rng(wanted.seed)
+        result = cover.solve(asked, rng=rng, solver=wanted.solver, budget=budget, time_limit_s=wanted.time_limit_s)
     except PlannerError as error:
         raise UsageError(str(error)) from error
     return CoverOutcome(path, problem, result, time.perf_counter() - start)

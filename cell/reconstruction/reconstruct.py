@@ -101,9 +101,7 @@ class Reconstruction(Value):
         return tuple(found)
 
 
-def reconstruct(
-    cloud: PointCloud, *, grid: float | None = None, reach: float = REACH, close: bool = False
-) -> Reconstruction:
+def reconstruct(cloud: PointCloud, *, grid: float | None = None, close: bool = False) -> Reconstruction:
     """Surface of a cloud.
 
     Two faces of a sheet are kept apart where the sheet is thicker than one grid cell; pass a finer grid for a thinner
@@ -112,14 +110,11 @@ def reconstruct(
     Args:
         cloud: merged scans with normals, object frame.
         grid: edge of a cell [m]; None takes 1.25 point spacings.
-        reach: surface farther than so many point spacings from any datum is cut away, > 0.
         close: whether to close the holes that remain; the faces that do are marked in `closed`.
 
     Raises:
-        PlannerError: if `grid` or `reach` is not positive.
+        PlannerError: if `grid` is not positive.
     """
-    if not reach > 0:
-        raise PlannerError(f"reach is {reach}; it must be positive (in point spacings)")
     if grid is not None and not grid > 0:
         raise PlannerError(f"grid is {grid}; it must be positive (in metres)")
     spacing = point_spacing(cloud.points, cloud.scan)
@@ -134,7 +129,7 @@ def reconstruct(
     if len(kept) < _FEWEST_POINTS or not spacing > 0:
         return nothing(ReconstructionStatus.TOO_FEW_POINTS)
     surface = ImplicitSurface(kept)
-    cut = reach * spacing
+    cut = REACH * spacing
     volume = _Grid(kept.points, _GRID * spacing if grid is None else grid, cut)
     volume.fill(surface, kept.points)
     found = volume.contour()

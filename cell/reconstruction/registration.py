@@ -113,7 +113,6 @@ def register(
     model: TriangleMesh | NearestSurface | None,
     *,
     reach: float | None = None,
-    overlap: bool = True,
     samples: int = SAMPLES,
     iterations: int = _ITERATIONS,
 ) -> Registration:
@@ -124,7 +123,6 @@ def register(
         model: the reference, object frame; None matches the scans to each other only: the mean of their motions is then
             kept zero, because nothing says where they are all together.
         reach: farthest match [m]; None takes 3 % of the diagonal of model or scans. Larger pose errors need more.
-        overlap: whether scans are also matched to each other.
         samples: points a scan to match, > 0.
         iterations: most steps, > 0.
 
@@ -139,7 +137,7 @@ def register(
     diagonal = float(np.linalg.norm(np.ptp(extent, axis=0)))
     moving = [MovingScan(scan, samples) for scan in scans]
     reach = _REACH * diagonal if reach is None else reach
-    problem = JointProblem(moving, nearest, reach, overlap=overlap or nearest is None)
+    problem = JointProblem(moving, nearest, reach, overlap=True)
     before = problem.match()
     steps, moved = 0, np.full(len(moving), np.inf)
     while steps < iterations and moved.max(initial=0.0) >= TOLERANCE:

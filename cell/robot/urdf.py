@@ -43,13 +43,8 @@ def prepare(root: ElementTree.Element, path: Path, packages: Mapping[str, Path])
     compiler = settings.find("compiler")
     if compiler is None:
         compiler = ElementTree.SubElement(settings, "compiler")
-    for key, value in (
-        ("fusestatic", "false"),
-        ("discardvisual", "true"),
-        ("strippath", "false"),
-        ("balanceinertia", "true"),
-    ):
-        compiler.set(key, value)
+    read = {"fusestatic": "false", "discardvisual": "true", "strippath": "false", "balanceinertia": "true"}
+    compiler.attrib.update(read)
     velocity, mimics = {}, {}
     for joint in root.findall("joint"):
         name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")

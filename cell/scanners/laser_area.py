@@ -17,8 +17,9 @@ degrees, where the cosine is flat, 0.003 degrees.
 """
 
 import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,20 @@ _WAYS = 33  # directions along each half of the field of view among which the de
 
 SIGMA_ANGLE_MDEG = 1.5
 """A twentieth of a pixel where 2048 pixels see 60 degrees; what a real sensor does has to come from its data sheet."""
+
+
+_PAIRS = ("fov_deg", "resolution_deg", "range_mm", "sensor_fov_deg", "depth_of_field_mm")
+_LIMITS: tuple[tuple[tuple[str, ...], Callable[[Any], bool], str], ...] = (
+    (("max_spacing_mm",), lambda length: length > 0, "it must be above 0"),
+    (("sensor_tilt_deg",), lambda angle: -90 < angle < 90, "it must be between -90 and 90"),
+    (("fov_deg", "sensor_fov_deg"), lambda both: 0 < min(both) <= max(both) < 180,
+     "each angle must be above 0 and below 180"),
+    (("depth_of_field_mm", "range_mm"), lambda ends: 0 <= ends[0] < ends[1],
+     "it must be [min, max] with 0 <= min < max"),
+    (("sigma_angle_mdeg", "baseline_mm"), lambda value: value >= 0, "it must be 0 or more"),
+    (("resolution_deg",), lambda both: min(both) > 0, "each angle must be above 0"),
+    (("grazing_max_deg", "sensor_grazing_max_deg"), lambda angle: 0 <= angle <= 90, "it must be from 0 to 90"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,39 +91,17 @@ class LaserArea:
     _limits: tuple[float, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("fov_deg", "resolution_deg", "range_mm", "sensor_fov_deg", "depth_of_field_mm"):
-            if getattr(self, name) is not None or name in ("fov_deg", "resolution_deg", "range_mm"):
-                object.__setattr__(self, name, _pair(name, getattr(self, name)))
-        for name in ("baseline_mm", "grazing_max_deg", "sensor_grazing_max_deg", "sigma_angle_mdeg"):
-            object.__setattr__(self, name, _number(name, getattr(self, name)))
-        if self.max_spacing_mm is not None:
-            object.__setattr__(self, "max_spacing_mm", _number("max_spacing_mm", self.max_spacing_mm))
-            if self.max_spacing_mm <= 0:
-                raise SceneError(f"scanner.max_spacing_mm is {self.max_spacing_mm:g}; it must be above 0")
-        if self.sensor_tilt_deg is not None:
-            object.__setattr__(self, "sensor_tilt_deg", _number("sensor_tilt_deg", self.sensor_tilt_deg))
-            if not -90 < self.sensor_tilt_deg < 90:
-                raise SceneError(f"scanner.sensor_tilt_deg is {self.sensor_tilt_deg:g}; it must be between -90 and 90")
-        for name in ("fov_deg", "sensor_fov_deg"):
-            angles = getattr(self, name)
-            if angles is not None and not all(0 < angle < 180 for angle in angles):
-                raise SceneError(f"scanner.{name} is {list(angles)}; each angle must be above 0 and below 180")
-        depth = self.depth_of_field_mm
-        if depth is not None and not 0 <= depth[0] < depth[1]:
-            raise SceneError(f"scanner.depth_of_field_mm is {list(depth)}; it must be [min, max] with 0 <= min < max")
-        if self.sigma_angle_mdeg < 0:
-            raise SceneError(f"scanner.sigma_angle_mdeg is {self.sigma_angle_mdeg:g}; it must be 0 or more")
-        if not all(angle > 0 for angle in self.resolution_deg):
-            raise SceneError(f"scanner.resolution_deg is {list(self.resolution_deg)}; each angle must be above 0")
-        if not 0 <= self.range_mm[0] < self.range_mm[1]:
-            raise SceneError(f"scanner.range_mm is {list(self.range_mm)}; it must be [min, max] with 0 <= min < max")
-        if self.baseline_mm < 0:
-            raise SceneError(f"scanner.baseline_mm is {self.baseline_mm:g}; it must be 0 or more")
-        for name in ("grazing_max_deg", "sensor_grazing_max_deg"):
-            if not 0 <= getattr(self, name) <= 90:
-                raise SceneError(f"scanner.{name} is {getattr(self, name):g}; it must be from 0 to 90")
-        n_h, n_v = (round(fov / step) for fov, step in zip(self.fov_deg, self.resolution_deg, strict=True))
-        if any(step > fov for fov, step in zip(self.fov_deg, self.resolution_deg, strict=True)):
+        for each in fields(self):
+            if each.init and ((value := getattr(self, each.name)) is not None or each.default is not None):
+                object.__setattr__(self, each.name, (pair if each.name in _PAIRS else _number)(each.name, value))
+        for names, holds, must in _LIMITS:
+            for name in names:
+                if (value := getattr(self, name)) is not None and not holds(value):
+                    shown = list(value) if isinstance(value, tuple) else f"{value:g}"
+                    raise SceneError(f"scanner.{name} is {shown}; {must}")
+        both = list(zip(self.fov_deg, self.resolution_deg, strict=True))
+        n_h, n_v = (round(fov / step) for fov, step in both)
+        if any(step > fov for fov, step in both):
             raise SceneError(
                 f"scanner.resolution_deg {list(self.resolution_deg)} leaves no ray in a field of view of "
                 f"{list(self.fov_deg)}; it must be at most the field of view"
@@ -207,12 +200,6 @@ class LaserArea:
         )
 
     @property
-    def _steps(self) -> tuple[float, float]:
-        """Angles between neighbouring rays, horizontal and vertical [rad]."""
-        n_v, n_h = self._shape
-        return math.radians(self.fov_deg[0]) / n_h, math.radians(self.fov_deg[1]) / n_v
-
-    @property
     def least_spacing_mm(self) -> float:
         """Smallest spacing that any surface can have [mm]: facing the source at the near end of the range."""
         x, y = np.meshgrid(*(np.linspace(0, math.tan(math.radians(fov / 2)), _WAYS) for fov in self.fov_deg))
@@ -245,7 +232,7 @@ class LaserArea:
             k, m = n_x / along, n_y / along
             in_x = np.sqrt((1 - x * k) ** 2 + (y * k) ** 2 + (z * k) ** 2)
             in_y = np.sqrt((x * m) ** 2 + (1 - y * m) ** 2 + (z * m) ** 2)
-            step_x, step_y = self._steps
+            step_x, step_y = (math.radians(fov) / n for fov, n in zip(self.fov_deg, self._shape[::-1], strict=True))
             found = np.maximum(step_x * (z + x * x / z) * in_x, step_y * (z + y * y / z) * in_y)
         return np.where((z > 0) & (along < 0), found, np.inf)
 
@@ -303,7 +290,8 @@ def _number(name: str, value: object) -> float:
     return float(value)
 
 
-def _pair(name: str, value: object) -> tuple[float, float]:
+def pair(name: str, value: object) -> tuple[float, float]:
+    """A value of the scene as two finite numbers; SceneError where it is none."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise SceneError(f"scanner.{name} is {value!r}; it must be a pair of numbers")
     return _number(name, value[0]), _number(name, value[1])

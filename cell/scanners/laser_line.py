@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
-from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea, require_attainable
+from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea, pair, require_attainable
 from planner.path.sweeps.line import DEFAULT_SPEED
 from planner.ports import Rejection
 from planner.values import Floats, readonly
@@ -124,12 +124,8 @@ class LaserLine:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise SceneError(f"scanner.{name} is {value!r}; it must be a whole number of at least 1")
-        if not isinstance(self.range_mm, (tuple, list)) or len(self.range_mm) != 2:
-            raise SceneError(f"scanner.range_mm is {self.range_mm!r}; it must be a pair of numbers")
-        near, far = self.range_mm
-        if not all(isinstance(z, (int, float)) and not isinstance(z, bool) for z in (near, far)) or not (
-            0 <= near < far < math.inf
-        ):
+        near, far = pair("range_mm", self.range_mm)
+        if not 0 <= near < far:
             raise SceneError(f"scanner.range_mm is {[near, far]}; it must be [min, max] with 0 <= min < max")
 
     @property

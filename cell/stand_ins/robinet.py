@@ -70,17 +70,7 @@ def field(rng: np.random.Generator) -> Field:
         cylinder((stem_x, 0, 50.5), (stem_x, 0, 70), 5, 0.5),
     )
     grooves = union(0, *(torus((x, 0, -8), 0, 14.5, 1.8) for x in (-96.0, -90.0, -84.0)))
-    wheel = union(
-        3,
-        torus((stem_x, 0, 47), 2, 54.3, 5.5),
-        *(
-            capsule((stem_x, 0, 44), (stem_x + 53 * np.cos(a), 53 * np.sin(a), 47), 5.5, 4.0)
-            for a in np.arange(3) * 2 * np.pi / 3 + 0.3
-        ),
-        cylinder((stem_x, 0, 37), (stem_x, 0, 54), 12, 2),
-        cylinder((stem_x, 0, 20), (stem_x, 0, 42), 8.5, 1),
-    )
-    knurl = displaced(wheel, lambda p: _knurl(p, stem_x))
+    knurl = displaced(_wheel(stem_x), lambda p: _knurl(p, stem_x))
     body = union(1.5, outside, flanges)
     body = without(1.2, union(1.5, body, knurl), bore, pockets, grooves)
     return displaced(body, ripples(rng, 0.12, 25.0))
@@ -88,6 +78,20 @@ def field(rng: np.random.Generator) -> Field:
 
 def _ring(n: int) -> list[float]:
     return [2 * np.pi * (i + 0.5) / n for i in range(n)]
+
+
+def _wheel(x: float) -> Field:
+    """The wheel with its spokes, hub and stem."""
+    return union(
+        3,
+        torus((x, 0, 47), 2, 54.3, 5.5),
+        *(
+            capsule((x, 0, 44), (x + 53 * np.cos(a), 53 * np.sin(a), 47), 5.5, 4.0)
+            for a in np.arange(3) * 2 * np.pi / 3 + 0.3
+        ),
+        cylinder((x, 0, 37), (x, 0, 54), 12, 2),
+        cylinder((x, 0, 20), (x, 0, 42), 8.5, 1),
+    )
 
 
 def _knurl(p: Points, x: float) -> Values:

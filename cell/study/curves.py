@@ -6,12 +6,12 @@ the surface (within half a point of the most, which nobody would pay for) with t
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cell.scene import sensors
+from cell.scene.options import Tables
 from cell.scene.scene import Scene
 from cell.study.plan_command import options
 from cell.study.scenes import scene_settings
@@ -35,32 +35,19 @@ SceneWith = Callable[[Mapping[str, Mapping[str, object]]], Scene]
 Setting = float | str | tuple[float, float]
 """A number, the name of a sensor, or the near and far limit of a range [mm]."""
 
-
-@dataclass(frozen=True, slots=True)
-class Knob:
-    """What of the scanner a study varies.
-
-    Attributes:
-        title: for people, with the unit.
-        tables: keys of the scene for a setting of its kind.
-    """
-
-    title: str
-    tables: Callable[..., Mapping[str, Mapping[str, object]]]
-
-
-KNOBS = {
-    "standoff": Knob("standoff distance [mm]", lambda value: {"plan": {"standoffs_mm": [value]}}),
-    "fov": Knob("field of view, both ways [deg]", lambda value: {"scanner": {"fov_deg": [value, value]}}),
-    "resolution": Knob("angle between rays [deg]", lambda value: {"scanner": {"resolution_deg": [value, value]}}),
-    "baseline": Knob("baseline [mm]", lambda value: {"scanner": {"baseline_mm": value}}),
-    "grazing": Knob("grazing limit [deg from the normal]", lambda value: {"scanner": {"grazing_max_deg": value}}),
-    "range": Knob(
+KNOBS: Mapping[str, tuple[str, Callable[..., Tables]]] = {
+    "standoff": ("standoff distance [mm]", lambda value: {"plan": {"standoffs_mm": [value]}}),
+    "fov": ("field of view, both ways [deg]", lambda value: {"scanner": {"fov_deg": [value, value]}}),
+    "resolution": ("angle between rays [deg]", lambda value: {"scanner": {"resolution_deg": [value, value]}}),
+    "baseline": ("baseline [mm]", lambda value: {"scanner": {"baseline_mm": value}}),
+    "grazing": ("grazing limit [deg from the normal]", lambda value: {"scanner": {"grazing_max_deg": value}}),
+    "range": (
         "range [mm]",  # the standoff is in its middle
         lambda ends: {"scanner": {"range_mm": list(ends)}, "plan": {"standoffs_mm": [sum(ends) / 2]}},
     ),
-    "sensors": Knob("sensor", lambda name: {"scanner": {"sensor": name}}),
+    "sensors": ("sensor", lambda name: {"scanner": {"sensor": name}}),
 }
+"""What of the scanner a study varies: for people with its unit; and the keys of the scene for a setting."""
 
 
 def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, robot: bool) -> Study:
@@ -75,10 +62,10 @@ def knob_study(scene_with: SceneWith, knob: str, values: Sequence[Setting], *, r
     Raises:
         SceneError: if the scene cannot have one of the values.
     """
-    title, tables = KNOBS[knob].title, KNOBS[knob].tables
+    title, tables = KNOBS[knob]
     own = scene_with({}).scanner
     follows = knob == "standoff" and own.sensor is None and own.type == sensors.load(_FOLLOWING).type
-    scanner = {"scanner": {"sensor": _FOLLOWING}} if follows else {}
+    scanner: Tables = {"scanner": {"sensor": _FOLLOWING}} if follows else {}
     keys = {
         f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value: {**scanner, **tables(value)}
         for value in values

@@ -24,10 +24,7 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
-_BESIDE_DEG, _ABOVE_DEG = (
-    -53.0,
-    20.0,
-)  # of the camera, from the part as the arm sees it: part and arm next to each other
+_BESIDE_DEG, _ABOVE_DEG = -53.0, 20.0  # of the camera, from the part as the arm sees it: both next to each other
 _GLASS = 0.22
 _IN_FRONT = 0.04  # of part and arm: what hides more is glass
 _COARSE = 8  # times fewer pixels a side to find out
@@ -129,13 +126,8 @@ def tour_camera(
     return rays.fitted(np.concatenate([*moved, stands, way]), toward, size, parallel=False, half=half)
 
 
-def draw_robot(model: mujoco.MjModel, size: tuple[int, int] = (720, 720)) -> Image.Image:
-    """A robot alone, at its home; in its zero where it has none.
-
-    Args:
-        model: compiled.
-        size: (width, height) [pixels].
-    """
+def draw_robot(model: mujoco.MjModel) -> Image.Image:
+    """A compiled robot alone, at its home; in its zero where it has none."""
     import mujoco
 
     data = mujoco.MjData(model)
@@ -146,7 +138,7 @@ def draw_robot(model: mujoco.MjModel, size: tuple[int, int] = (720, 720)) -> Ima
         colour = np.array(LOOKS[look_of(model.geom(geom).name, of_robot=True)])
         pieces.append(Piece("robot", 0, *shape_triangles(model, data, geom), colour))
     fit = np.concatenate([piece.vertices for piece in pieces])
-    camera = rays.fitted(fit, rays.direction(-60.0, _ABOVE_DEG), size, parallel=False)
+    camera = rays.fitted(fit, rays.direction(-60.0, _ABOVE_DEG), (720, 720), parallel=False)
     return rays.render(camera, _Lit(camera.eye, pieces).colour_of)[0]
 
 

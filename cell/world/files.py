@@ -20,14 +20,13 @@ from cell.world.model import World
 from cell.world.robot_spec import place, spec_of
 from cell.world.shapes import quaternion
 from planner.ports import ARM_AXES
-from planner.values import readonly
 
 FILE_NAME = "cell.xml"
 ROBOT = "robot.xml"
 _VISIBLE_GROUP = 1
 
 
-def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = None) -> tuple[str, ...]:
+def write_mjcf(world: World, folder: Path) -> tuple[str, ...]:
     """Write `cell.xml` into a folder, and `robot.xml` of a robot that is not built in; meshes are inside them.
 
     Part and post are mocap bodies in it, as in the checked model: whoever loads it may move them.
@@ -35,13 +34,11 @@ def write_mjcf(world: World, folder: Path, T_base_object: ArrayLike | None = Non
     Args:
         world: the compiled scene.
         folder: an existing folder.
-        T_base_object: (4, 4) placement [m]; None is the scene's.
 
     Returns:
         The names of the files written.
     """
-    T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
-    spec = world.spec.copy()
+    T, spec = world.T_base_object, world.spec.copy()
     spec.body("object").pos, spec.body("object").quat = T[:3, 3], quaternion(T[:3, :3])
     spec.body("post").pos = world.post_top(T)
     _for_the_eye(spec, world)

@@ -132,9 +132,7 @@ def test_resolution_follows_the_spacing_unless_it_is_given() -> None:
 
 
 def test_settings_that_cannot_be_are_refused() -> None:
-    """Grid and reach must be positive."""
+    """The grid must be positive."""
     cloud = merge([_ball_scan(VIEWS[0])])
     with pytest.raises(PlannerError, match="grid is 0"):
         reconstruct(cloud, grid=0)
-    with pytest.raises(PlannerError, match="reach is -1"):
-        reconstruct(cloud, reach=-1)

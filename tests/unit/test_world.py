@@ -1,5 +1,6 @@
 """The compiled cell: names, guarded pairs, placement as data, cell.xml, occluders."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -161,7 +162,7 @@ def test_the_housing_is_guarded_against_the_hand_where_the_mount_lets_them_meet(
 def test_cell_xml_is_the_checked_cell(world: World, tmp_path: Path) -> None:
     """MuJoCo loads the file alone; every shape stands exactly where it was checked, at home and elsewhere."""
     T = world.placed(pose((1000, -300, 100), (70, -20, 5)))
-    assert write_mjcf(world, tmp_path, T) == ("cell.xml",)
+    assert write_mjcf(replace(world, T_base_object=T), tmp_path) == ("cell.xml",)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
     data, expected = mujoco.MjData(model), world.data(T)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
