@@ -83,7 +83,8 @@ def load(name: str, weighted: bool) -> Instance:
     if name.endswith(".npz"):
         with np.load(name, allow_pickle=False) as file:
             ones = np.ones(len(file["indices"]), dtype=bool)
-            M = sp.csr_array((ones, file["indices"], file["indptr"]), shape=tuple(file["shape"]))
+            indices, indptr = (file[name].astype(np.int32) for name in ("indices", "indptr"))  # as the planner has them
+            M = sp.csr_array((ones, indices, indptr), shape=tuple(file["shape"]))
             return Instance(M, np.ones(M.shape[1], np.int64), file["area"], file["reachable"])
     made = generate(name)
     if made is None:

@@ -39,7 +39,7 @@ class Open:
             self._change(rows, np.zeros(len(rows), dtype=np.int64), self.deficit[rows])
         self.gains[columns] = -np.inf
         self.missing = int(sets.units[rows].sum()) - (0 if sets.most >= 0 else sets.slack)
-        self.work = 8 * sets.n_entries
+        self.work = 3 * sets.n_entries
 
     def _change(self, rows: Ints, before: Ints, after: Ints) -> None:
         """Gains follow deficits that changed."""
@@ -65,7 +65,7 @@ class Open:
         self.missing -= int(sets.units[rows[(before > 0) & (after == 0)]].sum())
         self.gains[column] = -np.inf
         self.chosen.append(column)
-        self.work += int(moved.sum()) * (sets.n_entries // max(sets.n_rows, 1)) * 8 + 2 * sets.n_columns + 25_000
+        self.work += int(moved.sum()) * (sets.n_entries // max(sets.n_rows, 1)) * 5 + 2 * sets.n_columns + 25_000
 
 
 def complete(sets: Sets, columns: Ints) -> Ints:

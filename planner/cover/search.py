@@ -39,6 +39,9 @@ top."""
 CHUNK_WORK = 5_000_000
 """Work between two looks at the clock: about 10 ms."""
 
+FRESH_WORK = 5
+"""Charge of each entry when a search begins."""
+
 WIDE = 16
 """Where columns have more rows than this on average, a bit for each row says whether they have it."""
 
@@ -76,7 +79,7 @@ class Search:
         numbers[k.LIMIT] = sets.most if sets.most >= 0 else sets.cost(columns) - 1
         numbers[k.ALLOWED] = numbers[k.BEST] - 1 if sets.most >= 0 else sets.slack
         self._tenures = 0 if sets.full else min(TENURES, max(sets.n_columns - len(columns), 1))
-        self._patience = PATIENCE
+        self._patience, self._fresh_work = PATIENCE, FRESH_WORK * sets.n_entries
         self._waited = 0
 
     def run(self, budget: Budget, chunks: int | None = None) -> None:
@@ -91,12 +94,13 @@ class Search:
         # Rows open for good: nothing is better than the bound; elsewhere the budget knows.
         target = budget.lower_bound + sets.tolerance
         far = 1.0 + min(sets.n_columns / FAR_COLUMNS + sets.n_entries / FAR_ENTRIES, FARTHEST)
-        best, work = int(numbers[kernels.BEST]), sets.n_entries
-        while budget.spend(int(work * far)):
+        best, work, self._fresh_work = int(numbers[kernels.BEST]), self._fresh_work, 0
+        while budget.spend(work):
             limit = min(CHUNK_WORK, max(int(budget.left / far), 1))
-            work = kernels.steps(state, sets.full, sets.most >= 0, target, self._tenures, limit)
-            if work < 0:
+            done = kernels.steps(state, sets.full, sets.most >= 0, target, self._tenures, limit)
+            if done < 0:
                 break
+            work = int(done * far)
             self._waited += 1
             if numbers[kernels.BEST] < best:
                 best, self._waited = int(numbers[kernels.BEST]), 0
