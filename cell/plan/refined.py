@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from cell.plan.candidates import GROWN, arm_of
+from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.request import WORK, Selected
 from cell.plan.view_exchange import of_views
@@ -28,6 +29,9 @@ MARGIN = 0.0002
 Append = Callable[[Problem, Viewpoints], Problem]
 """A problem with further viewpoints behind its candidates: all of them known as well as those there."""
 
+Choice = tuple[Problem, Selected]
+"""What is asked, and the views that were chosen for it."""
+
 
 def movable(problem: Problem) -> bool:
     """Whether views may be moved: their number counts, they are at rest and grown, and none is named by the user."""
@@ -36,9 +40,7 @@ def movable(problem: Problem) -> bool:
     return free and request.exchangeable and request.goals is None and request.brief and problem.at_rest
 
 
-def with_fewer(
-    problem: Problem, selected: Selected, append: Append, rng: np.random.Generator
-) -> tuple[Problem, Selected]:
+def with_fewer(problem: Problem, selected: Selected, append: Append, rng: np.random.Generator) -> Choice:
     """Fewer views that measure as much of the held-out samples, as candidates of the problem; or what was given.
 
     Args:
@@ -57,6 +59,23 @@ def with_fewer(
     found = first_choice(more, rng, looked=moved, look=WORK)
     fewer_still = len(found.cover.views) < len(after) and found.shares[0] >= _least(problem, selected)
     return more, found if fewer_still else moved.bounded(found)
+
+
+def connected(
+    moved: Choice, unmoved: Choice, connect: Callable[[Problem, Selected], ConnectedPlan]
+) -> tuple[Problem, ConnectedPlan]:
+    """The choice with views that moved, connected, and the problem that it answers; or the one without.
+
+    Where a view that moved cannot be connected, what is chosen in its place may be worse than what was chosen before
+    any moved: then that is connected as well, and taken where it has fewer views or measures more.
+    """
+    problem, selected = moved
+    plan = connect(problem, selected)
+    if selected is unmoved[1] or plan.selected is selected:
+        return problem, plan
+    before = connect(*unmoved)
+    worse = len(plan.cover.views) > len(before.cover.views) or plan.visible.area < before.visible.area
+    return (unmoved[0], before) if worse else (problem, plan)
 
 
 def _least(problem: Problem, selected: Selected) -> float:
@@ -82,7 +101,7 @@ def _moved(problem: Problem, selected: Selected) -> Standing:
     )  # fmt: skip
 
 
-def _appended(problem: Problem, selected: Selected, after: Standing, append: Append) -> tuple[Problem, Selected]:
+def _appended(problem: Problem, selected: Selected, after: Standing, append: Append) -> Choice:
     """The problem with the views that moved behind its candidates, and all views as an answer to it."""
     candidates, chosen = problem.candidates, selected.cover.views
     T = after.T_object_scanner[after.moved]

@@ -22,9 +22,9 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
-from cell.plan.refined import Append, movable, with_fewer
+from cell.plan.refined import Append, connected, movable, with_fewer
 from cell.plan.region_goals import RegionGoals, require_measurable
-from cell.plan.request import Request, seconds_of_views
+from cell.plan.request import Request, Selected, seconds_of_views
 from cell.plan.view_plan import choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
@@ -260,18 +260,22 @@ def connect(
     """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
         chooses, before = run.rng(SELECTION), problem
-        problem, selected = denser_samples.chosen_where_kept(problem, surface, chooses, run.rng(FRESH))
-        if append is not None and movable(problem):
-            problem, selected = with_fewer(problem, selected, append, chooses)
+        moved = unmoved = denser_samples.chosen_where_kept(problem, surface, chooses, run.rng(FRESH))
+        if append is not None and movable(unmoved[0]):
+            moved = with_fewer(*unmoved, append, chooses)
+
+        def of(problem: Problem, selected: Selected) -> ConnectedPlan:
+            return choose_and_connect(
+                problem, selected, selection_rng=chooses, motion_rng=run.rng(MOTION), progress=progress
+            )
+
+        problem, chosen = connected(moved, unmoved, of)
         if problem.M is not before.M:
             plan_files.write_measurability(run.folder, problem.M)
         if problem.candidates is not before.candidates:
             plan_files.write_viewpoints(run.folder, problem.candidates)
             plan_files.write_reach(run.folder, problem.reached)
-        drives = run.rng(MOTION)
-        return problem, choose_and_connect(
-            problem, selected, selection_rng=chooses, motion_rng=drives, progress=progress
-        )
+        return problem, chosen
 
 
 def prove_and_time(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:

@@ -49,14 +49,15 @@ class TriangleTree:
         first = (np.arange(leaves + 1, dtype=np.int64) * len(order)) // leaves
         bounds = np.empty((2 * leaves, 3, 3))
         bounds[:, 2] = 0.0
-        bounds[leaves:, 0] = np.minimum.reduceat(triangles.min(axis=1), first[:-1])
-        bounds[leaves:, 1] = np.maximum.reduceat(triangles.max(axis=1), first[:-1])
+        a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+        bounds[leaves:, 0] = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), first[:-1])
+        bounds[leaves:, 1] = np.maximum.reduceat(np.maximum(np.maximum(a, b), c), first[:-1])
         below = leaves
         while below > 1:
-            pairs = bounds[below : 2 * below].reshape(-1, 2, 3, 3)
+            left, right = bounds[below : 2 * below : 2], bounds[below + 1 : 2 * below : 2]
             below //= 2
-            bounds[below : 2 * below, 0] = pairs[:, :, 0].min(axis=1)
-            bounds[below : 2 * below, 1] = pairs[:, :, 1].max(axis=1)
+            bounds[below : 2 * below, 0] = np.minimum(left[:, 0], right[:, 0])
+            bounds[below : 2 * below, 1] = np.maximum(left[:, 1], right[:, 1])
         bounds[0] = bounds[1]
         self._tree = triangles, first, bounds
         self.closed = is_closed(mesh)

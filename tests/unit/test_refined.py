@@ -66,3 +66,43 @@ def test_fewer_views_still_are_taken(monkeypatch):
     """Found among the candidates that there were and those that moved."""
     found = _answer(10, 0.9913)
     assert _chosen(monkeypatch, 11, found)[1] is found
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is held of one plan against another."""
+
+    selected: Answer
+    number: int
+    area: float
+
+    @property
+    def cover(self) -> SimpleNamespace:
+        return SimpleNamespace(views=np.arange(self.number))
+
+    @property
+    def visible(self) -> SimpleNamespace:
+        return SimpleNamespace(area=self.area)
+
+
+@pytest.mark.parametrize(
+    ("as_chosen", "number", "area", "taken"),
+    [
+        (True, 11, 0.95, "moved"),  # connected as it was chosen
+        (False, 12, 0.97, "moved"),  # chosen again, and no worse
+        (False, 13, 0.99, "unmoved"),
+        (False, 11, 0.95, "unmoved"),
+    ],
+)
+def test_what_is_chosen_again_is_held_against_the_views_that_did_not_move(as_chosen, number, area, taken):
+    """No more views and no less measured than with those; which are connected only where it has to be known."""
+    asked = []
+
+    def connect(problem: Any, selected: Answer) -> Any:
+        asked.append(problem)
+        return Plan(BEFORE, 12, 0.97) if problem == "unmoved" else Plan(MOVED if as_chosen else BEFORE, number, area)
+
+    problem, plan = refined.connected(("moved", MOVED), ("unmoved", BEFORE), connect)  # type: ignore[arg-type]
+    assert problem == taken
+    assert plan.number == (12 if taken == "unmoved" else number)
+    assert asked == (["moved"] if as_chosen else ["moved", "unmoved"])
