@@ -18,7 +18,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -39,6 +39,7 @@ from cell.plan import picture_process
 from cell.rays.prediction import held_out
 from cell.reconstruction.deviation import deviation
 from cell.run import digest
+from cell.study.bench import Bench
 from cell.view.contents import HALF_PAGE
 from planner.cover.curve import coverage_curve
 from planner.measurability import coverage
@@ -229,18 +230,39 @@ def drawing_is_here() -> Iterator[None]:
         yield
 
 
+_FEWER = (
+    (held_out, "__defaults__", (_SAMPLES,)),
+    (deviation, "__kwdefaults__", {**deviation.__kwdefaults__, "count": _SAMPLES}),
+    (Bench.__init__, "__kwdefaults__", {"samples": _SAMPLES}),
+    (coverage, "SAMPLES", _SAMPLES),
+    (coverage_curve, "__kwdefaults__", {**coverage_curve.__kwdefaults__, "budget": _CURVE_WORK}),
+)
+_WHOLE = tuple((owner, name, getattr(owner, name)) for owner, name, _ in _FEWER)
+
+
+@contextlib.contextmanager
+def _patched(changes: Iterable[tuple[object, str, object]]) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for owner, name, value in changes:
+            patch.setattr(owner, name, value)
+        yield
+
+
 @pytest.fixture(scope="session", autouse=True)
 def fewer_samples_and_less_work() -> Iterator[None]:
     """Coverage and deviation are measured on 10,000 samples: what holds of them holds of the definition's 100,000.
 
     The curve of coverage over views gets less work, too. Processes of `start_cell` have the whole of both, and so has
-    whoever names a number.
+    whoever names a number, or asks for `as_defined`.
     """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(coverage, "SAMPLES", _SAMPLES)
-        patch.setattr(held_out, "__defaults__", (_SAMPLES,))
-        patch.setattr(coverage_curve, "__kwdefaults__", {**coverage_curve.__kwdefaults__, "budget": _CURVE_WORK})
-        patch.setattr(deviation, "__kwdefaults__", {**deviation.__kwdefaults__, "count": _SAMPLES})
+    with _patched(_FEWER):
+        yield
+
+
+@pytest.fixture
+def as_defined() -> Iterator[None]:
+    """All samples of the definition of coverage, as processes of their own have them."""
+    with _patched(_WHOLE):
         yield
 
 
@@ -341,7 +363,7 @@ def made_setups(
 
     def make(folder: Path) -> None:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("planner.cover.DEFAULT_WORK", 100_000_000)  # a tenth: the small part is soon proven
+            patch.setattr("planner.cover.DEFAULT_WORK", 30_000_000)  # the small part is soon proven
             done = run_cell("setups", part_file, *_SMALL_SETUPS, "--offer", "6", "--out", "made", cwd=folder)
         assert done.returncode == 0, done.stderr
         (folder / "stdout").write_text(done.stdout)

@@ -120,7 +120,7 @@ def test_a_sensor_is_chosen_by_name(run_cell: Run, part_file: Path, tmp_path: Pa
     assert done.returncode == 2
     assert "gocator-2330 does not state its baseline; set scanner.baseline_mm" in done.stderr
     assert not (tmp_path / "run").exists()
-    done = run_cell(*arguments, "--baseline", "60", cwd=tmp_path)
+    done = run_cell(*arguments, "--baseline", "60", "--faces", "12", "--coverage", "0.3", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     settings = json.loads(done.stdout)["settings"]
     assert settings["sensor"] == "gocator-2330"

@@ -55,14 +55,20 @@ def test_arrays_hold_no_pickles(planned: Path) -> None:
             assert all(arrays[name].dtype != object for name in arrays)
 
 
+@pytest.mark.usefixtures("as_defined", "drawn_pictures")
 def test_equal_input_and_seed_give_equal_bytes(
-    planned: Path, part_file: Path, tmp_path: Path, start_cell: Start, small_plan: tuple[str, ...]
+    part_file: Path, tmp_path: Path, start_cell: Start, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
     """A second run, by a process, in another place, matrix from the cache, differs in no artefact: no clock in them."""
-    process = start_cell("plan", part_file, "--units", "mm", *small_plan, "--out", "again", cwd=tmp_path)
+    command = ("plan", part_file, "--units", "mm", *small_plan, "--faces", "40", "--out")
+    (tmp_path / "elsewhere").mkdir()
+    done = run_cell(*command, "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    process = start_cell(*command, "again", cwd=tmp_path / "elsewhere")
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
-    first, second = (json.loads((run / "manifest.json").read_text()) for run in (planned, tmp_path / "again"))
+    runs = tmp_path / "run", tmp_path / "elsewhere" / "again"
+    first, second = (json.loads((run / "manifest.json").read_text()) for run in runs)
     assert first["artefacts"] == second["artefacts"]
 
 

@@ -27,7 +27,7 @@ from planner.measurability.matrix import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "0.5")
+NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1")
 
 
 @pytest.fixture

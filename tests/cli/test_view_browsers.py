@@ -110,6 +110,7 @@ def test_without_webgl_a_page_says_so_and_keeps_its_numbers(chromium: Any, plann
     assert "view1, candidate" in told
 
 
+@pytest.mark.parametrize("chromium", [("--window-size=400,300",)], indirect=True)  # each pixel takes its time
 @pytest.mark.parametrize(
     ("subdivisions", "views", "points"), [(5, 20, 30_000), pytest.param(8, 200, 1_000_000, marks=pytest.mark.slow)]
 )

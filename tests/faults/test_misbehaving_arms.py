@@ -180,9 +180,9 @@ def test_a_slow_override_is_waited_for(bench: Callable[..., Any], backend: str) 
         made.driver.connect()
         if told == WHOLE:
             with pytest.raises(OverdueError, match="of driving"):
-                made.driver.move(turned(40.0), 0.5)
+                made.driver.move(turned(15.0), 0.5)
         else:
-            assert made.driver.move(turned(40.0), 0.5).mode is Mode.IN_POSITION
+            assert made.driver.move(turned(15.0), 0.5).mode is Mode.IN_POSITION
         made.driver.close()
 
 

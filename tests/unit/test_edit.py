@@ -86,7 +86,10 @@ def test_what_is_not_there_is_refused_before_a_folder_is_made(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("wishes", [{}, {"keep_order": True}, {"turn": {2: 360}}, "its order"])
+_LONG = [pytest.param(wishes, marks=pytest.mark.slow) for wishes in ({}, {"keep_order": True})]
+
+
+@pytest.mark.parametrize("wishes", [{"turn": {2: 360}}, "its order", *_LONG])
 def test_an_edit_that_changes_nothing_changes_nothing(
     wishes: dict[str, Any] | str, planned: Path, tmp_path: Path
 ) -> None:

@@ -23,7 +23,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
 def test_random_views_of_a_ball_cover_what_random_caps_do(ball: Lab) -> None:
     """So many random caps, each a share f of a sphere, leave (1 - f)^n of it on average (Solomon 1978)."""
-    rng, n, times = np.random.default_rng(0), 5, 24
+    rng, n, times = np.random.default_rng(0), 5, 12
     next_view = rivals.random("sphere, middle")(ball, rng)
     known = Known(ball.unknown, (ball.first_view(rng),))
     poses = [T for _ in range(n * times) if (T := next_view(known)) is not None]
@@ -87,8 +87,8 @@ def test_every_policy_sees_more_of_a_ball_with_each_view(name: str, ball: Lab) -
     """Equal seeds give equal views, from free space, and coverage grows."""
     policy = stepwise if name == "stepwise" else RIVALS[name][0](TUNED[name])
     known, by_views = explored(ball, policy, 1, 3)
-    again, _ = explored(ball, policy, 1, 3)
-    assert np.array_equal(known.poses, again.poses)
+    again, _ = explored(ball, policy, 1, 2)
+    assert np.array_equal(known.poses[:2], again.poses)
     assert by_views[-1] > by_views[0] > 0.1
     assert all(np.hypot(*T[:2, 3]) > ball.cylinder.radius or abs(T[2, 3]) > 0.06 for T in known.poses)
 

@@ -1,0 +1,37 @@
+"""Examples of `--help`: each names a command that exists and options that it has, in the order that it takes them."""
+
+import shlex
+from collections.abc import Iterator
+
+import click
+import pytest
+import typer
+
+from cell.cli import app
+
+
+def _commands(command: click.Command) -> Iterator[click.Command]:
+    yield command
+    for name in getattr(command, "commands", {}):
+        yield from _commands(command.commands[name])  # type: ignore[attr-defined]
+
+
+MAIN = typer.main.get_command(app)
+EXAMPLES = sorted({
+    line for command in _commands(MAIN) for line in (command.epilog or "").splitlines() if line.startswith("cell ")
+})  # fmt: skip
+
+
+def test_there_are_examples_of_every_command() -> None:
+    """Each command of the front page shows one at least."""
+    shown = {line.split()[1] for line in EXAMPLES}
+    assert set(MAIN.commands) <= shown | {"version"}, set(MAIN.commands) - shown  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("line", EXAMPLES)
+def test_an_example_is_understood(line: str) -> None:
+    """Words, options and the types of their values; nothing is run."""
+    command, words = MAIN, shlex.split(line, comments=True)[1:]
+    while words and words[0] in getattr(command, "commands", {}):
+        command = command.commands[words.pop(0)]  # type: ignore[attr-defined]
+    command.make_context("cell", words)
