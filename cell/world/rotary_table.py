@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,18 +82,19 @@ class Turner:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> None:
         self._table = table
-        self._mocap = [int(model.body(name).mocapid[0]) for name in ("object", "post")]
-        self._at_0 = np.array(data.mocap_pos[self._mocap]), np.array(data.mocap_quat[self._mocap])
+        self._axis = (0.0, 0.0) if table is None else tuple(table.T_base_table[:2, 3].tolist())
+        bodies = [int(model.body(name).mocapid[0]) for name in ("object", "post")]
+        self._at_0 = [(body, data.mocap_pos[body].tolist(), data.mocap_quat[body].tolist()) for body in bodies]
 
     def __call__(self, data: mujoco.MjData, q: Floats) -> None:
-        """Set both in a state, at (axes,) joint angles [rad]; nothing is done where they stand."""
+        """Set both in a state, at (axes,) joint angles [rad]; nothing is done where they stand.
+
+        In plain numbers, about the upright axis: every configuration that is checked comes through here.
+        """
         if self._table is None:
             return
-        import mujoco
-
-        T, turned = self._table.turn(q[ARM_AXES]), np.empty(4)
-        turn = np.array([np.cos(q[ARM_AXES] / 2), 0.0, 0.0, np.sin(q[ARM_AXES] / 2)])  # its axis is upright
-        for body, position, stood in zip(self._mocap, *self._at_0, strict=True):
-            data.mocap_pos[body] = T[:3, :3] @ position + T[:3, 3]
-            mujoco.mju_mulQuat(turned, turn, stood)
-            data.mocap_quat[body] = turned
+        angle, (x, y) = float(q[ARM_AXES]), self._axis
+        c, s, c2, s2 = math.cos(angle), math.sin(angle), math.cos(angle / 2), math.sin(angle / 2)
+        for body, (px, py, pz), (w, a, b, d) in self._at_0:
+            data.mocap_pos[body] = x + c * (px - x) - s * (py - y), y + s * (px - x) + c * (py - y), pz
+            data.mocap_quat[body] = c2 * w - s2 * d, c2 * a - s2 * b, c2 * b + s2 * a, c2 * d + s2 * w
