@@ -60,6 +60,7 @@ REGISTRY = {
     "explored": "explorations with the arm: true coverage and views beside the plan that knows the model, contacts",
     "density": "dense beside visible coverage, the spacing that plans tell beside that of their scans",
     "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",
+    "setups": "several set-ups of every part: one cover beside one set-up after the other, bounds, ceiling, seconds",
     "sigma": "the model of a point's standard deviation beside observed scatter; what its layer costs",
     "soak": "2,000 moves over each wire with 1 % of every fault: what the controller's journal says of them",
     "fuzz": "mangled frames and telegrams against the codecs: crashes and false accepts",

@@ -97,7 +97,8 @@ class ExecutedPlace(JsonTable):
     turned_deg: float = Field(description="from how it should lie")
     worst_point_mm: float | None = Field(description="standard deviation of the point of the part that is known least")
     undetermined: tuple[str, ...] = Field(
-        description="motions that the points do not tell to 0.05 mm, in words: the part stays as planned along them"
+        description="motions that these points do not tell to 0.05 mm, in words: along them the part stays as planned, "
+        "and moves only where set-ups are registered to each other afterwards"
     )
     off_mm: float | None = Field(
         description="of the centre from the truth, along what is determined; null where points are not simulated"

@@ -80,7 +80,10 @@ class SetupsFile(JsonTable):
     status: str = Field(description="what is proven of the number of set-ups, and of views, in words")
     setups_bound: int = Field(description="no fewer of the set-ups offered reach what was asked of these samples")
     views: int = Field(description="of all set-ups")
-    views_bound: int = Field(description="no cover by so many of the set-ups offered has fewer views")
+    views_bound: int = Field(
+        description="no cover by so many of the set-ups offered, of the share of the samples that status names, has "
+        "fewer views"
+    )
     seconds: float | None = Field(
         default=None, description="that views cost, and set-ups where they do; null where views were counted"
     )

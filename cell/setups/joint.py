@@ -74,6 +74,12 @@ class JointCover:
         can = float(self.rows.worth_of(self.rows.need > 0).sum())
         return self.covered_area / can if can > 0 else 1.0
 
+    def with_view(self, setup: int, column: int, cost: float) -> "JointCover":
+        """With one more view of a set-up that is used."""
+        views = {**self.views, setup: np.append(self.views[setup], column)}
+        paid = None if self.price is None else (self.price[0] + cost, self.price[1])
+        return replace(self, views=views, price=paid)
+
     def bounded(self, by: "JointCover") -> "JointCover":
         """With what another cover proves of the same problem, or of one with more candidates."""
         return replace(
@@ -127,7 +133,7 @@ def joint_cover(
     largest = sorted(zip(members, reached, strict=True), key=lambda each: -float(each[1].sum()))
     found, bound = asked.of_choices([some for some, _ in largest], fewest, brief=brief)
     if setup_cost is not None:
-        found, bound = asked.weighted(found, setup_cost)
+        found, bound = asked.weighted(found, setup_cost, fewest)
     used = np.unique(group[found.views])
     paid = asked.paid(found, setup_cost)
     return JointCover(
@@ -191,11 +197,12 @@ class _Asked:
             bound = _Bound(min(bound.views, free.views), min(bound.cost, free.cost), max(bound.area, free.area))
         return min(each, key=self._size), bound
 
-    def weighted(self, known: Cover, setup_cost: float) -> tuple[Cover, _Bound]:
+    def weighted(self, known: Cover, setup_cost: float, fewest: int) -> tuple[Cover, _Bound]:
         """The cover by any set-ups, each at a cost; no dearer than one that is known."""
         self._known = known.views
-        found = self._of(self._allowed, setup_cost)
+        free, found = self._of(self._allowed), self._of(self._allowed, setup_cost)
         bound = _Bound.of([found])
+        bound = replace(bound, cost=max(bound.cost, free.cost_bound + fewest * setup_cost))
         return min(found, known, key=lambda one: self.paid(one, setup_cost) or 0.0), bound
 
     def paid(self, one: Cover, setup_cost: float | None) -> float | None:

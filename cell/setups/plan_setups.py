@@ -34,6 +34,7 @@ from cell.setups.report import page, status
 from cell.setups.search import Search
 from cell.setups.shared import apart, shared
 from cell.setups.wishes import Asked, require_named
+from cell.words import percent
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Bools
@@ -100,10 +101,10 @@ def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, r
         found, connected = search.result()
         setups = dict(search.setups)
     visible = {row: setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()}
+    seen = np.logical_or.reduce(list(visible.values()))
     for row, each in enumerate(offers):
         if each.given is not None and row not in connected:
-            why = tried[row] if isinstance(tried[row], str) else "it adds nothing that the others do not measure"
-            run.narrator.note(f"the set-up '{each.name}' is left out: {why}")
+            run.narrator.note(f"the set-up '{each.name}' is left out: {_left_out(setups.get(row, tried[row]), seen)}")
     order = sorted(visible, key=lambda row: (-int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
         setup, (problem, plan) = setups[row], connected[row]
@@ -144,6 +145,16 @@ def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], l
             run.narrator.note("the part has no other stable pose: it is offered as it is placed, turned, alone")
     tried = [measured_setup(run, job, surface, world, each, shared, scouts) for each in offers]
     return surface, offers, tried
+
+
+def _left_out(found: Setup | str, seen: Bools) -> str:
+    """Why a set-up is not used, of what (S,) held-out samples the others measure."""
+    if isinstance(found, str):
+        return found
+    adds = float((found.coverable & ~seen).mean())
+    if not adds:
+        return "it adds nothing that the others do not measure"
+    return f"what was asked for does not need it (it can add {percent(adds)} of the surface)"
 
 
 def _distinct(offers: list[Offer]) -> list[Offer]:

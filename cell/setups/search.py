@@ -122,13 +122,14 @@ class Search:
     def _held_together(self, found: JointCover, connected: Connected) -> tuple[JointCover, Connected]:
         """With the views without which what set-ups share would leave their scans free to move against each other."""
         rows = list(self._setups)
-        for _ in range(_TRIES):
+        most, seconds = self._asked.request.plan.max_views, self._asked.seconds
+        for _ in range(_TRIES if most is None else most - found.n_views):
             views = {rows[index]: columns for index, columns in found.views.items()}
             if (more := joining(self._M, self._usable, views)) is None:
                 break
             row, column = more
             index = rows.index(row)
-            held = replace(found, views={**found.views, index: np.append(found.views[index], column)})
+            held = found.with_view(index, column, float(seconds[row][column]) if seconds else 0.0)
             plans = self._connected(held)  # None: the candidate is usable no more, and another is tried
             if plans is not None:
                 found, connected = held, plans

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.api import scan_setups as scan_all
 from cell.errors import UsageError
 from cell.narrator import Quiet
 from cell.rays.prediction import held_out
@@ -34,6 +35,20 @@ NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "
 def folder(made_setups: Path, tmp_path: Path) -> Path:
     """Two set-ups of the small part, nothing scanned."""
     return Path(shutil.copytree(made_setups, tmp_path / "made"))
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_what_is_called_determined_is_found_whatever_the_part_was_moved_by(folder: Path, seed: int) -> None:
+    """From 5 mm and 2 deg off in other directions: within 0.05 mm and 0.02 deg of the truth, in both set-ups."""
+    wishes = {"setup_error": "5mm,2deg", "range_noise": 0.03, "resolution": 0.5, "seed": seed}
+    report = scan_all(folder, **wishes).report
+    assert report.missing == ()
+    for setup in report.setups:
+        assert setup.place is not None
+        assert setup.place.off_mm is not None
+        assert setup.place.off_deg is not None
+        assert setup.place.off_mm <= 0.05
+        assert setup.place.off_deg <= 0.02
 
 
 def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: Run) -> None:

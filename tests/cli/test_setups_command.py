@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.api import open_run
+from cell.api import open_run, plan_setups
 from cell.rays.prediction import held_out
+from cell.run import reader
 from cell.run.cell import read_cell
 from cell.setups.contact import touching
 from planner.measurability.matrix import measured
@@ -168,3 +169,40 @@ def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Pa
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode == 2
     assert "'over' and 'again' are equal; leave one of them out" in done.stderr
+
+
+def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
+    """A pinned candidate brings its set-up, a banned one is not taken, and samples count from two views of any."""
+    made = plan_setups(
+        part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
+        candidates="optimal-scanning-zone", offer=3, coverage=0.95, multiplicity=2, pin=["2:12"], ban=["0:4", "1:4"],
+    )  # fmt: skip
+    taken = {}
+    twice: np.ndarray | int = 0
+    for setup, folder in zip(made.file.chosen, made.folders, strict=True):
+        run = open_run(folder)
+        taken[setup.offered] = {view.id for view in run.plan.views}
+        M = reader.measurability(run.record)
+        twice = twice + np.asarray(M.matrix().tocsc()[:, sorted(taken[setup.offered])].sum(axis=1)).ravel()
+    assert 12 in taken[2]
+    assert 4 not in taken.get(0, set()) | taken.get(1, set())
+    assert made.file.kept is not None
+    assert made.file.kept >= 0.95
+    assert (np.asarray(twice) >= 2).mean() >= 0.9 * made.file.kept
+
+
+def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """Each is kept over all set-ups; what nobody cares for counts nowhere."""
+    (tmp_path / "cell.toml").write_text(
+        SCENE.format(part=part_file, third="over and turned", angle=90, fixture="block", y=560).replace(
+            "coverage = 0.95", "coverage = 0.8"
+        )
+        + '[[region]]\nname = "top"\nbox_mm = [-100, -100, 0, 100, 100, 100]\ncoverage = 0.95\n'
+        '[[region]]\nname = "side"\nbox_mm = [0, -100, -100, 100, 100, 0]\ncare = "no"\n[[region]]\nname = "rest"\n'
+    )
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    regions = {each["name"]: each for each in json.loads(done.stdout)["regions"]}
+    assert set(regions) == {"top", "rest"}
+    assert regions["top"]["visible_of_coverable"] >= regions["top"]["asked"] == 0.95
+    assert regions["rest"]["visible_of_coverable"] >= regions["rest"]["asked"] == 0.8

@@ -1,0 +1,105 @@
+"""Several set-ups of every part: as one cover, beside one after the other and beside what any pose could measure.
+
+The parts of benchmarks/parts.py, each with `cell setups` as it is (24 poses offered). *One after the other* takes the
+set-up that measures most, then the one that adds most, until as much is measured, each covered by itself for what is
+open: of the same candidates and samples, before any view is moved. The *ceiling* is what any scanner pose could measure
+of the part without supports, the arm's reach aside. SCAN_CELL_PART runs parts of one name only.
+"""
+
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.parts import parts, place
+from cell import api
+from cell.errors import CellError
+from cell.rays.prediction import held_out
+from cell.run.cell import read_cell
+from cell.setups import search
+from cell.setups.fewest import Rows
+from cell.setups.joint import JointCover, joint_cover
+from planner import cover
+from planner.cover import Problem
+from planner.surface.sample import pick_samples
+from planner.values import Floats
+from planner.viewpoints.attainable import ASKED, attainable
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.lines_of_sight import Targets
+
+
+def run() -> list[dict[str, Any]]:
+    """One row per part."""
+    with tempfile.TemporaryDirectory() as scratch:
+        only = os.environ.get("SCAN_CELL_PART", "")
+        return [_row(name, words, Path(scratch)) for name, words in parts(Path(scratch)) if only in name]
+
+
+def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
+    wishes: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
+    asked: list[tuple[Problem, JointCover]] = []
+
+    def told(wish: Problem, targets: Floats, *rest: Any, **options: Any) -> JointCover:
+        found = joint_cover(wish, targets, *rest, **options)
+        asked.append((wish, found))
+        return found
+
+    start = time.process_time()
+    search.joint_cover = told
+    try:
+        made = api.plan_setups(words[0], out=folder / name, **wishes)
+    except CellError as error:
+        return {"part": name, "said": str(error)[:100]}
+    finally:
+        search.joint_cover = joint_cover
+    seconds, file = time.process_time() - start, made.file
+    wish, joint = asked[-1]
+    setups, views = _after_another(wish, joint)
+    ceiling, error = _ceiling(made.folders[0])
+    return {
+        "part": name,
+        "offered": len(file.offered),
+        "set-ups": len(file.chosen),
+        "bound": file.setups_bound,
+        "views": file.views,
+        "views bound": file.views_bound,
+        "one cover": f"{len(joint.views)} / {joint.n_views}",
+        "one after the other": f"{setups} / {views}",
+        "visible %": round(100 * file.coverage.visible, 2),
+        "ceiling %": round(100 * ceiling, 2),
+        "+-": round(100 * error, 2),
+        "cpu s": round(seconds, 1),
+    }
+
+
+def _after_another(wish: Problem, joint: JointCover) -> tuple[int, int]:
+    """Set-ups and views where each set-up in turn is the one that adds most, covered by itself."""
+    rows, group, areas = Rows(wish, joint.targets), np.asarray(wish.group), np.asarray(wish.areas)
+    left, setups, views = rows.need > 0, 0, 0
+    missing = float(areas[left].sum() - rows.wanted[0])  # area that may stay open
+    while float(areas[left].sum()) > missing * (1 + 1e-9) and left.any():
+        adds = (rows.brought > 0) @ (areas * left)
+        best = int(np.argmax(adds))
+        columns = np.flatnonzero((group == best) & np.asarray(wish.allowed))
+        part = wish.matrix[:, columns][left]
+        share = min(1.0, (float(areas[left].sum()) - missing) / float(adds[best]))
+        found = cover.solve(Problem(part, areas[left], coverage=share), rng=np.random.default_rng(0))
+        left = left & ~(np.asarray(wish.matrix[:, columns[found.views]].sum(axis=1)).ravel() > 0)
+        setups, views = setups + 1, views + len(found.views)
+    return setups, views
+
+
+def _ceiling(folder: Path) -> tuple[float, float]:
+    """Share of the surface that some scanner pose measures past the part alone, and its standard error."""
+    record = api.open_run(folder).record
+    cell = read_cell(record)
+    samples = held_out(cell.reference, cell.planning, record.seed)
+    some = pick_samples(samples, np.sort(np.random.default_rng(0).permutation(len(samples))[:ASKED]))
+    anywhere = Arm(
+        cell.scanner, (cell.part_caster,), lambda poses: np.ones(len(poses), dtype=np.bool_), np.eye(4)[None]
+    )
+    share = float(attainable(Targets.of(some.points, some.normals, some.region), anywhere).measured.mean())
+    return share, float(np.sqrt(share * (1 - share) / len(some.points)))
