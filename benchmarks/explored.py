@@ -1,7 +1,8 @@
-"""Explorations of built-in parts: true coverage and views beside the plan that knows the model, contacts, seconds.
+"""Explorations of parts: true coverage and views beside the plan that knows the model, contacts, seconds.
 
-SCAN_CELL_PARTS (default "mug,petanque") names the parts, SCAN_CELL_SEEDS (default 1) is the number of seeds. Contact is
-judged by `benchmarks.triangle_cell`, true triangles in python-fcl at every sample of the motions.
+SCAN_CELL_PARTS names built-in parts and meshes of the folder SCAN_CELL_MESHES (default "mug,petanque"), SCAN_CELL_SEEDS
+(default 1) is the number of seeds. Contact is judged by `benchmarks.triangle_cell`, true triangles in
+python-fcl at every sample of the motions.
 """
 
 import os
@@ -10,6 +11,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from benchmarks.parts import parts
 from benchmarks.triangle_cell import TriangleCell
 from cell.explore.explore import explore
 from cell.explore.options import ExploreOptions
@@ -28,15 +30,21 @@ _AFTER = (5, 10, 15)  # views
 
 def run() -> list[dict[str, Any]]:
     """One row for each part, policy and seed."""
-    parts = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
+    wanted = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
     seeds = range(int(os.environ.get("SCAN_CELL_SEEDS", "1")))
-    return [_row(part, policy, seed) for part in parts for policy in POLICIES for seed in seeds]
+    with tempfile.TemporaryDirectory() as folder:
+        return [
+            _row(name, words, policy, seed)
+            for name, words in parts(Path(folder)) if name.removesuffix(" (file)") in wanted
+            for policy in POLICIES for seed in seeds
+        ]  # fmt: skip
 
 
-def _row(part: str, policy: str, seed: int) -> dict[str, Any]:
+def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         out, began = Path(folder) / "explored", process_time()
-        scene = scene_of(None, {"place": (1200, 500, 0), "seed": seed}, part)
+        units = {"units": words[2]} if len(words) > 1 else {}
+        scene = scene_of(None, {"place": (1200, 500, 0), "seed": seed} | units, words[0])
         options = read(ExploreOptions, {"policy": policy})
         file = explore(scene, options, ScanOptions(), out=out, argv=(), narrator=Quiet())
         seconds, known = process_time() - began, file.truth

@@ -31,7 +31,7 @@ class ExploreOptions(Table):
         Literal["stepwise", "two-stage"],
         Option(
             "How views are chosen after the first ring: stepwise, a batch at a time for what is open; or two-stage, "
-            "all in one plan on the rough model.",
+            "all in one plan on the rough model, and one more for what stays open.",
             _EXPLORE,
         ),
     ] = "stepwise"
@@ -58,7 +58,7 @@ class ExploreOptions(Table):
         int | None,
         Field(ge=1),
         Option(
-            "Views of the first ring, which see the cylinder best. Default: 3 stepwise, 10 where one plan follows.",
+            "Views of the first ring, which see the cylinder best. Default: 3 stepwise, 6 in two stages.",
             _EXPLORE,
         ),
     ] = None

@@ -39,7 +39,7 @@ class Batch:
     per_second: bool = False
 
 
-_FEW, _ROUGH = 3, 10
+_FEW, _ROUGH = 3, 6
 """Views of the first ring: what follows view by view corrects it; a rough model that all else rests on wants more."""
 
 Policy = Callable[[ExploreOptions, So], Batch | None]

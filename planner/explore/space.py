@@ -37,6 +37,9 @@ MOST_VOXELS = 8_000_000
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
 _NEAR = 1.1  # edges from the middle of a voxel that is measured to a believed surface above it, and little beyond
+_BLANK = np.int16(
+    2
+)  # votes of a view whose ray did not come back: most miss the part, while behind a point lies anything
 _ALL_ROUND = np.ones((3, 3, 3), dtype=np.bool_)
 
 
@@ -48,7 +51,8 @@ class VoxelSpace(Value):
         low: (3,) lowest corner of the grid [m].
         edge: of a voxel [m].
         state: (X, Y, Z) UNKNOWN, FREE or OCCUPIED.
-        votes: (X, Y, Z) views with a ray through a voxel that did not come back, less those that saw a point before it.
+        votes: (X, Y, Z) twice the views with a ray through a voxel that did not come back, less those that saw a point
+            before it.
         tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
         radius: of the cylinder [m].
         height: of the cylinder [m].
@@ -139,7 +143,7 @@ class VoxelSpace(Value):
         onward = (points - source) / np.maximum(length, 1e-12)
         behind = self._crossed(points + self.edge * onward, source + np.maximum(far, length) * onward)
         through = self._crossed(source + near * blank, source + far * blank)
-        return replace(self, votes=self.votes + (through & ~behind) - behind)
+        return replace(self, votes=self.votes + _BLANK * (through & ~behind) - behind)
 
     def contradicted(self, points: Floats) -> float:
         """Share of points (N, 3) [m] in space that is free, all its neighbours too: what moved has such points."""

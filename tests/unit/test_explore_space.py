@@ -152,3 +152,5 @@ def test_the_views_of_most_gain_per_second() -> None:
         left[measured[:, view]] = 0
     assert len(chosen) == 4
     assert len(most_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0
+    last = float((measured[:, chosen[3]] & ~measured[:, chosen[:3]].any(axis=1)) @ areas) / seconds[chosen[3]]
+    assert len(most_per_second(csr_array(measured), areas, seconds, usable, 12, last)) == 3

@@ -84,6 +84,9 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     batches = {name: [policy(ExploreOptions(), So(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()}
     said = {name: [batch is not None and batch.rough for batch in each] for name, each in batches.items()}
     assert said == {"stepwise": [False, False], "two-stage": [True, False]}
+    fine = [POLICIES["two-stage"](ExploreOptions(), So(n, None, limited)) for n in (1, 2) for limited in (False, True)]
+    assert [batch is not None and batch.whole for batch in fine] == [False, True, False, False]
+    assert POLICIES["two-stage"](ExploreOptions(), So(3, None)) is None
 
 
 def test_what_the_model_misses_of_the_limits() -> None:
