@@ -36,19 +36,17 @@ class ExecutedCoverage(JsonTable):
 
     kind: str = Field(
         default="simulated",
-        description="of `visible`: 'simulated' by the true poses, or 'model': computed by the model from the "
-        "registered poses of points that are not simulated, never measured",
+        description="of `visible`: 'simulated' by the true poses, or 'model': computed from registered poses",
     )
     visible: float = Field(description="visible coverage of the executed poses")
     predicted: float = Field(description="the same of the planned poses of the views that were scanned")
     predicted_all_views: float = Field(description="the same of all views of the plan")
     coverable: float = Field(description="what all reachable candidates together measure")
     visible_of_coverable: float = Field(description="`visible` as a fraction of `coverable`")
-    sampled: float = Field(description="share of the samples within the radius of a scan point")
+    sampled: float = Field(description="sampled coverage")
     dense: float | None = Field(
         default=None,
-        description="share of the samples that a view measures and that have a scan point within 1.5 x the spacing "
-        "planned there; null: a sensor that sweeps, a scanner that does not know its spacing, an older run",
+        description="dense coverage; null where it is not known",
     )
     sampled_radius_mm: float = Field(description="1 % of the diagonal of the part's bounding box")
 
@@ -93,7 +91,7 @@ class ExecutedRegistration(JsonTable):
 
 
 class ExecutedPlace(JsonTable):
-    """Where the part of a set-up was found to stand: all scans moved as one body onto the reference."""
+    """Where the part of a set-up was found to stand."""
 
     moved_mm: float = Field(description="of its centre, from its place")
     turned_deg: float = Field(description="from how it should lie")
@@ -108,7 +106,7 @@ class ExecutedPlace(JsonTable):
 
 
 class ExecutedSurface(JsonTable):
-    """The surface that was made of the points; lengths are null without points or without a grid."""
+    """The surface made of the points; lengths are null without any."""
 
     status: str = Field(description="how it went, a sentence")
     vertices: int = Field(description="of mesh.ply")
@@ -146,7 +144,7 @@ class ExecutedMotion(JsonTable):
 
 
 class ExecutedRegion(JsonTable):
-    """What the scans measure of a region of the part; fractions of its area, on the held-out samples."""
+    """What the scans measure of a region; fractions of its area."""
 
     name: str = Field(description="of the scene")
     visible: float = Field(description="that they measure")

@@ -51,7 +51,7 @@ class BoundAt(JsonTable):
 
 
 class Truth(JsonTable):
-    """What a simulation knows: all of the true part, which the planning did not. Shares of its surface."""
+    """What a simulation knows of the true part; shares of its surface."""
 
     visible: float = Field(description="visible coverage of the executed views")
     by_views: tuple[float, ...] = Field(description="the same after the first, second, ... view in driving order")
@@ -59,8 +59,7 @@ class Truth(JsonTable):
     known_model_views: int = Field(description="of that plan")
     coverable: float = Field(description="what its reachable candidates measure")
     fewest: int = Field(
-        description="views that the candidates of the true model need at least for the coverage that was reached (for "
-        "all that they measure, where more was reached); over these candidates and samples"
+        description="views that its candidates need at least for the coverage reached, or for all that they measure"
     )
     bound: tuple[BoundAt, ...] = Field(description="over the number of views, for the true model's candidates")
     nearest_mm: float = Field(description="smallest distance of arm or tool to anything, the true part in place")
@@ -89,7 +88,7 @@ class ExploreFile(JsonTable):
     model: str = Field(default="", description='the mesh of all scans, explored frame; "" where there is none yet')
     model_middle_mm: Triple | None = optional("middle of its bounding box, base frame: where cell plan places it")
     misses_limits: float | None = optional(
-        "where sigma or spacing is limited: share of what was measured that no view measures within the limits"
+        "where sigma or spacing is limited: share of what was measured that does not keep it"
     )
     truth: Truth | None = optional()
 

@@ -40,8 +40,7 @@ class Manifest(JsonTable):
     schema_version: str | None = Field(default=None, alias="schema", description="of the folder's layout")
     status: str | None = Field(
         default=None,
-        description="running, finished, failed, interrupted, or incomplete: an execution that was reported without "
-        "having ended",
+        description="running, finished, failed, interrupted, or incomplete: reported without having ended",
     )
     stage: str | None = Field(default=None, description="that was begun last")
     started: str | None = Field(default=None, description="time (UTC)")
@@ -50,9 +49,7 @@ class Manifest(JsonTable):
     inputs: dict[str, str] = Field(default_factory=dict, description="sha256 of what the plan depends on")
     files: tuple[NamedFile, ...] = Field(default=(), description="that the user named; none of a built-in cell")
     options: dict[str, JsonValue] = Field(default_factory=dict, description="of an execution: what was asked for")
-    source: str | None = Field(
-        default=None, description="of an execution: where its points come from; 'simulated', or what was named"
-    )
+    source: str | None = Field(default=None, description="of an execution: where its points come from")
     plan: str | None = Field(default=None, description="of an execution: sha256 of the plan.json that was executed")
     digest: str | None = Field(
         default=None, description="of all that drives; of an execution: of the plan that was executed"
@@ -69,9 +66,7 @@ class Manifest(JsonTable):
     speed_fraction: float | None = Field(default=None, description="of the axis speeds")
     moving_s: float | None = Field(default=None, description="time that the controller took for the moves")
     simulated_time: bool | None = Field(default=None, description="whether its clock was a simulated one")
-    time_scale: float | None = Field(
-        default=None, description="how many times as fast as real time its clock said that it is, where it is not"
-    )
+    time_scale: float | None = Field(default=None, description="of an emulator whose clock is not real time")
     resumed: tuple[Resumed, ...] = Field(default=(), description="each time that it was taken up again")
     reason: str = Field(default="", description="why it failed, a sentence")
     exit_code: int | None = Field(default=None, description="of the command; null where it was killed")

@@ -26,8 +26,7 @@ class Coverage(JsonTable):
     )
     target_on_features: float | None = Field(
         default=None,
-        description="share of the coverable samples that the selection had to cover; null where regions have shares of "
-        "their own; older runs have none",
+        description="share of the coverable samples that had to be covered; null where regions have their own",
     )
     planned_on_features: float = Field(description="what the views measure of the matrix' samples")
     coverable_on_features: float = Field(description="what all reachable candidates measure of them")
@@ -59,7 +58,7 @@ class SegmentClearance(JsonTable):
 
     minimum_mm: float = Field(description="smallest distance measured on the motion; farther than 300 mm is 300")
     at_least_mm: float = Field(
-        description="proven: nothing is nearer anywhere on the segment; links built near each other count as farther"
+        description="proven: nothing is nearer on the segment; links built near each other count as farther"
     )
     between: str = Field(description='what is that near, "housing with part"; "" where all is farther than 300 mm')
 
@@ -80,7 +79,7 @@ class Clearance(JsonTable):
     """How near the motion comes to anything."""
 
     collision: Literal["hull", "decomposed", "exact"] = Field(
-        description="what the part was: its hull or its triangles (exact); of older runs also pieces that enclose it"
+        description="what the part was: hull, or exact, its triangles; of older runs also decomposed"
     )
     segments: tuple[SegmentClearance, ...] = Field(description="on the way between two stops, in the motion's order")
     tightest: Tightest | None = Field(description="its nearest moment; null where everything is farther than 300 mm")
@@ -108,7 +107,7 @@ class Overlap(JsonTable):
     connected: bool = Field(description="whether all do")
     extra_views: int = Field(description="price in views")
     views_without: int = Field(description="views of the plan without this wish")
-    without_earlier: int = Field(description="views that overlap none before them in visiting order, but for the first")
+    without_earlier: int = Field(description="views that overlap none before them, but for the first")
     parts: tuple[OverlapPart, ...] = Field(description="groups that hang together, the one that measures most first")
 
 
@@ -123,7 +122,7 @@ class RobustSelection(JsonTable):
 
 
 class Promise(RobustSelection):
-    """With `--pose-sd`: what the plan promises although poses are off, and what simulated executions say of that."""
+    """With `--pose-sd`: what is promised although poses are off, and what simulated executions say."""
 
     executions: int = Field(description="simulated executions, each with fresh errors of every view")
     samples: int = Field(description="held-out samples that they look at")
@@ -150,7 +149,7 @@ class Cost(JsonTable):
 
 
 class OpenOf(JsonTable):
-    """Of a further set-up: what others left open of the surface, and what all measure together; fractions of it.
+    """Of a further set-up: what all measure together, fractions of the surface.
 
     Surface that a support touches in a set-up counts as not measured in it.
     """
@@ -171,7 +170,7 @@ class OpenOf(JsonTable):
 
 
 class Sweep(JsonTable):
-    """What is driven at a view of a line sensor: a straight line at constant speed through all of its K poses."""
+    """At a view of a line sensor: a straight line at constant speed through its K poses."""
 
     T_object_scanner: tuple[Transform, ...] = Field(description="(K, 4, 4), the view's own is number K // 2")
     q_deg: tuple[JointAngles, ...] = Field(description="of these poses, in the column's order")
@@ -216,13 +215,11 @@ class PlanFile(JsonTable):
     coverage: Coverage
     solver: str = Field(description="that chose the views")
     status: str = Field(description="what is proven of the selection, in words")
-    lower_bound: int = Field(
-        description="no plan of these candidates needs fewer views for target_on_features of these samples"
-    )
-    gap: float = Field(description="between the number of views and its bound, as a fraction of the former")
+    lower_bound: int = Field(description="no plan of these candidates has fewer views for target_on_features")
+    gap: float = Field(description="of the number of views over its bound, as a fraction of the former")
     verdicts: Verdicts
     dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")
-    clearance: Clearance | None = optional("how near the motion comes to anything; older runs do not say it")
+    clearance: Clearance | None = optional("how near the motion comes to anything")
     most_coverage: MostCoverage | None = optional()
     overlap: Overlap | None = optional()
     promise: Promise | None = optional()

@@ -70,9 +70,7 @@ class ReportSettings(OpenTable):
 class Attainable(JsonTable):
     """What any pose would measure that this robot takes up here; fractions of the surface."""
 
-    share: float = Field(
-        description="measured by some pose: of the held-out samples, those that no candidate measures searched for"
-    )
+    share: float = Field(description="of the held-out samples, measured by some pose")
     standard_error: float = Field(description="of it: not all of those were searched for")
     asked: int = Field(description="samples that were searched for")
     out_of_reach: float = Field(
@@ -82,7 +80,7 @@ class Attainable(JsonTable):
 
 
 class Sigma(JsonTable):
-    """With `--max-sigma`: expected standard deviation of the plan's points, over the samples of the matrix."""
+    """With `--max-sigma`: expected standard deviation, over the samples of the matrix."""
 
     median_mm: float = Field(description="of the samples that the views measure, each from its best view")
     quantile_95_mm: float = Field(description="95 % of them are below")
@@ -90,7 +88,7 @@ class Sigma(JsonTable):
 
 
 class Spacing(JsonTable):
-    """Distance of neighbouring points on the surface that the views measure, from the densest view there."""
+    """Distance of neighbouring points, from the densest view of each place."""
 
     median_mm: float = Field(description="half of what is measured has points at most so far apart")
     quantile_95_mm: float = Field(description="95 % of it")
@@ -133,7 +131,7 @@ class ReportMotion(JsonTable):
 
     duration_s: float = Field(description="of the motion")
     jerk_free_bound_s: float = Field(
-        default=0.0, description="time-optimal for the same stops without a limit of jerk; 0: an older run, not known"
+        default=0.0, description="time-optimal for the same stops without a limit of jerk; 0: not known"
     )
     baseline_duration_s: float = Field(description="of the same views in task-space order (Christofides)")
     lower_bound_s: float = Field(description="no order and joint solutions of these views take less")
@@ -172,10 +170,8 @@ class Report(JsonTable):
     regions: tuple[RegionResult, ...] | None = optional()
     solver: str = Field(description="that chose the views")
     status: str = Field(description="what is proven of the selection, in words")
-    lower_bound: int = Field(
-        description="no plan of these candidates needs fewer views for target_on_features of these samples"
-    )
-    gap: float = Field(description="between the number of views and its bound, as a fraction of the former")
+    lower_bound: int = Field(description="no plan of these candidates has fewer views for target_on_features")
+    gap: float = Field(description="of the number of views over its bound, as a fraction of the former")
     verdicts: Verdicts
     blockers: dict[str, int] = Field(description="with what candidates collide, and how many with each")
     dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")
@@ -188,4 +184,4 @@ class Report(JsonTable):
     cost: Cost | None = optional()
     open_of: OpenOf | None = optional()
     curve: Curve | None = optional()
-    clearance: Clearance | None = optional("how near the motion comes to anything; older runs do not say it")
+    clearance: Clearance | None = optional("how near the motion comes to anything")

@@ -82,17 +82,17 @@ class StandingFixture(JsonTable):
     built_in: bool = Field(description="whether it is post, pedestal or floor")
     file: str | None = optional("the triangles of a mesh, mm, in the frame that it is attached to")
     collision: Literal["hull", "exact"] | None = optional(
-        "what a mesh was to the collision check: exactly its triangles, or its hull; older runs do not say it: its hull"
+        "what a mesh was to the collision check: exact or hull; not said: its hull"
     )
 
 
 class ResolvedPlan(PlanKeys):
-    """The scene's `[plan]`, its keys settled. Older runs lack some; they were planned with what is the default now."""
+    """The scene's `[plan]`, its keys settled; what an older run lacks is the default now."""
 
     model_config = ConfigDict(extra="ignore", defer_build=True)
 
     collision: Literal["hull", "decomposed", "exact"] = Field(  # type: ignore[assignment] # runs of earlier versions
-        default="hull", description="what the part was to the collision check; older runs do not say it: its hull"
+        default="hull", description="what the part was to the collision check; not said: its hull"
     )
     planning_faces: int | None = Field(default=None, description="of planning.ply, what came out for `faces`")
     sphere_radius_mm: float | None = Field(default=None, description="of the view sphere")
@@ -107,7 +107,7 @@ class ResolvedRegion(RegionWishes):
 class ResolvedScene(JsonTable):
     """The file."""
 
-    units: str = "transforms are 4x4 in metres; other lengths in mm, angles in deg, as their names say"
+    units: str = "transforms are 4x4 in metres; the rest as names say"
     part: ResolvedPart
     T_base_object: Transform = Field(description="the part's file in base")
     T_object_centre: Transform = Field(description="the middle of its bounding box in the object frame")
@@ -126,13 +126,11 @@ class ResolvedScene(JsonTable):
     joint_velocity_limits_deg_s: tuple[float, ...] = Field(description="of each axis at full speed")
     joint_acceleration_limits_deg_s2: tuple[float, ...] = Field(description="of each axis")
     joint_jerk_limits_deg_s3: tuple[float | None, ...] | None = Field(
-        default=None, description="of each axis, null: not limited; older runs have none, and no limit"
+        default=None, description="of each axis; null, or not there: not limited"
     )
     speed_scaling: float = Field(description="fraction of the speeds that the motion was timed with")
     acceleration_scaling: float = Field(description="fraction of the accelerations and jerks")
     clearance_mm: float = Field(description="that everything keeps from everything else")
-    arrival_mm: float | None = optional(
-        "how far any point of arm or tool may stand from where a move ends; else a tenth of the clearance, 1 at most"
-    )
+    arrival_mm: float | None = optional("how far a point of arm or tool may stand from where a move ends")
     plan: ResolvedPlan
     regions: tuple[ResolvedRegion, ...] | None = optional()

@@ -68,9 +68,7 @@ class SharedSurface(JsonTable):
 
     setups: tuple[int, int] = Field(description="their numbers")
     share: float = Field(description="of the surface that both measure")
-    free: tuple[str, ...] = Field(
-        description="motions of one against the other that it leaves open although the part would show them; in words"
-    )
+    free: tuple[str, ...] = Field(description="motions that it leaves open although the part would show them, in words")
 
 
 class SetupsFile(JsonTable):

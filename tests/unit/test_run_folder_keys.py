@@ -69,8 +69,8 @@ def keys() -> str:
     lines: list[str] = []
     known: dict[type[BaseModel], str] = {}
     for file, model in FILES.items():
-        lines += [f"### {file}", "", "| key | |", "|---|---|"]
-        lines += [f"| {key} | {meaning} |" for key, meaning in rows(model, "", known)] + [""]
+        lines += [f"### {file}", "", "|key||", "|---|---|"]
+        lines += [f"|{key}|{meaning}|" for key, meaning in rows(model, "", known)] + [""]
         known = {table: place if ":" in place else f"{file}:{place}" for table, place in known.items()}
     return "\n".join(lines)
 
