@@ -1,4 +1,4 @@
-"""docs/internals/protocol.md is true: the sessions beside it are what a controller says, its tables are those of the code."""
+"""docs/internals/protocol.md is true: a controller says the sessions beside it, its tables are those of the code."""
 
 import re
 import zlib
