@@ -1,4 +1,4 @@
-"""The single changes that `cell why` tries for what a plan leaves open; docs/why.md lists them.
+"""The single changes that `cell why` tries for what a plan leaves open; docs/internals/conditions.md lists them.
 
 Each becomes a `planner.why.what_if.WhatIf`: candidates that the arm reaches under the change (inverse kinematics and
 collision asked again), the scanner's law and the casters under it. Nothing is estimated. Object frame, metres.

@@ -1,4 +1,4 @@
-"""docs/internals/protocol.md is true: its sessions are what a controller says, its tables are those of the code."""
+"""docs/internals/protocol.md is true: a controller says the sessions beside it, its tables are those of the code."""
 
 import re
 import zlib
@@ -24,8 +24,11 @@ from drivers.wires.serial.messages import COUNTS_PER_FRAME, hello_of, request_of
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
-PAGE = (Path(__file__).parents[2] / "docs" / "internals" / "protocol.md").read_text(encoding="utf-8")
-SERIAL, MODBUS = re.findall(r"^```\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+INTERNALS = Path(__file__).parents[2] / "docs" / "internals"
+PAGE, SERIAL, MODBUS = (
+    (INTERNALS / name).read_text(encoding="utf-8")
+    for name in ("protocol.md", "protocol_serial.txt", "protocol_modbus.txt")
+)
 
 
 def endpoint() -> tuple[Endpoint, SimulatedClock]:
