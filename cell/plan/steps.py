@@ -6,6 +6,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.refined import Append, connected, movable, with_fewer
 from cell.plan.region_goals import RegionGoals, require_measurable
-from cell.plan.request import Request, Selected, seconds_of_views
+from cell.plan.request import Request, seconds_of_views
 from cell.plan.view_plan import choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
@@ -263,13 +264,8 @@ def connect(
         moved = unmoved = denser_samples.chosen_where_kept(problem, surface, chooses, run.rng(FRESH))
         if append is not None and movable(unmoved[0]):
             moved = with_fewer(*unmoved, append, chooses)
-
-        def of(problem: Problem, selected: Selected) -> ConnectedPlan:
-            return choose_and_connect(
-                problem, selected, selection_rng=chooses, motion_rng=run.rng(MOTION), progress=progress
-            )
-
-        problem, chosen = connected(moved, unmoved, of)
+        joined = partial(choose_and_connect, selection_rng=chooses, progress=progress)
+        problem, chosen = connected(moved, unmoved, lambda *asked: joined(*asked, motion_rng=run.rng(MOTION)))
         if problem.M is not before.M:
             plan_files.write_measurability(run.folder, problem.M)
         if problem.candidates is not before.candidates:
