@@ -2,8 +2,9 @@
 
 The parts of benchmarks/parts.py, each with `cell setups` as it is (24 poses offered). *One after the other* takes the
 set-up that measures most, then the one that adds most, until as much is measured, each covered by itself for what is
-open: of the same candidates and samples, before any view is moved. The *ceiling* is what any scanner pose could measure
-of the part without supports, the arm's reach aside. SCAN_CELL_PART runs parts of one name only.
+open: of the same candidates, those that views were moved to included, and of the same samples. The *ceiling* is what
+any scanner pose could measure of the part without supports, the arm's reach aside. SCAN_CELL_PART runs parts of one
+name only.
 """
 
 import os

@@ -104,7 +104,7 @@ def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, r
     seen = np.logical_or.reduce(list(visible.values()))
     for row, each in enumerate(offers):
         if each.given is not None and row not in connected:
-            run.narrator.note(f"the set-up '{each.name}' is left out: {_left_out(setups.get(row, tried[row]), seen)}")
+            run.narrator.note(f"the set-up '{each.name}' is left out: {left_out(setups.get(row, tried[row]), seen)}")
     order = sorted(visible, key=lambda row: (-int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
         setup, (problem, plan) = setups[row], connected[row]
@@ -147,7 +147,7 @@ def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], l
     return surface, offers, tried
 
 
-def _left_out(found: Setup | str, seen: Bools) -> str:
+def left_out(found: Setup | str, seen: Bools) -> str:
     """Why a set-up is not used, of what (S,) held-out samples the others measure."""
     if isinstance(found, str):
         return found

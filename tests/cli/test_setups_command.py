@@ -4,16 +4,20 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+import trimesh
 
 from cell.api import open_run, plan_setups
 from cell.rays.prediction import held_out
 from cell.run import reader
 from cell.run.cell import read_cell
 from cell.setups.contact import touching
+from cell.setups.measured import Setup
+from cell.setups.plan_setups import left_out
 from planner.measurability.matrix import measured
 from planner.values import Bools
 
@@ -206,3 +210,25 @@ def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cel
     assert set(regions) == {"top", "rest"}
     assert regions["top"]["visible_of_coverable"] >= regions["top"]["asked"] == 0.95
     assert regions["rest"]["visible_of_coverable"] >= regions["rest"]["asked"] == 0.8
+
+
+def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:
+    """A ball lies on no side; that is said, and it is planned in four turns."""
+    trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
+    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "1", "--standoff", "250")
+    wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")
+    done = run_cell("setups", "ball.stl", *small, *wishes, "--offer", "6", "--out", "made", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "the part has no other stable pose: it is offered as it is placed, turned, alone" in done.stderr
+    assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["offered"]) == 4
+
+
+def test_why_a_set_up_is_left_out() -> None:
+    """It cannot be, adds nothing, or is not needed for what was asked."""
+    seen = np.array([True, True, False, False])
+    found = cast(Setup, SimpleNamespace(coverable=np.array([True, False, False, False])))
+    assert left_out("home is not free", seen) == "home is not free"
+    assert left_out(found, seen) == "it adds nothing that the others do not measure"
+    assert "does not need it (it can add 50.00 % of the surface)" in left_out(
+        cast(Setup, SimpleNamespace(coverable=~seen)), seen
+    )
