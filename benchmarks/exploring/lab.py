@@ -152,7 +152,7 @@ class Lab:
         points = virtual_scan.scan(self.scanner, T, self.caster, self.part).points
         eye, source, sensor = self.eye, *(T[:3, :3] @ at + T[:3, 3] for at in (self.eye.source, self.eye.sensor))
         space = known.space.seen_from(points, [source, sensor]) if len(points) else known.space
-        space = space.judged_from(points, source, eye.blank(points, T), eye.near, eye.far)
+        space = space.judged_from(points, source, sensor, eye.blank(points, T), eye.near, eye.far)
         return Known(space, (*known.poses, T), (*known.points, points))
 
     def by_views(self, poses: tuple[Floats, ...]) -> Floats:

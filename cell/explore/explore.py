@@ -141,7 +141,7 @@ def _learned(known: Known, folder: Path, scans: Sequence[ExecutedScan], work: Ex
         T, eye = scan.T_reported, work.eye
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (eye.source, eye.sensor))
         after = after.seen_from(scan.points, [source, sensor])
-        after = after.judged_from(scan.points, source, eye.blank(scan.points, T), eye.near, eye.far)
+        after = after.judged_from(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
         found |= sees[:, view] & eye.answered(expected.points, scan.points[~before.seen(scan.points)], T)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part

@@ -129,21 +129,22 @@ class VoxelSpace(Value):
         state[tuple(self._place(points[~self.outside(points)]).T)] = OCCUPIED
         return replace(self, state=state)
 
-    def judged_from(self, points: Floats, source: Floats, blank: Floats, near: float, far: float) -> "VoxelSpace":
-        """With the votes of one view.
+    def judged_from(
+        self, points: Floats, source: Floats, sensor: Floats, blank: Floats, near: float, far: float
+    ) -> "VoxelSpace":
+        """With the votes of one view; what points hide from the sensor would not have come back.
 
         Args:
             points: (N, 3) measured [m].
             source: (3,) where the rays began [m].
+            sensor: (3,) from where they are seen [m].
             blank: (M, 3) unit directions of the rays that did not come back.
             near: from where on they would have [m].
             far: to where they would have [m].
         """
-        length = np.linalg.norm(points - source, axis=1, keepdims=True)
-        onward = (points - source) / np.maximum(length, 1e-12)
-        behind = self._crossed(points + self.edge * onward, source + np.maximum(far, length) * onward)
+        behind, hidden = (self._behind(points, stand, far) for stand in (source, sensor))
         through = self._crossed(source + near * blank, source + far * blank)
-        return replace(self, votes=self.votes + _BLANK * (through & ~behind) - behind)
+        return replace(self, votes=self.votes + _BLANK * (through & ~behind & ~hidden) - behind)
 
     def contradicted(self, points: Floats) -> float:
         """Share of points (N, 3) [m] in space that is free, all its neighbours too: what moved has such points."""
@@ -210,6 +211,12 @@ class VoxelSpace(Value):
         begin, end = (np.ascontiguousarray(each, dtype=np.float64) for each in (starts, ends))
         cross(begin, end, np.array(self.low), self.edge, self._shape, count)
         return np.asarray(count > 0).reshape(self.state.shape)
+
+    def _behind(self, points: Floats, stand: Floats, far: float) -> Bools:
+        """(X, Y, Z) the voxels that points (N, 3) hide from a place (3,), as far as `far` from it [m]."""
+        length = np.linalg.norm(points - stand, axis=1, keepdims=True)
+        onward = (points - stand) / np.maximum(length, 1e-12)
+        return self._crossed(points + self.edge * onward, stand + np.maximum(far, length) * onward)
 
     @property
     def _shape(self) -> Ints:

@@ -111,6 +111,18 @@ def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
     assert believed[11, 11, 11]
 
 
+def test_a_ray_without_an_answer_counts_where_the_sensor_sees() -> None:
+    """Two votes along it, none where a point stands between voxel and sensor; one off behind a point."""
+    space, source, sensor = _space(), np.array([-0.2, 0.0, 0.0]), np.array([-0.2, 0.1, 0.0])
+    wall, ahead = np.array([[0.0, y, 0.0] for y in np.arange(0.006, 0.02, 0.001)]), np.array([[1.0, 0.0, 0.0]])
+    at = np.array([[-0.02, 0.001, 0.001], [0.02, 0.001, 0.001], [0.02, 0.015, 0.001]])
+    votes = {
+        name: space.judged_from(wall, source, eye, ahead, 0.1, 0.3) for name, eye in (("both", source), ("", sensor))
+    }
+    assert votes["both"].at(at, votes["both"].votes).tolist() == [2, 2, -1]
+    assert votes[""].at(at, votes[""].votes).tolist() == [2, 0, -1]
+
+
 def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
     """Two points of one voxel are one try; a class knows the distance to the nearest measured voxel."""
     space = _space().tried(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))

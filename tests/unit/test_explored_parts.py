@@ -86,7 +86,7 @@ def _learned(space: VoxelSpace, points: Floats, T: Floats) -> VoxelSpace:
     eye = Eye(source, sensor, rays, NEAR, FAR, float(np.arccos(rays[0] @ rays[1])))
     stands = [T[:3, :3] @ at + T[:3, 3] for at in (source, sensor)]
     space = space.seen_from(points, stands) if len(points) else space
-    return space.judged_from(points, stands[0], eye.blank(points, T), NEAR, FAR)
+    return space.judged_from(points, *stands, eye.blank(points, T), NEAR, FAR)
 
 
 @cache
