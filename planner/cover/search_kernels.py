@@ -11,6 +11,7 @@ machine. Work is counted in touched entries.
 
 What a search knows of rows and columns stands in a few arrays of many fields, numbers are copied one by one, and Python
 calls `steps` alone: each array of the state, each slice assignment and each entry costs every first run compiling.
+What is called for each candidate takes arrays: handing over the whole state there makes a step six times as dear.
 """
 
 from typing import Any, NamedTuple
@@ -81,29 +82,31 @@ class State(NamedTuple):
 
 
 @compiled
+def price(columns: Any, groups: Any, column: int, inside: int) -> Any:
+    """Cost of a column, with that of its group where so many columns of it are chosen."""
+    group = columns[GROUP, column]
+    return columns[COST, column] + (groups[FIRST, group] if groups[INSIDE, group] == inside else 0)
+
+
+@compiled
 def move(s: State, column: int, sign: int) -> None:
     """Put a column into the choice (sign 1) or take it out (-1)."""
     numbers, rows, columns, groups = s.numbers, s.rows, s.columns, s.groups
     column_start, column_rows, column_load = s.column_start, s.column_rows, s.column_load
     numbers[MOVES] += 1
     columns[STAMP, column] = numbers[MOVES]
-    group = columns[GROUP, column]
+    numbers[SPENT] += sign * price(columns, groups, column, NEVER if sign > 0 else IN)
+    groups[INSIDE, columns[GROUP, column]] += sign
     if sign > 0:
         columns[PLACE, column] = numbers[MEMBERS]
         columns[MEMBER, numbers[MEMBERS]] = column
         numbers[MEMBERS] += 1
-        if groups[INSIDE, group] == 0:
-            numbers[SPENT] += groups[FIRST, group]
     else:
         numbers[MEMBERS] -= 1
         last = columns[MEMBER, numbers[MEMBERS]]
         columns[MEMBER, columns[PLACE, column]] = last
         columns[PLACE, last] = columns[PLACE, column]
         columns[PLACE, column] = -1
-        if groups[INSIDE, group] == 1:
-            numbers[SPENT] -= groups[FIRST, group]
-    groups[INSIDE, group] += sign
-    numbers[SPENT] += sign * columns[COST, column]
     begin, end = column_start[column], column_start[column + 1]
     once, loads, loss = numbers[ONCE], len(column_load) > 0, 0
     for entry in range(begin, end):
@@ -191,7 +194,7 @@ def leaving(s: State, tabu: int, parts: int, tenure: int) -> Any:
         tenure: moves that a column that came stays for; 0: only the tabu one.
     """
     rows, columns, column_start, numbers, random = s.rows, s.columns, s.column_start, s.numbers, s.random
-    best, least, price, stamp = -1, 0.0, 1.0, 0
+    best, least, least_cost, stamp = -1, 0.0, 1.0, 0
     priced, once, loads = numbers[PRICED] > 0, numbers[ONCE] > 0, len(s.column_load) > 0
     size = numbers[MEMBERS]
     looked_at = size if size <= MANY else SAMPLE
@@ -214,12 +217,10 @@ def leaving(s: State, tabu: int, parts: int, tenure: int) -> Any:
         if parts > 0:
             loss += float(numbers[PARTS] * (label(s, position, OTHERS) - parts))
         if priced:
-            cost = float(columns[COST, column])
-            if s.groups[INSIDE, columns[GROUP, column]] == 1:
-                cost += float(s.groups[FIRST, columns[GROUP, column]])
-        difference = loss * price - least * cost
+            cost = float(price(columns, s.groups, column, IN))
+        difference = loss * least_cost - least * cost
         if best < 0 or difference < 0 or (difference == 0 and columns[STAMP, column] < stamp):
-            best, least, price, stamp = column, loss, cost, columns[STAMP, column]
+            best, least, least_cost, stamp = column, loss, cost, columns[STAMP, column]
     if best < 0 and size > 0 and not columns[FIXED, columns[MEMBER, 0]]:
         best = columns[MEMBER, 0]
     return best
@@ -242,7 +243,7 @@ def entering(s: State, row: int, left: int, parts: int, tenure: int, sample: int
     first, last = (s.row_start[row], s.row_start[row + 1]) if row >= 0 else (0, columns.shape[1])
     count, size, n_open = last - first, numbers[MEMBERS], numbers[OPEN]
     sampled = row >= 0 and count > sample and parts == 0
-    best, most, price, stamp = -1, 0.0, 1.0, 0
+    best, most, most_cost, stamp = -1, 0.0, 1.0, 0
     priced, loads, touched = numbers[PRICED] > 0, len(column_load) > 0, 0
     for part in range(parts):
         columns[SEEN, part] = 0  # which column last found each part
@@ -277,16 +278,32 @@ def entering(s: State, row: int, left: int, parts: int, tenure: int, sample: int
                     joined += 1
             gain += float(numbers[PARTS] * (joined - 1))
         if priced:
-            cost = float(columns[COST, column])
-            if s.groups[INSIDE, columns[GROUP, column]] == 0:
-                cost += float(s.groups[FIRST, columns[GROUP, column]])
-        difference = gain * price - most * cost
+            cost = float(price(columns, s.groups, column, NEVER))
+        difference = gain * most_cost - most * cost
         if best < 0 or difference > 0 or (difference == 0 and columns[STAMP, column] < stamp):
-            best, most, price, stamp = column, gain, cost, columns[STAMP, column]
+            best, most, most_cost, stamp = column, gain, cost, columns[STAMP, column]
     looked_at = sample if sampled else count
     looking = DRAWN_CANDIDATE_WORK if sampled else CANDIDATE_WORK * (1 + (size if parts > 1 else 0))
     numbers[WORK] += touched + looking * looked_at
     return best
+
+
+@compiled
+def met(numbers: Any, full: bool, parts: int) -> Any:
+    """Whether the choice has what is asked for, and hangs together."""
+    return (numbers[OPEN] == 0 if full else numbers[MISSING] <= numbers[ALLOWED]) and parts <= 1
+
+
+@compiled
+def keep(numbers: Any, columns: Any, most: bool) -> None:
+    """The choice is the best one; the next has to be better."""
+    numbers[BEST], numbers[BEST_MEMBERS] = numbers[MISSING] if most else numbers[SPENT], numbers[MEMBERS]
+    for position in range(numbers[MEMBERS]):
+        columns[BEST_MEMBER, position] = columns[MEMBER, position]
+    if most:
+        numbers[ALLOWED] = numbers[MISSING] - 1
+    else:
+        numbers[LIMIT] = numbers[SPENT] - 1
 
 
 @compiled
@@ -314,14 +331,8 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
     numbers[FIRST_MEMBERS] = 0
     while numbers[WORK] < 4 * work_limit:
         parts = label(s, NONE, ALL) if graph else 0
-        while (numbers[OPEN] == 0 if full else numbers[MISSING] <= numbers[ALLOWED]) and parts <= 1:
-            numbers[BEST], numbers[BEST_MEMBERS] = numbers[MISSING] if most else numbers[SPENT], numbers[MEMBERS]
-            for position in range(numbers[MEMBERS]):
-                s.columns[BEST_MEMBER, position] = s.columns[MEMBER, position]
-            if most:
-                numbers[ALLOWED] = numbers[MISSING] - 1
-            else:
-                numbers[LIMIT] = numbers[SPENT] - 1
+        while met(numbers, full, parts):
+            keep(numbers, s.columns, most)
             if numbers[BEST] <= target:
                 return numbers[WORK] // 4
             if most:
@@ -340,9 +351,7 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
         move(s, out, OUT)
         while True:
             parts = label(s, NONE, ALL) if graph else 0
-            if (numbers[OPEN] == 0 if full else numbers[MISSING] <= numbers[ALLOWED]) and parts <= 1:
-                break
-            if numbers[SPENT] + numbers[CHEAPEST] > numbers[LIMIT]:
+            if met(numbers, full, parts) or numbers[SPENT] + numbers[CHEAPEST] > numbers[LIMIT]:
                 break
             aimed = numbers[OPEN] > 0 and not (graph and draw(s.random, TEN) < 3)
             row: Any = s.rows[OPEN_ROW, draw(s.random, numbers[OPEN])] if aimed else np.int64(-1)
@@ -351,10 +360,7 @@ def steps(s: State, full: bool, most: bool, target: int, tenures: int, work_limi
                 column = entering(s, NONE, out, parts, tenure, looked_at)
             if column < 0:
                 break
-            more = s.columns[COST, column]
-            if s.groups[INSIDE, s.columns[GROUP, column]] == 0:
-                more += s.groups[FIRST, s.columns[GROUP, column]]
-            if numbers[SPENT] + more > numbers[LIMIT]:
+            if numbers[SPENT] + price(s.columns, s.groups, column, NEVER) > numbers[LIMIT]:
                 break
             move(s, column, IN)
             numbers[TABU] = column
