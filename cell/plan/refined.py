@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cell.errors import UnreachableError
 from cell.plan.candidates import GROWN, arm_of
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
@@ -73,7 +74,10 @@ def connected(
     plan = connect(problem, selected)
     if selected is unmoved[1] or plan.selected is selected:
         return problem, plan
-    before = connect(*unmoved)
+    try:
+        before = connect(*unmoved)
+    except UnreachableError:  # what moved is all that can be connected
+        return problem, plan
     worse = len(plan.cover.views) > len(before.cover.views) or plan.visible.area < before.visible.area
     return (unmoved[0], before) if worse else (problem, plan)
 

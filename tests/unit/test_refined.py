@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.errors import UnreachableError
 from cell.plan import refined
 
 
@@ -106,3 +107,15 @@ def test_what_is_chosen_again_is_held_against_the_views_that_did_not_move(as_cho
     assert problem == taken
     assert plan.number == (12 if taken == "unmoved" else number)
     assert asked == (["moved"] if as_chosen else ["moved", "unmoved"])
+
+
+def test_where_the_views_that_did_not_move_cannot_be_connected_the_others_are_the_plan():
+    """There is a plan, and it is not lost to what it is held against."""
+
+    def connect(problem: Any, selected: Answer) -> Any:
+        if problem == "unmoved":
+            raise UnreachableError("no view is left")
+        return Plan(BEFORE, 13, 0.9)
+
+    problem, plan = refined.connected(("moved", MOVED), ("unmoved", BEFORE), connect)  # type: ignore[arg-type]
+    assert (problem, plan.number) == ("moved", 13)
