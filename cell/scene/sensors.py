@@ -96,7 +96,7 @@ class Sensor(Table):
         if known.depth_mm and known.width_near_mm and known.width_far_mm:
             half = (known.width_far_mm - known.width_near_mm) / known.depth_mm / 2
             near = known.width_near_mm / half / 2
-            fan, span = math.degrees(2 * math.atan(half)), (near, near + known.depth_mm)
+            fan, span = math.degrees(2 * math.atan(half)), span or (near, near + known.depth_mm)
         keys = {
             "fan_deg": fan, "range_mm": span, "baseline_mm": known.baseline_mm, "line_points": known.points_per_line,
             "profile_rate_hz": known.profile_rate_hz,
@@ -168,7 +168,12 @@ def read(path: Path) -> Sensor:
         FileError: with what is wrong in it: nothing but texts, known figures above 0, and a source for each figure.
     """
     try:
-        return Sensor.model_validate({"name": path.stem, **tomllib.loads(path.read_text(encoding="utf-8"))})
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        if "name" in content:
+            raise FileError(
+                f"the sensor file {path} is damaged: name is an unknown key; a sensor is called as its file"
+            )
+        return Sensor.model_validate({"name": path.stem, **content})
     except ValidationError as error:
         raise FileError(f"the sensor file {path} is damaged: {'; '.join(sentences(error, Sensor))}") from error
     except (OSError, ValueError) as error:

@@ -168,3 +168,28 @@ def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, wo
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(FileError, match=words):
         sensors.read(path)
+
+
+def test_a_sensor_file_does_not_name_itself(tmp_path: Path) -> None:
+    """It is called as its file, or a scene would find another sensor than it asks for."""
+    from cell.robot.model import model_file
+
+    path = tmp_path / "own.toml"
+    text = model_file("sensors/gocator-2350.toml").read_text(encoding="utf-8")
+    path.write_text('name = "paper"\n' + text, encoding="utf-8")
+    with pytest.raises(FileError, match="name is an unknown key"):
+        sensors.read(path)
+
+
+def test_a_range_that_is_stated_goes_before_the_one_that_follows_from_the_line() -> None:
+    """The fan still follows from the widths of the line."""
+    widths = {"depth_mm": 80.0, "width_near_mm": 47.0, "width_far_mm": 85.0}
+
+    def keys(**more: tuple[float, float]) -> dict[str, object]:
+        figures = sensors.Figures.model_validate(widths | more)
+        return dict(sensors.Sensor.model_construct(figures=figures).keys)
+
+    stated = keys(range_mm=(200.0, 280.0))
+    assert stated["range_mm"] == (200.0, 280.0)
+    assert stated["fan_deg"] == keys()["fan_deg"]
+    assert keys()["range_mm"] != stated["range_mm"]
