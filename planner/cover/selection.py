@@ -42,7 +42,8 @@ def solve(
         start: (n,) columns of a choice to begin with, which need not meet what is asked for; others are left out where
             they may not be used. None, and where views have to hang together: the greedy choice.
         budget: units of work for everything together (500 million are about a second of one core); None:
-            `DEFAULT_WORK`, or more where the matrix is large (`DEFAULT_WORK_PER_ENTRY`).
+            `DEFAULT_WORK`, or more where the matrix is large (`DEFAULT_WORK_PER_ENTRY`) and there are no targets for
+            parts and no weights.
         time_limit_s: wall-clock guard [s]; reported in the status when it fires.
         clock: seconds, for the guard.
 
