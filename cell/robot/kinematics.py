@@ -27,7 +27,6 @@ beyond the stretched arm by no more than 1e-10 m count as stretched; the solutio
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +35,6 @@ from cell.robot.model import Dimensions, dimensions, limits, load
 from planner.errors import PlannerError
 from planner.ports import JointLimits
 from planner.values import Floats
-
-if TYPE_CHECKING:
-    pass
 
 BRANCHES = 8
 

@@ -21,6 +21,7 @@ from cell.scene.posed import Posed
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
 HARDWARE = "Robot and scanner"
 """Heading of the options of robot and scanner."""
 
