@@ -3,17 +3,19 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from planner.cover import Problem, solve
+import planner.cover.sets as sets_module
+from planner.cover import Problem, reductions, solve
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
 from planner.cover.greedy import by_marginal_area, prune
 from planner.cover.reductions import reduce
-from planner.cover.sets import gather, set_hash
+from planner.cover.sets import gather, of_slices, set_hash
 
 matrices = hnp.arrays(bool, st.tuples(st.integers(0, 12), st.integers(0, 9)))
 
@@ -131,3 +133,27 @@ def test_marginal_order_keeps_the_columns_and_their_rows(problem):
     assert sorted(together.tolist()) == list(range(sets.n_rows))
     gains = [sets.units[rows].sum() for rows in added]
     assert all(first >= second for first, second in pairwise(gains))
+
+
+@given(st.lists(st.lists(st.integers(0, 50), max_size=6), max_size=9), st.integers(1, 5))
+def test_what_slices_come_to_does_not_depend_on_how_many_are_looked_at_together(slices, block):
+    """Sum, least and most of each slice, 0 of an empty one, for blocks of any length."""
+    start = np.cumsum([0, *map(len, slices)])
+    items, worth = np.array([i for some in slices for i in some], dtype=np.int64), np.arange(51) ** 2 + 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sets_module, "_BLOCK", block)
+        for ufunc, of in ((np.add, sum), (np.minimum, min), (np.maximum, max)):
+            expected = [of(int(worth[i]) for i in some) if some else 0 for some in slices]
+            assert of_slices(ufunc, start, items, worth.__getitem__).tolist() == expected
+
+
+def test_rows_are_merged_by_their_columns_and_not_by_their_hash(monkeypatch):
+    """With one hash for all: rows of as many columns stay apart where these differ, in blocks of any length."""
+    M = np.array([[1, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0], [0, 1, 0, 1], [0, 1, 0, 1]], dtype=bool)
+    sets = canonical(Problem(M, np.array([16.0, 8.0, 4.0, 2.0, 1.0]))).whole
+    monkeypatch.setattr(reductions, "set_hash", lambda start, items: np.zeros(len(start) - 1, dtype=np.uint64))
+    for block in (1, 3, 100_000):
+        monkeypatch.setattr(sets_module, "_BLOCK", block)
+        merged = reductions._merged(sets)
+        assert merged.n_rows == 3
+        assert sorted(merged.units / merged.units.min()) == pytest.approx([1.0, 4 / 3, 8.0])

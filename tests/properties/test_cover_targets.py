@@ -1,6 +1,7 @@
 """Several area targets, demands and weights: against enumeration of every choice of few columns."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,3 +128,25 @@ def test_what_is_said_of_areas_or_groups_is_not_answered_by_weights(wish: dict, 
     matrix, areas, rng = drawn(0)
     with pytest.raises(PlannerError, match="go without targets for parts"):
         cover.solve(Problem(matrix, areas, **wish, **targets), rng=rng)
+
+
+def test_a_beginning_that_may_not_be_taken_is_not() -> None:
+    """One with a banned view, one with a view that is not allowed, one without a pinned one: each would be cheaper."""
+    matrix = np.ones((4, 3), dtype=bool)
+    matrix[:2, 1] = matrix[2:, 2] = False
+    problem = Problem(matrix, np.ones(4), part=np.array([0, 0, 1, 1]), part_coverage=(0.9, 0.9))
+    without = np.array([False, True, True])
+    for wish in ({"banned": [0]}, {"allowed": without}, {"pinned": [1]}):
+        asked = replace(problem, **wish)  # type: ignore[arg-type]
+        found = cover.solve(asked, rng=np.random.default_rng(0), budget=1, start=np.array([0]))
+        assert sorted(found.views.tolist()) == ([0, 1] if "pinned" in wish else [1, 2])
+
+
+def test_the_bound_on_the_cost_is_told_with_weights_too() -> None:
+    """As proven of the weights; the areas in which the answer is told have none of their own."""
+    matrix, areas, rng = drawn(5)
+    costs = rng.uniform(1.0, 5.0, matrix.shape[1])
+    found = cover.solve(Problem(matrix, areas, weights=areas**2, costs=costs), rng=np.random.default_rng(0))
+    assert found.status is CoverStatus.PROVEN
+    assert found.cost_bound == pytest.approx(found.cost, rel=1e-4)  # costs are rounded for the search
+    assert found.cost == pytest.approx(costs[found.views].sum())

@@ -8,6 +8,7 @@ from cell.rays.prediction import Prediction
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
 from planner.measurability import coverage
+from planner.measurability import remembered as remembered_views
 from planner.measurability.matrix import measured
 from planner.measurability.remembered import Remembered
 from planner.surface.mesh import TriangleMesh
@@ -109,3 +110,20 @@ def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
             found = remembered.measured(some)
             np.testing.assert_array_equal(found, measured(some, samples, SCANNER, [caster]))
             np.testing.assert_array_equal(found, remembered.measured(some[::-1]))
+
+
+def test_views_asked_long_ago_are_forgotten_and_asked_again(monkeypatch):
+    """With room for two views and looks at a few pairs: the same answers; what is known of a set casts no rays."""
+    monkeypatch.setattr(remembered_views, "_VIEWS", 2)
+    monkeypatch.setattr(remembered_views, "_BUNDLE", 50)
+    part, draws = _slab(), np.random.default_rng(4)
+    samples, caster = sample(part, part, 1500, np.random.default_rng(0)), EmbreeRayCaster(part.vertices, part.faces)
+    poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
+    remembered = Remembered(samples, SCANNER, [caster])
+    for count in (1, 4, 4, 2):
+        some = poses[draws.integers(0, len(poses), count)]
+        np.testing.assert_array_equal(remembered.measured(some), measured(some, samples, SCANNER, [caster]))
+        assert len(remembered._known) <= 2
+    known = remembered.measured(poses[:2])
+    remembered._casters = ()  # whose absence would free every leg
+    np.testing.assert_array_equal(remembered.measured(poses[:2]), known)

@@ -8,10 +8,12 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.cover import Problem, solve
 from planner.measurability.matrix import fill, measured
+from planner.ports import Rejection
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import sample
+from planner.viewpoints import growth
 from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.lines_of_sight import Targets, in_view, in_view_of
 from planner.viewpoints.pointwise import moved
 from planner.viewpoints.refine import Standing, fewer
 from planner.viewpoints.viewpoints import looking_at
@@ -116,3 +118,34 @@ def test_a_view_that_may_be_worth_more_is_asked_in_full(case):
         same, none = np.array_equal(asked[:, pose], whole[:, pose]), not asked[:, pose].any()
         assert same or (none and area @ whole[:, pose] <= least)
     assert 0 < asked.any(axis=0).sum() < 60
+
+
+def test_poses_that_are_asked_together_are_asked_as_alone(case, monkeypatch):
+    """Whatever goes into one look; also where each point has the limits of its region."""
+    features, scanner, caster, views = case
+    region = (np.arange(len(features.points)) % 3).astype(np.int32)
+    targets, rows = Targets.of(features.points, features.normals, region), np.arange(1, 300, 2)
+    T, arm = moved(views.T_object_scanner[0], STANDOFF, 1.0, (0, 12), 0), _arm(_OfRegions(scanner), caster)
+    sighted = in_view_of(targets, T, arm.scanner, rows)
+    for pose, seen in zip(T, sighted, strict=True):
+        np.testing.assert_array_equal(rows[seen], in_view(targets, pose, arm.scanner, rows))
+    assert not sighted[:, region[rows] == 1].any()
+    assert sighted.any()
+    whole = arm.measured(T, targets, rows)
+    monkeypatch.setattr(growth, "_PAIRS", 5 * len(rows))
+    np.testing.assert_array_equal(arm.measured(T, targets, rows), whole)
+    assert whole[:, 5:].any()
+
+
+class _OfRegions:
+    """A scanner that measures nothing of region 1."""
+
+    def __init__(self, scanner):
+        self._scanner = scanner
+
+    def __getattr__(self, name):
+        return getattr(self._scanner, name)
+
+    def reject_in(self, points, normals, region):
+        """Its codes."""
+        return np.where(region == 1, Rejection.OUT_OF_RANGE, self._scanner.reject(points, normals)).astype(np.uint8)

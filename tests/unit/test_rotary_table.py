@@ -10,6 +10,9 @@ from cell.checks.possible import impossible
 from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
+from cell.run.cell import table_of
+from cell.run.scene_json import ResolvedScene, ResolvedTable
+from cell.run.scene_of_run import placed
 from cell.scene.options import scene_of
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
@@ -231,3 +234,39 @@ def test_limits_must_hold_the_angle_of_home() -> None:
     """0 is where every motion begins and ends."""
     with pytest.raises(ValueError, match="with 0, where motions begin and end"):
         Scene.model_validate({"table": {"limits_deg": [10.0, 90.0]}})
+
+
+def test_limits_of_a_scene_are_never_left_to_go_round_what_stands() -> None:
+    """The pillar at 100 deg ends the range there; to the other side it stays what the scene says, to the degree."""
+    x, y = 1200 + 250 * np.cos(np.radians(100)), 500 + 250 * np.sin(np.radians(100))
+    pillar = {"name": "pillar", "shape": "cylinder", "size_mm": [40, 300], "position_mm": [x, y, 0]}
+    table = {"position_mm": [1200.0, 500.0, -400.0], "limits_deg": [-90.5, 150.0]}
+    world = _world(table=table, placement={"position_mm": [1450.0, 500.0, 0.0]}, fixtures=[pillar])
+    assert world.table is not None
+    lower, upper = np.degrees([world.table.lower, world.table.upper])
+    assert lower == pytest.approx(-90.5)
+    assert 40 < upper < 100
+
+
+def test_a_run_keeps_how_far_its_table_turns_and_its_part_elsewhere_where_it_stands() -> None:
+    """What stands limits the axis before the scene does; runs that do not say it have the scene's limits, or none."""
+    T = np.eye(4)
+    T[:3, 3] = 1.2, 0.5, -0.4
+    said = ResolvedTable.model_construct(
+        T_base_table=T, limits_deg=(-90.0, 150.0), turn_deg=(-90.0, 62.0), velocity_deg_s=120.0,
+        acceleration_deg_s2=240.0, jerk_deg_s3=2400.0,
+    )  # fmt: skip
+    for told, limits in (
+        (said, (-90, 62)),
+        (said.model_copy(update={"turn_deg": None}), (-90, 150)),
+        (said.model_copy(update={"turn_deg": None, "limits_deg": None}), (-180, 180)),
+    ):
+        table = table_of(ResolvedScene.model_construct(table=told))
+        assert table is not None
+        np.testing.assert_allclose(np.degrees([table.lower, table.upper]), limits)
+    resolved = ResolvedScene.model_construct(table=said, T_object_centre=np.eye(4))
+    there = placed(
+        Scene.model_validate({"table": {"enabled": True}}), pose((900.0, 0.0, 0.0), (0.0, 0.0, 0.0)), resolved
+    )
+    assert there.placement.position_mm == (900.0, 0.0, 0.0)
+    np.testing.assert_allclose(there.table.position_mm, (1200.0, 500.0, -400.0))
