@@ -1,6 +1,6 @@
-"""Limits on the controller's own side: position, speed, acceleration and step size of the six axes."""
+"""Limits on the controller's own side: position, speed, acceleration and step size of the axes."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +9,9 @@ from drivers.commands import Move, Result
 from drivers.contract import Capabilities
 from drivers.errors import DriverError
 from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, axis_name, frozen
+
+ENDLESS = 36_000 * PER_DEGREE
+"""Counts to either side of 0 that an axis without limits has: a hundred turns."""
 
 _ROUNDING = 1e-3  # counts; a limit that is a count but for the rounding of its radians is that count
 
@@ -94,6 +97,10 @@ class Limits:
         low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (arm.lower, arm.upper))
         low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
         return cls(low, high, arm.velocity, arm.acceleration, np.maximum(high - low, 1), jerk=arm.jerk)
+
+    def endless(self) -> "Limits":
+        """These with a last axis that turns round and round; what one step of it may be stays."""
+        return replace(self, lower=np.append(self.lower[:-1], -ENDLESS), upper=np.append(self.upper[:-1], ENDLESS))
 
     def capabilities(self, controller: str, *, hardware: bool, simulated_time: bool) -> Capabilities:
         """What a driver says of a controller with these limits."""

@@ -114,9 +114,10 @@ def arm_of(run_folder: Path | None, plant: str) -> Arm:
         raise UsageError(f"--plant {plant} must be one of: {', '.join(plants)}")
     model = robot.load() if run is None else run_reader.cell_model(run)
     limits, home = robot.limits(model), robot.home(model)
-    if run is not None and (table := table_of(run_reader.scene(run))) is not None:
-        limits, home = table.limits(limits), np.append(home, 0.0)
-    return Arm(Limits.from_rad(limits), home, plants[plant])
+    if run is None or (table := table_of(scene := run_reader.scene(run))) is None:
+        return Arm(Limits.from_rad(limits), home, plants[plant])
+    own = Limits.from_rad(table.limits(limits))
+    return Arm(own.endless() if scene.table_is_endless else own, np.append(home, 0.0), plants[plant])
 
 
 def _line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:

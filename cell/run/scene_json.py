@@ -134,3 +134,8 @@ class ResolvedScene(JsonTable):
     arrival_mm: float | None = optional("how far a point of arm or tool may stand from where a move ends")
     plan: ResolvedPlan
     regions: tuple[ResolvedRegion, ...] | None = optional()
+
+    @property
+    def table_is_endless(self) -> bool:
+        """Whether a rotary table turns round and round."""
+        return self.table is not None and self.table.limits_deg is None

@@ -71,7 +71,9 @@ def prepare(
         )
     given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
     try:
-        driver = open_driver(url, Context(Limits.from_rad(arm), given, plants or {}, say))
+        limits = Limits.from_rad(arm)
+        limits = limits.endless() if cell.scene.table_is_endless else limits
+        driver = open_driver(url, Context(limits, given, plants or {}, say))
         # A simulated controller has one clock, with its time_scale; of another one only real time is known.
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
     except DriverError as error:

@@ -20,7 +20,8 @@ from cell.errors import DriverFailureError, FileError
 from cell.run.axes import apart
 from cell.run.cell import RunCell
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.legs import Leg, Legs
+from cell.scan.legs import AT_START, Leg, Legs
+from cell.scan.whole_turns import WholeTurnsOff
 from drivers.clock import Clock
 from drivers.commands import Move, Result
 from drivers.contract import Driver, RobotState
@@ -28,8 +29,6 @@ from drivers.limits import refuse
 from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
 from planner.ports import Progress
 from planner.values import Floats
-
-_AT_START = 100  # counts: so far the arm may stand from the start of the plan, 0.01 deg
 
 
 def run(
@@ -73,7 +72,8 @@ def run(
 
     try:
         state = driver.state()
-        say("connected", controller=driver.capabilities.controller, axes_deg=to_deg(state.axes).tolist())
+        turned = {"whole_turns": driver.turns} if isinstance(driver, WholeTurnsOff) else {}
+        say("connected", controller=driver.capabilities.controller, axes_deg=to_deg(state.axes).tolist(), **turned)
         require_drivable(legs, driver, speed)
         for number, leg in enumerate(legs.legs, start=1):
             set_points = leg.set_points
@@ -202,7 +202,7 @@ def require_drivable(legs: Legs, driver: Driver, speed: float) -> None:
 
 def stands_at(q: Floats, state: RobotState) -> bool:
     """Whether the arm stands at joint angles (axes,) [rad], to a hundredth of a degree."""
-    return int(np.abs(from_rad(q).astype(np.int64) - state.axes).max()) <= _AT_START
+    return int(np.abs(from_rad(q).astype(np.int64) - state.axes).max()) <= AT_START
 
 
 def _require_still(leg: Leg, driver: Driver, cell: RunCell) -> None:

@@ -13,6 +13,9 @@ from drivers.setpoints import SetPoints, from_rad
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
 
+AT_START = 100
+"""Counts by which the arm may stand off where a leg begins: 0.01 deg."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leg:

@@ -40,6 +40,7 @@ from cell.scan.options import ScanOptions
 from cell.scan.post_processing import exit_code_of, results
 from cell.scan.resume import Rest, rest_of
 from cell.scan.way import Released, of_legs, of_plan
+from cell.scan.whole_turns import as_planned
 from cell.scan.work import ScanOutcome, Work
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
@@ -118,7 +119,8 @@ def execute_and(
         with drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
             speed = _allowed_speed(driver, options, cell, released, ask)
-            safety.ready(driver, reset=options.reset, stop_first=False, time_scale=options.accept_time_scale)
+            state = safety.ready(driver, reset=options.reset, stop_first=False, time_scale=options.accept_time_scale)
+            driver, _ = as_planned(driver, state, proven.scene, motion.limits, narrator)
             execute.require_drivable(legs, driver, speed)
         way = released.digest if released.own else None
         folder = ExecutionFolder.make(run, list(argv), seed, kept, datetime.now(UTC), way)
@@ -209,6 +211,7 @@ def _resumed(
             if ask is None and settled.confirm_motion is None:  # nobody will agree later: leave the arm alone
                 _allowed_speed(driver, settled, cell, planned, ask)
             state = safety.ready(driver, reset=settled.reset, stop_first=True, time_scale=settled.accept_time_scale)
+            driver, state = as_planned(driver, state, proven.scene, motion.limits, narrator)
             rest = rest_of(legs, done, state, proven.checker, motion.limits, seed)
             released = planned if rest.way is None else of_legs(proven, rest.legs, _ANEW)
             for sentence in _told(rest, len(done), proven.checker):

@@ -128,6 +128,29 @@ def test_it_goes_on_from_where_the_table_stands(turned: Path, run_cell: RunCell,
     np.testing.assert_allclose(way[-1], [*view["q_deg"], *view["e_deg"]], atol=1e-4)
 
 
+@pytest.mark.parametrize("turns", [2, -3])
+def test_an_endless_table_is_driven_from_the_turn_on_which_it_stands(
+    turned: Path, run_cell: RunCell, tmp_path: Path, turns: int
+) -> None:
+    """Whole turns are told, sent with every angle, and appear in no scan: what is measured is the same."""
+    copy = tmp_path / "run"
+    shutil.copytree(turned, copy)
+    start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(motion(open_run(copy)).via_q[0, :6]), 360.0 * turns])
+    done = run_cell("scan", copy, "--resolution", "1", "--driver", f"sim://?start={start}", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"{turns:+d} whole turns from the plan's angles" in done.stderr
+    first, second = (copy / "executions" / name for name in ("0001", "0002"))
+    for name in sorted(path.name for path in (first / "scans").iterdir()):
+        before, after = np.load(first / "scans" / name), np.load(second / "scans" / name)
+        for key in ("e_commanded", "e_reported", "points"):
+            np.testing.assert_array_equal(after[key], before[key])
+    events = [[json.loads(line) for line in (at / "events.jsonl").read_text().splitlines()] for at in (first, second)]
+    assert "whole_turns" not in events[0][0]
+    assert events[1][0]["whole_turns"] == turns
+    # It stands on its own turn still, and did not take longer than from 0.
+    assert [each["t_s"] for each in events[1]] == pytest.approx([each["t_s"] for each in events[0]], abs=1e-6)
+
+
 def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> None:
     """Faster, elsewhere, none at all: a difference that has a name, as every other of the cell has."""
     proven = prove(turned)
@@ -264,10 +287,10 @@ def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunC
 def test_seven_axes_travel_on_a_wire(
     turned: Path, run_cell: RunCell, emulate: Callable[..., Any], tmp_path: Path, protocol: str
 ) -> None:
-    """A scan through an emulated controller of the run's arm and table measures what the simulated one did."""
+    """An emulated controller of the run's arm and table, two turns on, measures what the simulated one did."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
-    home = ",".join(f"{angle:.4f}" for angle in np.degrees(motion(open_run(copy)).via_q[0, :6]))
+    home = ",".join(f"{angle:.4f}" for angle in [*np.degrees(motion(open_run(copy)).via_q[0, :6]), 720.0])
     emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000", f"--start={home}")
     digest = _json(copy / "manifest.json")["digest"]
     word = ("--driver", emulated.url, "--accept-time-scale", "1000", "--speed", "100", "--confirm-motion", digest)
