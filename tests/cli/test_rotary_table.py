@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from cell.api import locate
 from cell.edit.editable import EditableRun
+from cell.emulate.memory import SCHEMA
 from cell.errors import SceneError
 from cell.narrator import Quiet
 from cell.proof.files_now import FilesNow
@@ -26,6 +28,7 @@ from cell.run.record import open_run
 from cell.scene.options import scene_of
 from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
+from drivers.setpoints import from_rad
 from planner.timing.move_time import move_time
 
 RunCell = Callable[..., subprocess.CompletedProcess[str]]
@@ -290,8 +293,11 @@ def test_seven_axes_travel_on_a_wire(
     """An emulated controller of the run's arm and table, two turns on, measures what the simulated one did."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
-    home = ",".join(f"{angle:.4f}" for angle in [*np.degrees(motion(open_run(copy)).via_q[0, :6]), 720.0])
-    emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000", f"--start={home}")
+    axes = from_rad([*motion(open_run(copy)).via_q[0, :6], 4 * np.pi]).tolist()
+    stood = {"schema": SCHEMA, "axes": axes, "boot": 1, "ended_in_order": True}
+    (tmp_path / "arm.json").write_text(json.dumps(stood))
+    before = SimpleNamespace(log=tmp_path / "moves.jsonl")
+    emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000", beside=before)
     digest = _json(copy / "manifest.json")["digest"]
     word = ("--driver", emulated.url, "--accept-time-scale", "1000", "--speed", "100", "--confirm-motion", digest)
     done = run_cell("scan", copy, "--resolution", "1", *word, cwd=tmp_path)
