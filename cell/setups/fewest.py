@@ -48,7 +48,7 @@ class Rows:
         return float(np.maximum(self.wanted * (1 - _SLACK) - reached, 0.0).sum())
 
 
-def fewest_setups(rows: Rows, must: tuple[int, ...], most: int | None) -> tuple[int, list[tuple[int, ...]]]:
+def fewest_setups(rows: Rows, must: tuple[int, ...], most: int | None) -> tuple[int, list[tuple[int, ...]], bool]:
     """How many set-ups it takes at least, and all choices of so many that do.
 
     Args:
@@ -58,29 +58,30 @@ def fewest_setups(rows: Rows, must: tuple[int, ...], most: int | None) -> tuple[
 
     Returns:
         The number and the choices; where no choice of `most` does, the one that measures most alone. Where the fewest
-        is more than can be looked at, a number that none has less than, with the set-ups of a greedy choice.
+        is more than can be looked at, a number that none has less than, with the set-ups of a greedy choice. And
+        whether no other choice of so many set-ups as these does.
     """
     others = [row for row in range(len(rows.brought)) if row not in must]
-    looked, greedy = 0, _greedy(rows, must)
+    looked, greedy = 0, _greedy(rows, must, most or len(rows.brought))
     for count in range(max(len(must), 1), min(len(rows.brought), len(greedy), most or len(rows.brought)) + 1):
         short = {
             (some := tuple(sorted((*must, *more)))): rows.short(rows.reached(some))
             for more in combinations(others, count - len(must))
         }
         if enough := [some for some, missing in short.items() if missing == 0]:
-            return count, enough
+            return count, enough, True
         if count == most:
-            return count, [min(short, key=lambda some: short[some])]
+            return count, [min(short, key=lambda some: short[some])], True
         looked += len(short)
         if looked > _LOOKED_AT:
-            return count + 1, [greedy]
-    return len(greedy), [greedy]
+            return count + 1, [greedy], False
+    return len(greedy), [greedy], False
 
 
-def _greedy(rows: Rows, must: tuple[int, ...]) -> tuple[int, ...]:
-    """Set-ups, each leaving least missing, until nothing is."""
+def _greedy(rows: Rows, must: tuple[int, ...], most: int) -> tuple[int, ...]:
+    """Set-ups, each leaving least missing, until nothing is or there are so many."""
     chosen = must
-    while not chosen or (rows.short(rows.reached(chosen)) > 0 and len(chosen) < len(rows.brought)):
+    while not chosen or (rows.short(rows.reached(chosen)) > 0 and len(chosen) < most):
         others = (row for row in range(len(rows.brought)) if row not in chosen)
         chosen += (min(others, key=lambda row: rows.short(rows.reached((*chosen, row)))),)
     return tuple(sorted(chosen))

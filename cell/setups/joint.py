@@ -123,7 +123,7 @@ def joint_cover(
     """
     rows, group = Rows(wish, targets), np.asarray(wish.group)
     first = np.searchsorted(group, np.arange(len(rows.brought)))
-    fewest, members = fewest_setups(rows, tuple(np.unique(group[list(wish.pinned)]).tolist()), most)
+    fewest, members, every = fewest_setups(rows, tuple(np.unique(group[list(wish.pinned)]).tolist()), most)
     reached = [rows.reached(some) for some in members]
     enough = any(rows.short(area) == 0 for area in reached)
     if not enough:
@@ -131,22 +131,26 @@ def joint_cover(
     known = np.concatenate([first[row] + views for row, views in start.items()]) if start else np.empty(0, np.int64)
     asked = _Asked(wish, rows, rng, solver, cover.DEFAULT_WORK // (5 if brief else 1), known)
     largest = sorted(zip(members, reached, strict=True), key=lambda each: -float(each[1].sum()))
-    found, bound = asked.of_choices([some for some, _ in largest], fewest, brief=brief)
+    found, bound = asked.of_choices([some for some, _ in largest], fewest, every=every, brief=brief)
     if setup_cost is not None:
         found, bound = asked.weighted(found, setup_cost, fewest)
     used = np.unique(group[found.views])
+    covered = found.covered_area
+    if wish.weights is not None and wish.max_views is None:  # the cover tells areas, and rows weigh
+        loads = np.asarray(wish.matrix[:, found.views].sum(axis=1, dtype=np.int64)).ravel()
+        covered = float(rows.worth_of(rows.have(loads)).sum())
     paid = asked.paid(found, setup_cost)
     return JointCover(
         views={int(setup): found.views[group[found.views] == setup] - first[setup] for setup in used},
         setups_bound=min(fewest, len(used)),
         views_bound=min(bound.views, len(found.views)),
-        covered_area=found.covered_area,
+        covered_area=covered,
         rows=rows,
         targets=targets,
         enough=enough,
         price=None if paid is None else (paid, min(bound.cost, paid)),
         priced_setups=setup_cost is not None,
-        upper_area=None if wish.max_views is None else max(bound.area, found.covered_area),
+        upper_area=None if wish.max_views is None else max(bound.area, covered),
     )
 
 
@@ -180,12 +184,23 @@ class _Asked:
         self._group, self._allowed = np.asarray(wish.group), np.asarray(wish.allowed)
         self._costs = np.ones(len(self._group)) if wish.costs is None else np.asarray(wish.costs, dtype=np.float64)
 
-    def of_choices(self, choices: Sequence[tuple[int, ...]], fewest: int, *, brief: bool) -> tuple[Cover, _Bound]:
-        """The best cover by one of some choices of set-ups, and the bound on all; on the first few where brief."""
+    def of_choices(
+        self, choices: Sequence[tuple[int, ...]], fewest: int, *, every: bool, brief: bool
+    ) -> tuple[Cover, _Bound]:
+        """The best cover by one of some choices of set-ups, and the bound on all; on the first few where brief.
+
+        Args:
+            choices: of so many set-ups.
+            fewest: set-ups of each of them.
+            every: whether no other choice does; without, the bound is on all set-ups together.
+            brief: whether the first few are enough.
+        """
         count = _EACH // 3 if brief else _EACH
         each = [self._of(self._allowed & np.isin(self._group, some)) for some in choices[:count]]
         bound = _Bound.of(each)
-        if len(choices) > count and not brief:
+        if not every and not brief:
+            bound = _Bound.of([*each, self._of(self._allowed)])
+        elif len(choices) > count and not brief:
             columns = self._allowed & np.isin(self._group, sorted({setup for some in choices for setup in some}))
             free = _Bound.of([self._of(columns)])  # as if set-ups cost nothing
             if self._groups_go:

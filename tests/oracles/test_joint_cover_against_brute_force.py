@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from cell.setups import joint
+from cell.setups import fewest, joint
 from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover
 from planner.cover import Overlap, Problem
@@ -110,7 +110,7 @@ def test_the_most_area_with_so_many_views(seed: int) -> None:
     wish = replace(_wish(np.random.default_rng(80 + seed), 4, 3), max_views=3)
     found = joint_cover(wish, np.array([0.8]), np.random.default_rng(0))
     rows, group = Rows(wish, np.array([0.8])), np.asarray(wish.group)
-    count, members = fewest_setups(rows, (), None)
+    count, members, _ = fewest_setups(rows, (), None)
 
     def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
         inside = any(set(group[some]) <= set(each) for each in members)
@@ -185,6 +185,40 @@ def test_many_choices_are_one_problem(seed: int, monkeypatch: pytest.MonkeyPatch
     _checked(wish, found)
 
 
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("most", [None, 2])
+def test_more_choices_than_can_be_looked_at(seed: int, most: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No more set-ups than are allowed are used then, and neither bound is above what all choices would show."""
+    monkeypatch.setattr(fewest, "_LOOKED_AT", 0)
+    wish = _wish(np.random.default_rng(200 + seed), 5, 2)
+    group, dense = np.asarray(wish.group), wish.matrix.toarray()
+    found = joint_cover(wish, np.array([0.9]), np.random.default_rng(0), most=most)
+    wanted = float(found.rows.wanted[0])
+
+    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
+        enough = np.asarray(wish.areas)[has].sum() >= wanted - 1e-9
+        return (len(set(group[some])), len(some)) if enough else None
+
+    setups, _ = _best(wish, size)
+    views, _ = _best(wish, lambda some, has: None if size(some, has) is None else (len(some), 0))
+    assert found.setups_bound <= setups <= len(found.views) <= (most or len(dense))
+    assert found.views_bound <= views
+    _checked(wish, found)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_share_that_is_kept_is_of_what_rows_weigh(seed: int) -> None:
+    """Where rows weigh more than their area, that is what they count in the share too."""
+    wish = _wish(np.random.default_rng(seed), 3, 4)
+    weights = np.asarray(wish.areas) * np.where(np.arange(ROWS) % 2, 5.0, 1.0)
+    found = joint_cover(replace(wish, weights=weights), np.array([0.8]), np.random.default_rng(0))
+    group, dense = np.asarray(wish.group), wish.matrix.toarray()
+    columns = np.concatenate([np.flatnonzero(group == setup)[views] for setup, views in found.views.items()])
+    has, can = (dense[:, some].any(axis=1) for some in (columns, np.asarray(wish.allowed)))
+    assert found.share == pytest.approx(weights[has].sum() / weights[can].sum())
+    assert found.share >= 0.8 - 1e-9
+
+
 def test_one_set_up_alone_does_what_it_can() -> None:
     """Where more set-ups would be needed than are allowed, the one that can measure most is covered."""
     wish = _wish(np.random.default_rng(1), 3, 4)
@@ -203,7 +237,8 @@ def test_choices_of_set_ups_are_all_that_reach_the_area() -> None:
     wish = Problem(csc_array(can.T), areas, allowed=np.ones(7, dtype=bool), group=np.arange(7))
     wanted = 0.9 * float(areas[can.any(axis=0)].sum())
     for must in ((), (3,)):
-        count, members = fewest_setups(Rows(wish, np.array([0.9])), must, None)
+        count, members, every = fewest_setups(Rows(wish, np.array([0.9])), must, None)
+        assert every
         enough = {
             size: {
                 some
