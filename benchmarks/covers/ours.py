@@ -13,7 +13,7 @@ def ours(instance: Instance, task: Task) -> Answer:
         instance.M, instance.area, instance.usable, coverage=task.coverage, max_views=task.max_views,
         costs=instance.costs if task.weighted else None,
     )  # fmt: skip
-    work = cover.DEFAULT_WORK if task.seconds is None else round(task.seconds * cover.WORK_PER_SECOND)
+    work = None if task.seconds is None else round(task.seconds * cover.WORK_PER_SECOND)
     found = cover.solve(problem, rng=np.random.default_rng(task.seed), budget=work)
     unit = found.total_area / instance.units.sum()
     bound = found.cost_bound if task.max_views is None else found.upper_area / unit

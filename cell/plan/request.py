@@ -217,7 +217,7 @@ def select(
     if request.goals is not None:
         wish = request.goals.applied(wish, M.features)
     if plan.max_views is not None:
-        most = cover.solve(wish, rng=rng, budget=_MOST_WORK)
+        most = cover.solve(wish, rng=rng, budget=cover.grown(_MOST_WORK, wish.matrix.nnz))
         return Selected(most, np.ones(1), most.sentence)
     if request.layer is not None:
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
@@ -257,10 +257,11 @@ def _cover(
     one = len(targets) == 1
     wish = replace(wish, coverage=float(targets[0]), part_coverage=() if one else tuple(targets.tolist()))
     if request.overlap is not None:
-        joined = cover.solve(wish, rng=rng, budget=_MOST_WORK)
+        joined = cover.solve(wish, rng=rng, budget=cover.grown(_MOST_WORK, wish.matrix.nnz))
         how = connection(wish, joined)
         return Selected(joined, targets, joined.sentence if how.connected else how.sentence, how)
     known = None if start is None or request.plan.solver != "auto" else start.cover.views
+    work = cover.grown(work, wish.matrix.nnz)
     chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, budget=work)
     weighted = wish.weights is not None
     return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound, weighted=weighted)

@@ -26,14 +26,19 @@ WORK_PER_SECOND = 500_000_000
 DEFAULT_WORK = 1_000_000_000
 """Default budget of a selection: about two seconds; most end long before."""
 
-DEFAULT_WORK_PER_ENTRY = 200
-"""Default budget for each entry of a matrix, where that is more: of what large ones get, half goes before the search
-(canonical form, first choice, reductions)."""
+LARGE = 5_000_000
+"""Entries of a matrix from which on budgets grow with it: of what large ones get, half goes before the search (the
+canonical form, the first choice, reductions)."""
 
 UNLIMITED_WORK = 10**15
 """A budget that only a clock ends."""
 
 Result = TypeVar("Result")
+
+
+def grown(work: int, n_entries: int) -> int:
+    """A budget meant for matrices of up to `LARGE` entries, in proportion more for one of more."""
+    return work * max(n_entries, LARGE) // LARGE
 
 
 class Budget:

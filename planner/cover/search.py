@@ -36,6 +36,9 @@ FAR_COLUMNS, FAR_ENTRIES, FARTHEST = 60_000, 5_000_000, 1.0
 """With so many columns or entries, which no near cache holds, work costs twice what it costs with few; and the most on
 top."""
 
+FAR_BITS, FAR_BITS_CHARGE = 10_000_000, 1.0
+"""From so many bytes of bits on (`WIDE`) each look into them misses the caches as well: charged on top of that."""
+
 CHUNK_WORK = 5_000_000
 """Work between two looks at the clock: about 10 ms."""
 
@@ -94,6 +97,7 @@ class Search:
         # Rows open for good: nothing is better than the bound; elsewhere the budget knows.
         target = budget.lower_bound + sets.tolerance
         far = 1.0 + min(sets.n_columns / FAR_COLUMNS + sets.n_entries / FAR_ENTRIES, FARTHEST)
+        far += FAR_BITS_CHARGE * (state.bits.nbytes >= FAR_BITS)
         best, work, self._fresh_work = int(numbers[kernels.BEST]), self._fresh_work, 0
         while budget.spend(work):
             limit = min(CHUNK_WORK, max(int(budget.left / far), 1))

@@ -7,7 +7,7 @@ import numpy as np
 
 from planner.cover.answer import Cover
 from planner.cover.answer_of_columns import told
-from planner.cover.budget import DEFAULT_WORK, DEFAULT_WORK_PER_ENTRY, Budget
+from planner.cover.budget import DEFAULT_WORK, Budget, grown
 from planner.cover.canonical import canonical
 from planner.cover.overlap import connected_cover
 from planner.cover.problem import Problem
@@ -42,8 +42,7 @@ def solve(
         start: (n,) columns of a choice to begin with, which need not meet what is asked for; others are left out where
             they may not be used. None, and where views have to hang together: the greedy choice.
         budget: units of work for everything together (500 million are about a second of one core); None:
-            `DEFAULT_WORK`, or more where the matrix is large (`DEFAULT_WORK_PER_ENTRY`) and there are no targets for
-            parts and no weights.
+            `DEFAULT_WORK`, `grown` with the matrix where there are no targets for parts and no weights.
         time_limit_s: wall-clock guard [s]; reported in the status when it fires.
         clock: seconds, for the guard.
 
@@ -64,7 +63,7 @@ def solve(
     work = Budget(DEFAULT_WORK if budget is None else budget, time_limit_s, clock)
     found = canonical(problem)
     if budget is None:
-        work.limit = max(work.limit, DEFAULT_WORK_PER_ENTRY * found.whole.n_entries)
+        work.limit = grown(work.limit, found.whole.n_entries)
     work.spend(CANONICAL_WORK * found.whole.n_entries)
     if len(found.rest.adjacent):
         return connected_cover(problem, found, rng, work, solver)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planner.cover import CoverStatus, Problem, solve
-from planner.cover.budget import Budget, interruptible
+from planner.cover.budget import LARGE, Budget, grown, interruptible
 from planner.cover.canonical import canonical
 from planner.cover.greedy import greedy
 from planner.cover.search import CHUNK_WORK, Search
@@ -23,6 +23,11 @@ def test_budget_counts_work_and_portions_nest():
     assert budget.left == 35
     assert budget.spend(34)
     assert not budget.spend(1)
+
+
+def test_budget_grows_with_matrices_beyond_the_usual_only():
+    """Any part of the default is left as it is up to `LARGE` entries, and grows in proportion from there on."""
+    assert [grown(400, n) for n in (0, LARGE // 2, LARGE, 3 * LARGE)] == [400, 400, 400, 1200]
 
 
 def test_clock_guard_is_split_with_the_work():
