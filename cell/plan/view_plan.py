@@ -41,10 +41,11 @@ class _Connected:
 
 @dataclass(frozen=True, slots=True)
 class _Again:
-    """What comes next where chosen views could not be connected as they are, and which are refused."""
+    """What comes next where chosen views could not be connected as they are, which are refused, and who was visited."""
 
     next: Next
     refused: Mapping[int, str] = field(default_factory=dict)
+    visited: tuple[int, ...] = ()
 
 
 def first_choice(
@@ -87,8 +88,10 @@ def choose_and_connect(
     """
     views = _views_of(problem)
     refused: dict[int, str] = {}
-    while isinstance(found := _connect(problem, views, selected, refused, motion_rng, progress), _Again):
+    before: tuple[int, ...] = ()
+    while isinstance(found := _connect(problem, views, selected, refused, before, motion_rng, progress), _Again):
         refused |= _not_pinned(found.refused, problem.request)
+        before = found.visited or before
         if found.next is Next.CHOOSE:
             selected = _choose(problem, views, refused, selection_rng)
     return _plan(problem, views, selected, refused, found)
@@ -135,23 +138,27 @@ def _connect(
     views: Views,
     selected: Selected,
     refused: Collection[int],
+    before: tuple[int, ...],
     rng: np.random.Generator,
     progress: Progress | None,
 ) -> _Connected | _Again:
-    """Try to connect the chosen views: the shorter motion of two, through them and through those that may stand in."""
+    """Try to connect the chosen views: the shorter motion of two, through them and through those that may stand in.
+
+    The motion is searched for from the candidates that the last try visited, in their order.
+    """
     chosen = selected.cover.views
     if not views.still_measure(chosen):  # a first look, before a motion is planned for nothing
         return _Again(Next.CHOOSE)
     if lost := views.refusals(chosen):
         return _Again(Next.CHOOSE, lost)
     groups = views.groups(selected, problem.usable(refused), rng)
-    motion = _motion(problem, views, selected, groups, rng, progress)
+    motion = _motion(problem, views, selected, groups, before, rng, progress)
     # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
     standing = problem.request.standing
     seconds = motion.duration + standing * len(groups.members)
     if groups.exchanged and (motion.dropped or seconds > groups.straight_before):
         own = views.alone(chosen)
-        other = _motion(problem, views, selected, own, rng, progress)
+        other = _motion(problem, views, selected, own, before, rng, progress)
         groups, motion = view_exchange.shorter((groups, motion), (own, other), standing)
     if motion.status is TourStatus.HOME_IN_COLLISION:
         raise SceneError(
@@ -159,9 +166,14 @@ def _connect(
             "the placement or the fixtures"
         )
     if motion.dropped:
-        return _Again(Next.CHOOSE, _unconnected(groups, motion))
+        return _Again(Next.CHOOSE, _unconnected(groups, motion), _visited(groups, motion))
     found = views.judge(groups.picked(motion), motion)
-    return _Connected(groups, motion) if found is Next.DONE else _Again(found)
+    return _Connected(groups, motion) if found is Next.DONE else _Again(found, visited=_visited(groups, motion))
+
+
+def _visited(groups: Groups, motion: Tour) -> tuple[int, ...]:
+    """The candidates of a motion in visiting order."""
+    return tuple(groups.picked(motion)[motion.order].tolist())
 
 
 def _motion(
@@ -169,17 +181,20 @@ def _motion(
     views: Views,
     selected: Selected,
     groups: Groups,
+    before: tuple[int, ...],
     rng: np.random.Generator,
     progress: Progress | None,
 ) -> Tour:
     """The motion through one candidate of each group."""
     world = problem.world
+    group = {int(candidate): k for k, members in enumerate(groups.members) for candidate in members}
     visits = Visits(
         groups.configurations,
         world.home,
         T_base_scanner=world.T_base_object @ problem.candidates.T_object_scanner[groups.views, 0],
         T_base_home=problem.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
         passages=views.passages(groups.views),
+        known=tuple(dict.fromkeys(group[candidate] for candidate in before if candidate in group)),
     )
     if problem.request.known is not None and (known := problem.request.known(groups.views, groups.configurations)):
         return known

@@ -119,7 +119,7 @@ def exchange(
     current = np.array(views, dtype=np.int64)
     required = np.minimum(matrix.counts(current.tolist()), 1)
     tours = _Tours(configurations, home, limits, rng)
-    best = tours.shortest([current[k : k + 1] for k in range(len(current))], np.arange(len(current)))
+    best = tours.shortest([current[k : k + 1] for k in range(len(current))], np.arange(len(current)), warm=False)
     before = best.cost
     while len(best.picks) > 1 and tours.count < _ORDERINGS:
         found = _exchanged(matrix, best, required, kept, tours, spare)
@@ -159,8 +159,8 @@ class _Tours:
         self.configurations, self.home, self.limits, self.rng = configurations, home, limits, rng
         self.count = 0
 
-    def shortest(self, groups: Many[Ints], order: Ints) -> _Tour:
-        """The best tour with one member of each group, searched for from a visiting order."""
+    def shortest(self, groups: Many[Ints], order: Ints, *, warm: bool = True) -> _Tour:
+        """The best tour with one member of each group, searched for from a visiting order; `warm`: a good one."""
         owner, q, first = [np.array([-1])], [self.home[None]], [0, 1]
         for group in groups:
             solutions = [self.configurations(int(view)) for view in group]
@@ -169,7 +169,7 @@ class _Tours:
             first.append(first[-1] + sum(len(s) for s in solutions))
         nodes, owners = np.concatenate(q), np.concatenate(owner)
         problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), np.array(first))
-        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, None)
+        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, None, warm=warm)
         self.count += 1
         visited = problem.clusters_of(found.tour)[1:] - 1
         picks = np.empty(len(groups), dtype=np.int64)

@@ -122,13 +122,22 @@ def instance(cost: Floats, first: Ints) -> Instance:
     return Instance(cost, readonly("cost", cost.T, cost.shape), either, first)
 
 
-def grown(problem: Instance, steps: int) -> int:
-    """A number of steps as it is spent on an instance: with the square of the number of clusters beyond 22."""
-    return int(steps * max(1.0, (problem.n_clusters / _FULL) ** 2))
+def grown(problem: Instance, steps: int, *, warm: bool = False) -> int:
+    """A number of steps as it is spent on an instance: with the square of the number of clusters beyond 22.
+
+    From a tour that is good already (`warm`), each part of it is only looked at as often as in a small one: linear.
+    """
+    return int(steps * max(1.0, (problem.n_clusters / _FULL) ** (1 if warm else 2)))
 
 
 def solve(
-    problem: Instance, start: Ints, rng: np.random.Generator, steps: int = STEPS, bound_work: int | None = BOUND_WORK
+    problem: Instance,
+    start: Ints,
+    rng: np.random.Generator,
+    steps: int = STEPS,
+    bound_work: int | None = BOUND_WORK,
+    *,
+    warm: bool = False,
 ) -> Found:
     """The best tour that the budgets allow, and a bound: by `exact` where that is affordable, else by `search`.
 
@@ -138,6 +147,8 @@ def solve(
         rng: source of the search's randomness.
         steps: budget of the search with up to 22 clusters; larger instances get more (`grown`).
         bound_work: budget of the bound; with 0 it is the quick one, with None there is none (0).
+        warm: whether `start` is the order of a good tour of nearly the same instance. Beyond 22 clusters it is then
+            searched on at the temperature at which a search ends, which a hot one would destroy, with fewer steps.
 
     Returns:
         A tour that is never worse than the best one for the order `start`.
@@ -145,16 +156,17 @@ def solve(
     if exact_work(problem) <= max(ALWAYS_EXACT, _EXACT_PER_STEP * steps):
         return exact(problem)
     cost, tour = best_nodes(problem, start)
-    steps = grown(problem, steps)
+    steps = grown(problem, steps, warm=warm)
+    hot = _COLD if warm and problem.n_clusters > _FULL else _HOT
     if bound_work is None:
-        cost, tour = search(problem, tour, int(rng.integers(2**63)), steps)
+        cost, tour = search(problem, tour, int(rng.integers(2**63)), steps, hot)
         return _found(problem, tour, cost, 0.0)
     quick = min(tour_bound.one_tree(problem.either, problem.first), cost)
     seed, bound = int(rng.integers(2**63)), quick
     # A first part of the search often ends at a tour that the strong bound proves; the rest is only run where not.
     for part in (steps // _FIRST, steps) if bound_work > 0 else (steps,):
         if cost > bound * (1.0 + 1e-9):
-            cost, tour = search(problem, tour, seed, part)
+            cost, tour = search(problem, tour, seed, part, hot)
         if cost > bound * (1.0 + 1e-9) and bound == quick and bound_work > 0 and cost < BLOCKED:
             strong = tour_bound.by_walks(problem.either, problem.first, cost, bound_work)
             bound = max(quick, strong.value)
@@ -205,7 +217,7 @@ def exact(problem: Instance) -> Found:
     return _found(problem, tour, cost, cost)
 
 
-def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float, Ints]:
+def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _HOT) -> tuple[float, Ints]:
     """A good tour within a number of steps, never worse than the one to begin with.
 
     Args:
@@ -213,6 +225,7 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float,
         tour: (m,) nodes of the tour to begin with.
         seed: from 0 to 2^63 - 1; equal seeds give equal tours.
         steps: tours to ruin and rebuild.
+        hot: temperature at the first step, in mean costs of the two cheapest edges of a cluster.
 
     Returns:
         The cost, and the tour (m,), beginning in cluster 0.
@@ -228,7 +241,7 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int) -> tuple[float,
     two = np.sort(usable, axis=1)[:, 1:3]  # NaN comes last
     scale = max(float(np.nanmean(two)), 1e-12) if np.isfinite(two).any() else 1.0
     best, _ = anneal(
-        problem.cost, problem.back, problem.first, near, tour.copy(), steps, _HOT * scale, _COLD * scale, seed
+        problem.cost, problem.back, problem.first, near, tour.copy(), steps, hot * scale, _COLD * scale, seed
     )
     best = np.roll(best, -int(np.flatnonzero(best < problem.first[1])[0]))
     return problem.length(best), best

@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.order import generalised_tsp as gtsp
+from planner.order import tour_bound
 from planner.order.moves import Moves
 from planner.values import Floats, Ints, Value, readonly
 from planner.worded import Worded
@@ -90,7 +91,8 @@ def sequence(
             small problems always.
         bound_work: edges that the lower bound may look at; 0 takes the quick, weak bound, None no bound at all.
         T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
-        start: (n,) order known from before; the search begins with it where it beats the baseline.
+        start: (k,) order known from before, of all views or of some: the others are put where they lengthen it least.
+            Where it beats the baseline, the search goes on from it (`generalised_tsp.solve`: warm).
 
     Returns:
         The sequence. Its duration is never above the baseline's.
@@ -100,18 +102,29 @@ def sequence(
     """
     problem = moves.instance()
     baseline = _christofides(problem, T_base_scanner, T_base_home)
-    starts = [baseline] if start is None else [baseline, 1 + _permutation(start, problem.n_clusters - 1)]
-    costs = [gtsp.best_nodes(problem, order)[0] for order in starts]
-    found = gtsp.solve(problem, starts[int(np.argmin(costs))], rng, budget, bound_work)
+    starts = [baseline] if start is None else [baseline, _completed(problem, start)]
+    best = int(np.argmin([gtsp.best_nodes(problem, order)[0] for order in starts]))
+    found = gtsp.solve(problem, starts[best], rng, budget, bound_work, warm=best == 1)
     return _result(problem, moves, found, baseline)
 
 
-def _permutation(order: Ints, n: int) -> Ints:
-    """The order, if it names each of n views once."""
-    order = readonly("start", order, (n,), np.int64)
-    if not np.array_equal(np.sort(order), np.arange(n)):
-        raise PlannerError(f"start is no order of the views; it must hold each of 0 to {n - 1} once")
-    return np.asarray(order)
+def _completed(problem: gtsp.Instance, start: Ints) -> Ints:
+    """(n,) order of the clusters 1.. that keeps a given one of some views and inserts each other where it costs least.
+
+    What an insertion costs is taken from the cheapest edges between clusters: a first tour to search on from.
+    """
+    n = problem.n_clusters - 1
+    start = readonly("start", start, (None,), np.int64)
+    missing = np.setdiff1d(np.arange(n), start)
+    if len(start) + len(missing) != n or len(np.unique(start)) != len(start):
+        raise PlannerError(f"start is no order of the views; it must hold numbers of 0 to {n - 1}, each at most once")
+    order = [0, *(start + 1).tolist()]
+    if len(missing):
+        between = tour_bound.between_clusters(problem.either, problem.first)
+        for k in missing + 1:
+            after = np.roll(order, -1)
+            order.insert(1 + int(np.argmin(between[order, k] + between[k, after] - between[order, after])), int(k))
+    return np.array(order[1:], dtype=np.int64)
 
 
 def _christofides(problem: gtsp.Instance, T_base_scanner: Floats, T_base_home: Floats | None) -> Ints:

@@ -214,7 +214,8 @@ class TourSearch:
         numbers[flat] = np.arange(len(flat))
         times, leave = roadmap.times[np.ix_(flat, flat)], numbers[roadmap.leave[flat]]
         place = {view: k for k, view in enumerate(self.views)}
-        start = [place[v] for node in before[1:-1] if (v := self.view_of(node)) in place]
+        known = [self.view_of(node) for node in before[1:-1]] or self.visits.known
+        start = [place[view] for view in known if view in place]
         found = self.ordering(
             Moves(roadmap.q[flat], node_offsets(nodes), times, leave, self.stays[flat]),
             self.visits.T_base_scanner[self.views],
@@ -222,7 +223,7 @@ class TourSearch:
             budget=steps,
             bound_work=self.budget.bound if self.rounds == 0 else None,
             T_base_home=self.visits.T_base_home,
-            start=np.array(start) if len(start) == len(self.views) and start else None,
+            start=np.array(start) if start else None,
         )
         if self.rounds == 0:  # no edge was looked at: times of straight moves, which no path undercuts
             self.baseline, self.lower_bound = found.baseline_duration, found.lower_bound

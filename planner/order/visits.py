@@ -22,6 +22,7 @@ class Visits(Value):
         T_base_scanner: (n, 4, 4) scanner pose of each view [m], base frame; starts the ordering.
         T_base_home: (4, 4) scanner pose at home [m]; without it, home enters the baseline where it costs least.
         passages: per view, one for each of its joint solutions, beginning there; None: the arm stands and measures.
+        known: views in the order of an earlier tour, some or all: the search goes on from it.
     """
 
     configurations: Sequence[Floats]
@@ -29,6 +30,7 @@ class Visits(Value):
     T_base_scanner: Annotated[Floats, "n 4 4"]
     T_base_home: Annotated[Floats, "4 4"] | None = None
     passages: Sequence[Sequence[Passage]] | None = None
+    known: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         solutions = [

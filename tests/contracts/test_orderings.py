@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
+from planner.order import generalised_tsp as gtsp
 from planner.order.moves import Moves
 from planner.order.orderings import OrderStatus, sequence
 from planner.ports import JointLimits
@@ -97,3 +98,44 @@ def test_leaving_from_another_view_is_refused(leave: list[int]) -> None:
     """A view that is entered is left, and home as well; numbers of no node are refused with the others."""
     with pytest.raises(PlannerError, match="leave must name a node of the same view"):
         replace(Moves.straight(make(9, [2, 1])[0], HOME, LIMITS), leave=leave)
+
+
+@pytest.mark.parametrize("size", [9, 40])
+def test_a_warm_tour_is_never_longer_than_the_one_it_began_from(size: int) -> None:
+    """Of the views kept, the tour found is no longer than the earlier order with its best joint solutions.
+
+    Nor is it with views added longer than the earlier tour with each of them driven to from home and back.
+    """
+    configurations, poses = make(size, [3] * size)
+    before = sequence(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(1), budget=400)
+    kept = [k for k in range(size) if k % 5]
+    place = {view: i for i, view in enumerate(kept)}
+    start = np.array([place[view] for view in before.order if view in place])
+    moves = Moves.straight([configurations[k] for k in kept], HOME, LIMITS)
+    fewer = sequence(moves, poses[kept], np.random.default_rng(2), budget=50, bound_work=None, start=start)
+    assert fewer.duration <= gtsp.best_nodes(moves.instance(), start + 1)[0] * (1 + 1e-12)
+
+    moves = Moves.straight(configurations, HOME, LIMITS)
+    start = np.array(kept)[fewer.order]
+    more = sequence(moves, poses, np.random.default_rng(3), budget=50, bound_work=None, start=start)
+    assert sorted(more.order) == list(range(size))
+    detours = sum(2 * move_time(HOME, configurations[k], LIMITS).min() for k in range(size) if not k % 5)
+    assert more.duration <= (fewer.duration + detours) * (1 + 1e-12)
+
+
+def test_a_warm_tour_of_many_views_is_as_good_as_one_from_scratch() -> None:
+    """Forty views of which four are new: within 2 % of the search from scratch, with a fraction of its steps."""
+    configurations, poses = make(7, [3] * 40)
+    moves = Moves.straight(configurations, HOME, LIMITS)
+    scratch = sequence(moves, poses, np.random.default_rng(0), bound_work=None)
+    start = np.array([view for view in scratch.order if view % 10])
+    warm = sequence(moves, poses, np.random.default_rng(1), budget=500, bound_work=None, start=start)
+    assert warm.duration <= scratch.duration * 1.02
+
+
+@pytest.mark.parametrize("start", [[0, 0, 1], [0, 4], [-1, 2]])
+def test_a_start_that_is_no_order_is_refused(start: list[int]) -> None:
+    """A view named twice, or that there is not."""
+    configurations, poses = make(1, [2] * 4)
+    with pytest.raises(PlannerError, match="each at most once"):
+        sequence(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), start=np.array(start))
