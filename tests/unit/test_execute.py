@@ -76,7 +76,8 @@ def _scene() -> RunCell:
     scanner = LaserArea(resolution_deg=(3.0, 3.0))
     return RunCell(
         SimpleNamespace(
-            T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10, speed_scaling=1
+            T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10, speed_scaling=1,
+            table_is_endless=False,
         ),
         mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
         scanner, ScannerKeys(**scanner.parameters()), kinematics, TravelBound(model),
