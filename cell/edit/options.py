@@ -145,6 +145,10 @@ class Edit(Table):
             raise ValueError(f".drop, move and turn name view {twice[0]} twice; change a view in one way")
         if twice := [view for view, count in Counter(self.order).items() if count > 1]:
             raise ValueError(f".order names view {twice[0]} twice; name each view once")
+        if self.table_angle_deg and not (self.move or self.add_pose):
+            raise ValueError(
+                ".table_angle_deg is of the poses that move and add_pose give, and none is given; leave it out"
+            )
         if self.order and self.keep_order:
             raise ValueError(".order and keep_order both say in which order views are visited; give one of them")
         return self

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cell.errors import UsageError
+from cell.errors import SceneError, UsageError
 from cell.locate import measured, points_fit
 from cell.locate.located import CheckedMotion, Located, Precision
 from cell.locate.options import Locating
@@ -128,10 +128,15 @@ def _precision(fit: RigidFit, T_base_object: Floats, points: Floats) -> Precisio
 
 def _checked(run: PlannedRun, T_base_object: Floats) -> CheckedMotion:
     """The plan's motion in the cell with the part (and its post) there."""
-    world, motion = world_of(run.record, run.reference), run.motion
-    checker = MujocoCollisionChecker(world, T_base_object)
+    motion, problem = run.motion, ""
     try:
-        problem = require_free(motion.via_q, checker, motion.limits)
+        # Compiled with the part there: a post beside a rotary table's axis swings, and is guarded for it.
+        checker = MujocoCollisionChecker(world_of(run.record, run.reference, T_base_object=T_base_object))
+    except SceneError as error:  # a table does not carry the part there
+        problem = str(error)
+        checker = MujocoCollisionChecker(world_of(run.record, run.reference), T_base_object)
+    try:
+        problem = problem or require_free(motion.via_q, checker, motion.limits)
     except PlannerError as error:
         problem = str(error)
     found = clearance.of_motion(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)

@@ -21,7 +21,7 @@ from cell.rays.occluders import Occluder, caster_of, standing_triangles
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, understood
 from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
-from cell.run.scene_of_run import scene_of_run
+from cell.run.scene_of_run import placed, scene_of_run
 from cell.scene.regions import limited
 from cell.world import shapes
 from cell.world.model import World, compile_world
@@ -83,9 +83,15 @@ class RunCell:
         return T
 
     def about_part(self, T: Floats) -> RunCell:
-        """The cell whose part stands off its place: all that stands about it is moved by (4, 4) in the object frame."""
+        """The cell whose part stands off its place: what stands about it is moved by (4, 4) in the object frame.
+
+        Post and the part's own fixtures stay at the part: it rests on the one, whichever way it is off.
+        """
         R, t = T[:3, :3], T[:3, 3]
-        moved = tuple(replace(each, vertices=each.vertices @ R.T + t) for each in self.occluders)
+        with_it = {"post", *(each.name for each in self.scene.fixtures if each.attached_to == "object")}
+        moved = tuple(
+            each if each.name in with_it else replace(each, vertices=each.vertices @ R.T + t) for each in self.occluders
+        )
         return replace(self, occluders=moved, occluder_caster=caster_of(moved))
 
 
@@ -190,17 +196,24 @@ def _surroundings(
     return tuple(piece for piece in pieces if piece.name not in beside), swing(model, data, table)
 
 
-def world_of(run: RunRecord, part: TriangleMesh, *, without: Collection[str] = ()) -> World:
+def world_of(
+    run: RunRecord, part: TriangleMesh, *, without: Collection[str] = (), T_base_object: Floats | None = None
+) -> World:
     """The cell compiled anew, as it was checked (but see `taken_as_triangles`) or with something taken out.
 
     Args:
         run: a run folder.
         part: its reference [m].
         without: names of fixtures to leave out; "post" leaves out the post.
+        T_base_object: (4, 4) where the part stands instead, a rotary table staying where it is [m].
 
     Raises:
         FileError: if the run's files are damaged.
+        SceneError: if a rotary table cannot carry the part there.
     """
-    keys = run_reader.scene(run).scanner
+    resolved = run_reader.scene(run)
+    keys, scene = resolved.scanner, scene_of_run(run, without)
+    if T_base_object is not None:
+        scene = placed(scene, T_base_object, resolved)
     baseline_mm = scanners.baseline_mm(keys.own, scanners.make(keys.type, keys.own))
-    return compile_world(scene_of_run(run, without), part.vertices, part_faces=part.faces, baseline_mm=baseline_mm)
+    return compile_world(scene, part.vertices, part_faces=part.faces, baseline_mm=baseline_mm)

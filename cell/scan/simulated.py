@@ -35,7 +35,7 @@ class Simulated:
             disturbance: noise and pose error.
             seed: of the disturbance.
         """
-        if disturbance.part is not None:  # what stands about the part stays where it is
+        if disturbance.part is not None:  # what does not carry the part stays where it is
             cell = cell.about_part(np.asarray(np.linalg.inv(disturbance.part), dtype=np.float64))
         self._cell, self._disturbance, self._seed = cell, disturbance, seed
 

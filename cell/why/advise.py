@@ -19,7 +19,7 @@ from cell.rays.prediction import held_out
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell, world_of
 from cell.run.record import RunRecord
-from cell.why.turns import carried, place_of, turned
+from cell.why.turns import TURNS, carried, place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.measurability.matrix import measured
@@ -78,15 +78,18 @@ def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
 
     found: list[Advice] = []
     left = np.sort(rng.permutation(np.flatnonzero(~seen))[:ASKED])
-    with narrator.stage("second set-ups"):
-        for turn, _, T_base_centre, there in turned(world):
+    with narrator.stage("second set-ups") as progress:
+        for done, (turn, _, T_base_centre, there) in enumerate(turned(world)):
+            progress(done, len(TURNS))
             share, error = _share(samples, left, arm(there))
             what, command = f"{turn}, beside this plan", open_of(run, T_base_centre)
             found.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
     places: list[Advice] = []
     some = np.sort(rng.permutation(len(samples))[:ASKED])
-    with narrator.stage("other places"):
-        for what, T_base_centre in _elsewhere(world):
+    asides = list(_elsewhere(world))
+    with narrator.stage("other places") as progress:
+        for done, (what, T_base_centre) in enumerate(asides):
+            progress(done, len(asides))
             share, error = _share(samples, some, arm(carried(world, T_base_centre)))
             places.append(Advice(what, share, error, elsewhere(run, T_base_centre)))
     places.sort(key=lambda advice: -advice.share)

@@ -9,7 +9,7 @@ from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.world.model import World
 from planner.values import Floats
 
-_TURNS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees
+TURNS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees
 
 
 def turned(world: World) -> Iterator[tuple[str, float, Floats, World]]:
@@ -17,7 +17,7 @@ def turned(world: World) -> Iterator[tuple[str, float, Floats, World]]:
 
     Left out is what a rotary table does itself, and what it cannot carry.
     """
-    for axis, angle in _TURNS:
+    for axis, angle in TURNS:
         turn = np.zeros(3)
         turn[2 - axis] = np.radians(angle)  # KUKA's angles are about z, y, x
         T = np.array(world.T_base_object @ world.T_object_centre)

@@ -64,10 +64,8 @@ def attainable(targets: Targets, arm: Arm) -> Attainable:
                     continue
                 found = seeing(aimed, targets, arm.scanner, arm.casters)
                 sighted[found.row] = True
-                found = found.pick(arm.takes_up(arm.views(found)[:, None] @ arm.T_view_scanner))
-                own, which = np.unique(found.row, return_index=True)
-                measured[own] = True
-                found = found.pick(which)
+                found = _first_taken_up(found, arm)
+                measured[found.row] = True
                 known = Aimed(
                     np.concatenate([known.T_object_scanner, found.T_object_scanner]),
                     np.concatenate([known.row, found.row]),
@@ -76,6 +74,21 @@ def attainable(targets: Targets, arm: Arm) -> Attainable:
                 few = arm.views(found.pick(np.arange(min(len(found), _SHARED))))
                 measured[still] = arm.measured(few, targets, still).any(axis=1)
     return Attainable(measured, sighted | measured)
+
+
+def _first_taken_up(aimed: Aimed, arm: Arm) -> Aimed:
+    """The first pose of each point that the arm takes up; poses behind it are not asked about."""
+    order = np.argsort(aimed.row, kind="stable")
+    kept = []
+    while len(order):
+        own, first = np.unique(aimed.row[order], return_index=True)
+        asked = order[first]
+        taken = arm.takes_up(arm.views(aimed.pick(asked))[:, None] @ arm.T_view_scanner)
+        kept.append(asked[taken])
+        order = np.delete(order, first)
+        order = order[~np.isin(aimed.row[order], own[taken])]
+    which = np.concatenate([*kept, np.empty(0, dtype=np.int64)])
+    return aimed.pick(which[np.argsort(aimed.row[which])])
 
 
 def _batches(measured: Bools, size: int) -> Iterator[Ints]:

@@ -22,12 +22,14 @@ from cell.proof.proof import prove
 from cell.proof.scene_now import require_same
 from cell.replay.replay import load_show
 from cell.robot.frames import kuka_abc_from_pose
+from cell.run.cell import world_of
 from cell.run.executions import read_execution
-from cell.run.reader import motion, reached
+from cell.run.reader import mesh, motion, reached, scene
 from cell.run.record import open_run
 from cell.scene.options import scene_of
 from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
+from cell.world.model import World
 from drivers.setpoints import from_rad
 from planner.timing.move_time import move_time
 
@@ -251,6 +253,25 @@ def test_the_place_at_angle_0_is_found_from_points_of_a_turned_part(turned: Path
     there = run.edited(T_base_object=found.T_base_object, repair=True, out=tmp_path / "there", use_cache=False)
     tables = [_json(folder / "scene.resolved.json")["table"]["T_base_table"] for folder in (turned, there.folder)]
     np.testing.assert_allclose(*tables, atol=1e-9)  # the part was moved on the table, which stands where it stood
+
+
+def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) -> None:
+    """On the axis a post turns in place; beside it, it is guarded against the pedestal, and the table stays."""
+    run = open_run(turned)
+    reference, T = mesh(run, "reference.ply"), np.array(scene(run).T_base_object)
+    planned = world_of(run, reference)
+    T[0, 3] += 0.004
+    there = world_of(run, reference, T_base_object=T)
+    assert [("post", "pedestal") in _guarded(world) for world in (planned, there)] == [False, True]
+    np.testing.assert_allclose(there.T_base_object, T, atol=1e-9)
+    assert planned.table is not None
+    assert there.table is not None
+    np.testing.assert_allclose(there.table.T_base_table, planned.table.T_base_table, atol=1e-9)
+
+
+def _guarded(world: World) -> set[tuple[str, str]]:
+    names = [(world.entities[a], world.entities[b]) for a, b in world.pairs]
+    return {*names, *((b, a) for a, b in names)}
 
 
 def test_a_place_is_judged_with_the_table_under_the_part(part_file: Path) -> None:

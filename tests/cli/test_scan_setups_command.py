@@ -246,6 +246,16 @@ def test_programs_halt_before_each_set_up(folder: Path, run_cell: Run) -> None:
         assert f"DEF TURNED_{number}( )" in source
 
 
+def test_a_part_that_is_off_rests_on_its_post(planned: Path) -> None:
+    """A part that is simulated higher than planned uncovers nothing of what it rests on; the floor stays in base."""
+    cell = read_cell(open_run(planned))
+    up = np.eye(4)
+    up[2, 3] = -0.004
+    before, after = ({each.name: each.vertices for each in of.occluders} for of in (cell, cell.about_part(up)))
+    np.testing.assert_array_equal(after["post"], before["post"])
+    np.testing.assert_allclose(after["floor"], before["floor"] + up[:3, 3])
+
+
 def test_a_part_that_may_stand_nearer_than_the_motion_is_clear_of_it_is_told(planned: Path) -> None:
     """5 mm and 2 deg of a part move its farthest point by 5 mm and 2 deg of its arm; the sentence begins there."""
     cell = read_cell(open_run(planned))

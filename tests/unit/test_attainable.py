@@ -12,9 +12,10 @@ from cell.run.report_json import Attainable
 from cell.scanners.laser_area import LaserArea
 from planner.measurability.coverage import Coverage
 from planner.surface.sample import SurfaceSamples
-from planner.viewpoints.attainable import attainable
+from planner.viewpoints.attainable import _first_taken_up, attainable
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.pointwise import Aimed
 
 SCANNER = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
 
@@ -62,6 +63,24 @@ def test_an_arm_that_takes_up_nothing_measures_nothing_of_what_is_seen():
     assert found.sighted.all()
     assert not found.measured.any()
     np.testing.assert_array_equal(found.sighted, again.sighted)
+
+
+def test_of_each_point_the_arm_is_asked_until_it_takes_up_a_pose():
+    """The pose that counts is that of asking about all of them, and none behind it is asked about."""
+    rng = np.random.default_rng(0)
+    row, T = rng.integers(0, 40, 500), np.tile(np.eye(4), (500, 1, 1))
+    T[:, 0, 3], taken, asked = np.arange(500), rng.random(500) < 0.2, []
+
+    def takes_up(T):
+        asked.extend(pose := T[:, 0, 0, 3].astype(int))
+        return taken[pose]
+
+    found = _first_taken_up(Aimed(T, row), _ball(takes_up)[1])
+    first = {point: np.flatnonzero(taken & (row == point))[:1] for point in range(40)}
+    expected = [index for point in range(40) for index in first[point].tolist()]
+    assert found.T_object_scanner[:, 0, 3].tolist() == expected
+    until = [row == point if not len(at) else (row == point) & (np.arange(500) <= at[0]) for point, at in first.items()]
+    assert sorted(asked) == np.flatnonzero(np.any(until, axis=0)).tolist()
 
 
 def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):

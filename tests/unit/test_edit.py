@@ -57,6 +57,7 @@ def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
         ({"order": "1,2,2"}, "view 2 twice"),
         ({"order": "1,2", "keep_order": True}, "give one of them"),
         ({"drop": "1", "turn": "1:90"}, "view 1 twice"),
+        ({"drop": "1", "table_angle": 30}, "--table-angle is of the poses that move and add_pose give"),
     ],
 )
 def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
