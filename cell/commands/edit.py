@@ -39,7 +39,8 @@ def edit(
     from cell.plan.report import table
 
     terminal = Terminal(quiet_stdout=as_json)
-    made = api.open_run(run).edited(wanted, out=out, progress=terminal, argv=sys.argv[1:])
+    planned = api.open_run(run)
+    made = planned.edited(wanted, out=out, progress=terminal, argv=sys.argv[1:])
     against = compare(run, made.folder, terminal)
     if as_json:
         found = made.as_json() | {"against": against.as_json()}
@@ -48,7 +49,8 @@ def edit(
         rows = [*table(made.report), (f"against {run}", sentence(against)), ("run folder", str(made.folder))]
         terminal.pairs(f"Edited view plan of {made.report.part.name}", rows)
         lost = against.surface is not None and against.surface.lost_mm2 > against.surface.gained_mm2
-        repaired = [("cell", "edit", made.folder, "--repair")] if lost and not wanted.repair else []
+        apart = planned.record.of_several or planned.report.open_of is not None  # asked with other set-ups
+        repaired = [("cell", "edit", made.folder, "--repair")] if lost and not wanted.repair and not apart else []
         terminal.then(("cell", "scan", made.folder), *repaired, ("cell", "diff", run, made.folder))
     raise typer.Exit(made.exit_code)
 

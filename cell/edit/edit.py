@@ -18,7 +18,7 @@ from cell import scanners
 from cell.edit.known_motion import known_motion
 from cell.edit.moved import Before, measured_anew, still_reached
 from cell.edit.options import Edit, Pose
-from cell.edit.views import EditedViews, check, edited_views
+from cell.edit.views import EditedViews, check, edited_views, require_repairable
 from cell.errors import UnreachableError, UsageError
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
@@ -78,16 +78,8 @@ def edit(
             the way.
         FileError: if the run is damaged, or the new folder cannot be written.
     """
-    if wanted.repair and scene_of_run(run.record).plan.max_views is not None:
-        raise UsageError(
-            f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "
-            "leave repair out, or plan with a coverage"
-        )
-    if wanted.repair and run.report.open_of is not None:
-        raise UsageError(
-            f"{run.folder} was asked only for what other set-ups leave open, and a repair would ask for the rest as "
-            "well; leave repair out, or plan it again with open_of"
-        )
+    if wanted.repair:
+        require_repairable(run)
     check(wanted, len(run.candidate), run.report.verdicts.total)
     resolved, moved = reader.scene(run.record), T_base_object is not None
     if wanted.table_angle_deg and resolved.table is None:
@@ -136,6 +128,9 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
     if wanted.repair:
         run.narrator.note(f"repaired by adding candidate {', '.join(added)}" if added else "there is nothing to repair")
     report = pipeline.finish(run, job, surface.planning, problem, chosen, told)
+    if before.run.record.of_several:
+        run.narrator.note("coverage was asked of several set-ups: what they measure together now is not known")
+        return 0
     return 3 if _below(run.narrator, report, job.scene.plan) else 0
 
 
@@ -257,14 +252,15 @@ def _bounded(
 ) -> tuple[bool, ConnectedPlan]:
     """Whether the run's bound on the number of views still holds, and the plan with that bound, or with none (1).
 
-    It holds where the same candidates were asked for as much: none is new, none that was pinned is left out, and what
-    the run was asked to cover is covered.
+    It holds where there is one (of more than 1) and the same candidates were asked for as much: none is new, none that
+    was pinned is left out, and what the run was asked to cover is covered.
     """
     cover, M, said = chosen.cover, chosen.matrix, before.run.plan
     coverable = float(M.features.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
     target = said.coverage.target_on_features or 1.0
     holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
     holds &= not set(edited.dropped) & set(reader.scene(before.run.record).plan.pinned)
+    holds &= said.lower_bound > 1 or len(cover.views) == 1
     holds &= said.most_coverage is None and problem.request.goals is None and not before.moved
     bound = min(said.lower_bound, len(cover.views)) if holds else 1
     proven = bound == len(cover.views)

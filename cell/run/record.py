@@ -81,6 +81,11 @@ class RunRecord:
         """Digest of all that drives, as the manifest says it; "" where there is none."""
         return self.manifest.digest or ""
 
+    @property
+    def of_several(self) -> bool:
+        """Whether it is one of several set-ups that one cover was planned for."""
+        return (self.folder.absolute().parent.parent / "setups.json").is_file()
+
     def has(self, name: str) -> bool:
         """Whether an artefact is there."""
         return (self.folder / name).is_file()

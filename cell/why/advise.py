@@ -117,9 +117,8 @@ def _elsewhere(world: World) -> Iterator[tuple[str, Floats]]:
 
 def open_of(run: RunRecord, T_base_centre: Floats) -> str:
     """The command that plans a further set-up for what a run leaves open, or all set-ups of a folder together."""
-    beside = run.folder.absolute().parent.parent / "setups.json"
     runs = [run.folder]
-    if beside.is_file():
+    if run.of_several:
         numbers = sorted(int(path.name) for path in run.folder.parent.iterdir() if path.name.isdecimal())
         runs = [run.folder.parent / str(number) for number in numbers]
     named = [word for folder in runs for word in ("--open-of", str(folder))]

@@ -212,6 +212,19 @@ def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cel
     assert regions["rest"]["visible_of_coverable"] >= regions["rest"]["asked"] == 0.8
 
 
+def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """Coverage was asked of all together: one alone misses none and cannot restore it, and no bound on it is known."""
+    one = next(run for run in sorted((made / "setups").iterdir()) if len(open_run(run).candidate) > 1)
+    done = run_cell("edit", one, "--drop", "1", "--repair", "--out", "repaired", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "is one of several set-ups" in done.stderr
+    done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "what they measure together now is not known" in " ".join(done.stderr.split())
+    assert "--repair" not in done.stdout + done.stderr
+    assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
+
+
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:
     """A ball lies on no side; that is said, and it is planned in four turns."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
