@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -138,10 +139,15 @@ def _wanted(made: Sequence[str], names: Sequence[str] | None) -> list[str]:
     return [picture for picture in made if not names or picture in names]
 
 
+@cache  # asked before the first picture is written, which changes the tree
+def _commit() -> str:
+    words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    return subprocess.run(words, capture_output=True, text=True).stdout.strip() or "unknown"
+
+
 def _keep(picture: Path, folder: Path) -> None:
     """Write a picture with the commit that drew it as its comment."""
-    words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
-    commit = subprocess.run(words, capture_output=True, text=True).stdout.strip() or "unknown"
+    commit = _commit()
     info = PngInfo()
     info.add_text("Comment", f"scan-cell {commit}")
     folder.mkdir(parents=True, exist_ok=True)
