@@ -8,6 +8,7 @@ only.
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.narrator import Narrator
 from cell.run.scene_json import ResolvedScene
@@ -50,7 +51,9 @@ class WholeTurnsOff(Driver):
     def capabilities(self) -> Capabilities:
         """What the controller accepts."""
         able = self._driver.capabilities
-        return replace(able, lower=_added(able.lower, -self.turns), upper=_added(able.upper, -self.turns))
+        lower, upper = (frozen(np.clip(_turned(end, -self.turns), _INT32.min, _INT32.max), np.int32)
+                        for end in (able.lower, able.upper))  # fmt: skip
+        return replace(able, lower=lower, upper=upper)
 
     def state(self) -> RobotState:
         """The state now."""
@@ -126,8 +129,16 @@ def turns_off(state: RobotState, able: Capabilities, limits: JointLimits) -> int
     return turns if inside and taken else 0
 
 
-def _added(axes: SetPoints, turns: int) -> SetPoints:
-    """(..., 7) counts with whole turns of the table added, as far as 32 bits go."""
+def _turned(axes: SetPoints, turns: int) -> NDArray[np.int64]:
+    """(..., 7) counts with whole turns of the table added."""
     wide = axes.astype(np.int64)
     wide[..., ARM_AXES] += turns * _TURN
-    return frozen(np.clip(wide, _INT32.min, _INT32.max), np.int32)
+    return wide
+
+
+def _added(axes: SetPoints, turns: int) -> SetPoints:
+    """The same as set-points; beyond 32 bits, which `turns_off` keeps from, there are none."""
+    wide = _turned(axes, turns)
+    if wide.max() > _INT32.max or wide.min() < _INT32.min:
+        raise OverflowError(f"{turns:+d} turns take the table beyond what a set-point can hold")
+    return frozen(wide, np.int32)
