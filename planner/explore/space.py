@@ -37,9 +37,8 @@ MOST_VOXELS = 8_000_000
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
 _NEAR = 1.1  # edges from the middle of a voxel that is measured to a believed surface above it, and little beyond
-_BLANK = np.int16(
-    2
-)  # votes of a view whose ray did not come back: most miss the part, while behind a point lies anything
+_BLANK = np.int16(2)
+"""Votes of a view whose ray did not come back: most miss the part, while behind a point lies anything."""
 _ALL_ROUND = np.ones((3, 3, 3), dtype=np.bool_)
 
 
