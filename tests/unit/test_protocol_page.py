@@ -1,5 +1,6 @@
 """docs/internals/protocol.md is true: a controller says the sessions beside it, its tables are those of the code."""
 
+import csv
 import re
 import zlib
 from pathlib import Path
@@ -93,11 +94,11 @@ def test_the_pages_frames_can_be_taken_apart_by_its_words(line: str) -> None:
         assert hello_of(frame) is not None
 
 
-def tables() -> str:
-    """Of the code's registers, as the page has them; n axes."""
-    parts = []
+def rows() -> list[list[str]]:
+    """Of the code's registers, as the table has them; n axes."""
+    found = []
     for block in registers.BLOCKS:
-        at, axes, rows = block.address, 0, []  # an address is `at + axes n`
+        at, axes, kind = block.address, 0, [block.name, block.kind]  # an address is `at + axes n`
         for field in block.fields:
             each = field.count == registers.PER_AXIS
             where = f"{at} + {axes}n" if axes else f"{at}"
@@ -106,26 +107,23 @@ def tables() -> str:
             elif field.registers > 1:
                 where += f"-{at + field.registers - 1}"
             count = "n" if each else f"{field.count}"
-            kind = field.type if count == "1" else f"{field.type} x {count}"
-            rows.append(f"| {where} | {field.name} | {kind} | {field.meaning} |")
+            found.append(
+                [*kind, where, field.name, field.type if count == "1" else f"{field.type} x {count}", field.meaning]
+            )
             at, axes = at + field.registers, axes + 2 * each
         if block.optional_points:
-            rows.append(f"| {at}... | points | i32 x kn | k = `points` via points, A1 on each [1e-4 deg] |")
-        rows.append(
-            f"| {at} + {'2k' if block.optional_points else axes}n | crc | u32 | CRC-32 of all registers before |"
-        )
-        parts.append(
-            f"### {block.name.capitalize()} block, {block.kind} registers from {block.address}\n\n"
-            "| register | name | type | meaning |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
-        )
-    codes = "\n".join(f"| {code} | {meaning} |" for code, meaning in registers.COMMANDS.items())
-    parts.append(f"### Command codes\n\n| code | meaning |\n|---|---|\n{codes}\n")
-    return "\n".join(parts)
+            found.append([*kind, f"{at}...", "points", "i32 x kn", "k = `points` via points, A1 on each [1e-4 deg]"])
+        end = f"{at} + {'2k' if block.optional_points else axes}n"
+        found.append([*kind, end, "crc", "u32", "CRC-32 of all registers before"])
+    return found
 
 
 def test_the_register_tables_are_the_codes() -> None:
-    """The page holds the code's tables."""
-    assert tables().strip() in PAGE
+    """The table of registers and the page's command codes are those of the code."""
+    with (INTERNALS / "protocol_registers.csv").open(encoding="utf-8", newline="") as file:
+        assert list(csv.reader(file)) == [["block", "kind", "register", "name", "type", "meaning"], *rows()]
+    codes = "\n".join(f"| {code} | {meaning} |" for code, meaning in registers.COMMANDS.items())
+    assert f"| code | meaning |\n|---|---|\n{codes}\n" in PAGE + "\n"
 
 
 def test_the_numbers_in_the_text_are_the_codes() -> None:

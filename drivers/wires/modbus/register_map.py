@@ -1,4 +1,4 @@
-"""The Modbus map as data: which register means what. A test holds the tables of docs/internals/protocol.md against it.
+"""The Modbus map as data: which register means what. A test holds docs/internals/protocol_registers.csv against it.
 
 Three blocks, the same on TCP and RTU; addresses are 0-based as they stand in a telegram.
 
