@@ -1,10 +1,11 @@
 """A run folder in which one field was changed, hashes and digest made anew: refused, or a field that changes nothing.
 
 Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so a new
-one is looked at without a word here. Which fields may be changed is a list in docs/internals/run_folder.md.
+one is looked at without a word here. Which fields may be changed is listed in docs/internals/run_folder_free_fields.csv.
 """
 
 import copy
+import csv
 import io
 import json
 import re
@@ -24,7 +25,7 @@ from cell.proof.proof import prove
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Reseal = Callable[[Path], str]
 
-DOCS = Path(__file__).parents[2] / "docs" / "internals" / "run_folder.md"
+FREE = Path(__file__).parents[2] / "docs" / "internals" / "run_folder_free_fields.csv"
 JSON = ("plan.json", "scene.resolved.json", "manifest.json")
 _OPEN = ("artefacts", "inputs", "versions", "seconds", "options")  # maps of the manifest whose keys are data
 
@@ -51,8 +52,8 @@ class Change:
 
 def free_fields() -> list[re.Pattern[str]]:
     """The fields that the docs list, with all that is below where they end in `.*`."""
-    listed = DOCS.read_text(encoding="utf-8").partition("<!-- free fields")[2].partition("<!-- end of free fields")[0]
-    names = re.findall(r"`([a-z.]+:[^`]+)`", listed)
+    with FREE.open(encoding="utf-8", newline="") as file:
+        names = [row["field"] for row in csv.DictReader(file)]
     assert len(names) > 20
     below = r"(\..*|\[.*)?"
     return [
