@@ -10,7 +10,6 @@ from typing import Any
 import typer
 
 from cell.errors import CellError, FileError
-from cell.scene.problems import GONE
 from cell.signals import INTERRUPTED, told
 
 _BUG = 70
@@ -34,9 +33,6 @@ def guarded(run: Callable[[], Any], *, as_json: bool) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _say(_stopped(), INTERRUPTED, as_json)
     except _UsageMistake as error:
-        unknown = str(getattr(error, "option_name", ""))
-        if (name := unknown.removeprefix("--")) in GONE:
-            return _say(f"{unknown} {GONE[name]}", int(error.exit_code), as_json)
         error.show()
         if type(error).__name__ == "NoArgsIsHelpError":  # `cell` alone: the help is the answer
             return 0

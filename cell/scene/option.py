@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from cell.errors import UsageError
-from cell.scene.problems import GONE, did_you_mean, sentences
+from cell.scene.problems import did_you_mean, sentences
 
 Spell = Callable[[str], str]
 """Writes the name of an option as its user does: `flag` for the command line, `str` for a keyword of Python."""
@@ -168,8 +168,6 @@ def values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = 
     """
     known, filled = offers(model), dict[str, object]()
     for name, wish in wishes.items():
-        if name in GONE:
-            raise UsageError(f"{spell(name)} {GONE[name]}")
         if name not in known:
             hint = did_you_mean(name, list(known))
             raise UsageError(f"there is no option {spell(name)}; {hint}there are {', '.join(map(spell, known))}")

@@ -122,23 +122,6 @@ class PlanKeys(Table):
 class PlanSettings(PlanKeys):
     """How to plan: the keys, and that they go together."""
 
-    @field_validator("collision", mode="before")
-    @classmethod
-    def _without_pieces(cls, collision: object) -> object:
-        if collision == "decomposed":
-            raise ValueError(
-                "is 'decomposed', which is gone: convex pieces refused 2 of 6,368 free configurations where triangles "
-                "refuse none, and were no faster in all; choose 'exact'"
-            )
-        return collision
-
-    @field_validator("candidates", mode="before")
-    @classmethod
-    def _without_targeted(cls, candidates: object) -> object:
-        if candidates == "targeted":
-            raise ValueError("is 'targeted', which is gone: 'grown' measures more with fewer views; choose 'grown'")
-        return candidates
-
     @field_validator("percent_kept")
     @classmethod
     def _one_size(cls, percent: float | None, info: ValidationInfo) -> float | None:

@@ -27,12 +27,6 @@ _WANTED = {
     "dict_type": "a table",
     "string_pattern_mismatch": "a name of letters, digits, spaces, '_', '-' and '.'",
 }
-GONE = {
-    "preset": "is gone, as no preset made a plan faster or better; give what it settled: faces and samples of a plan, "
-    "resolution of a scan"
-}
-"""Keys and options that there were, each with what to give instead."""
-
 _KEY = re.compile(r"\b\w+(?:\.\w+)+|^\w+")  # in a sentence: the first word is one, others have a dot
 
 
@@ -69,8 +63,6 @@ def _sentence(detail: ErrorDetails, model: type[BaseModel], lengths: Mapping[tup
     kind, loc, value, context = detail["type"], detail["loc"], detail.get("input"), detail.get("ctx", {})
     keys, owner = _resolve(loc, model)
     where = _path(keys)
-    if kind == "extra_forbidden" and keys[-1] in GONE:
-        return f"{where} {GONE[str(keys[-1])]}"
     if kind == "extra_forbidden":
         known = list(owner.model_fields) if owner else []
         return f"{where} is an unknown key; {did_you_mean(keys[-1], known)}valid are: {', '.join(known)}"

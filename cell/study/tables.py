@@ -14,7 +14,7 @@ from matplotlib.ticker import ScalarFormatter
 from cell.scene.plan_settings import PlanSettings
 from cell.study import plan_command, table_row
 from cell.study.comparison import DENSER
-from cell.study.paper import TABLES, PaperRow
+from cell.study.paper import PaperRow, tables
 from cell.study.study import Row, Study
 from cell.study.trial import JsonTable, Outcome, Trial
 from cell.view.palette import BLUE, GREY, VERMILION
@@ -50,11 +50,11 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
         faces_share: share of the planning faces to use; below 1 for a reduced study.
         parts: only rows of these parts; empty: all.
     """
-    tables = list(TABLES) if table == "all" else [table]
+    of_paper = tables()
     asked = [
         (name, paper, Trial.of(table_row.row, _settings(name, paper, faces_share)))
-        for name in tables
-        for paper in TABLES[name]
+        for name in (of_paper if table == "all" else [table])
+        for paper in of_paper[name]
         if not parts or paper.part in parts
     ]
 

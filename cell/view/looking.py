@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from cell import scanners
+from cell import caches, scanners
 from cell.checks.check import checked, compiled
 from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
@@ -87,11 +87,9 @@ def write(text: str, out: Path | None) -> Path:
     path = Path(tempfile.mkdtemp(prefix="cell-view-")) / NAME if out is None else out
     if (path.parent / "manifest.json").is_file():
         raise UsageError(f"--out {path} is in a finished folder, and these are never changed; choose another place")
-    beside = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)  # a browser never reads half a page
+        with caches.whole(path) as beside:  # a browser never reads half a page
+            beside.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FileError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}") from error
     return path

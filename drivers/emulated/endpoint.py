@@ -7,9 +7,7 @@ happened. An owner that has been silent for longer than its watchdog while the a
 **The watchdog is armed only while the arm moves.** Any new message of the owner is its heartbeat; a client that waits
 for a move asks for the state far more often than the watchdog is long. When a moving arm has heard nothing for that
 long it brakes on its path and latches the fault WATCHDOG, which only an explicit reset clears. An arm that stands needs
-no heartbeat: there is nothing to stop, and a scan of ten minutes between two moves is no fault. The other way, armed
-always, needs a thread in the client that beats while the program is elsewhere. That is neither simpler nor safer: such
-a thread says that the process lives, not that anybody watches the arm, and it goes on beating when the program hangs.
+no heartbeat: there is nothing to stop, and a scan of ten minutes between two moves is no fault.
 
 The watchdog runs on the wire's clock, which is real time even where the simulated arm is faster.
 """

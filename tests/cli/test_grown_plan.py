@@ -8,12 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.api import plan
-from cell.errors import SceneError, UsageError
 from cell.run import reader
 from cell.run.cell import read_cell
 from cell.run.record import open_finished
-from cell.scene.scene_file import load_scene
 from planner.measurability.matrix import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -54,33 +51,6 @@ def test_grown_candidates_keep_the_run_folder_s_contract(
         assert verdict[view["id"]] == 0
         np.testing.assert_allclose(view["roll_deg"], np.degrees(roll[view["id"]]), atol=1e-6)
         np.testing.assert_allclose(np.array(view["T_object_scanner"])[:3, 3], T[view["id"], :3, 3], atol=1e-4)
-
-
-def test_the_former_generator_is_gone(tmp_path: Path, run_cell: Run) -> None:
-    """Its name is answered with the one that took its place: one sentence, exit code 2."""
-    done = run_cell("plan", "--candidates", "targeted", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "choose 'grown'" in done.stderr
-
-
-@pytest.mark.parametrize("command", ["plan", "check", "place", "scan"])
-def test_presets_are_gone(command: str, tmp_path: Path, run_cell: Run) -> None:
-    """One sentence that names what to give instead, exit code 2, nothing left behind."""
-    done = run_cell(command, *(["run"] if command == "scan" else []), "--preset", "fast", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith("cell: --preset is gone")
-    assert "faces and samples" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_preset_of_a_scene_file_or_of_a_keyword_is_gone(tmp_path: Path) -> None:
-    """The same sentence, with the key as it was written."""
-    (tmp_path / "scene.toml").write_text("[plan]\npreset = 'fast'\n", encoding="utf-8")
-    with pytest.raises(SceneError, match=r"plan\.preset is gone.*faces and samples"):
-        load_scene(tmp_path / "scene.toml")
-    with pytest.raises(UsageError, match=r"^preset is gone.*faces and samples"):
-        plan("mug", preset="fast")
 
 
 def test_views_that_moved_are_candidates_like_others(

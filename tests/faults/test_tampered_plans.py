@@ -1,7 +1,7 @@
 """A run folder in which one field was changed, hashes and digest made anew: refused, or a field that changes nothing.
 
 Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so a new
-one is looked at without a word here. Which fields may be changed is listed in docs/internals/run_folder_free_fields.csv.
+one is looked at without a word here. docs/internals/run_folder_free_fields.csv lists those that may be changed.
 """
 
 import copy

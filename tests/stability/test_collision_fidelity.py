@@ -187,7 +187,5 @@ def test_a_fidelity_that_does_not_exist_is_named() -> None:
     """With what there is; and a part without a finite vertex is refused before its triangles are looked at."""
     with pytest.raises(ValueError, match="'hull' or 'exact'"):
         Scene.model_validate({"plan": {"collision": "convex"}})
-    with pytest.raises(ValueError, match=r"'decomposed', which is gone.*choose 'exact'"):
-        Scene.model_validate({"plan": {"collision": "decomposed"}})
     with pytest.raises(SceneError, match="no finite vertices"):
         _world(trimesh.Trimesh([[np.nan] * 3] * 3, [[0, 1, 2]], process=False), "exact")

@@ -1,13 +1,5 @@
 """`modbus://` and `modbus+rtu://`: the register map of docs/internals/protocol.md over Modbus.
 
-| option | default | meaning |
-|---|---|---|
-| `unit` | 1 | device address, 1 to 247 |
-| `baud` | 115200 | RTU: bits per second; 8 data bits, no parity, 1 stop bit |
-| `timeout_ms` | 250 | longest time from a telegram to its answer; RTU: without the time of the bytes on the wire |
-| `watchdog_ms` | 1000 | silence after which the controller stops a moving arm, and the client takes it for gone |
-| `poll_ms` | 20 | time between two questions for the state of a moving arm |
-
 `modbus://host:502?unit=1`, `modbus+rtu:///dev/ttyUSB1?baud=115200`.
 
 Modbus telegrams on a serial line carry no number, so an answer that is late looks like the current one. Here every

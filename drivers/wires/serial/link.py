@@ -1,12 +1,5 @@
 """`serial://`: the ASCII frames of docs/internals/protocol.md over a serial line.
 
-| option | default | meaning |
-|---|---|---|
-| `baud` | 115200 | bits per second; 8 data bits, no parity, 1 stop bit |
-| `timeout_ms` | 250 | longest time from a question to its answer, without the time of the bytes on the wire |
-| `watchdog_ms` | 1000 | silence after which the controller stops a moving arm, and the client takes it for gone |
-| `poll_ms` | 20 | time between two questions for the state of a moving arm |
-
 The path is the port: `serial:///dev/ttyUSB0?baud=115200`.
 
 An answer is the current one when its frame is whole, comes from the controller, answers the kind that was asked and
